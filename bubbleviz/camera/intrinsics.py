@@ -1,0 +1,93 @@
+"""Pinhole camera with lens distortion: pixels to rays and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+DistortionModel = Literal["none", "plumb_bob", "inverse_brown_conrady"]
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Intrinsics of a depth camera, optical convention (+z along the view).
+
+    Attributes
+    ----------
+    width, height : int
+        Image size in pixels.
+    fx, fy, cx, cy : float
+        Focal lengths and principal point in pixels.
+    distortion_model : {"none", "plumb_bob", "inverse_brown_conrady"}
+        `plumb_bob` distorts on projection (ROS, OpenCV); `inverse_brown_conrady` distorts on
+        deprojection (RealSense).
+    distortion : tuple of float
+        k1, k2, p1, p2, k3; empty when there is none.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion_model: DistortionModel = "none"
+    distortion: tuple[float, ...] = ()
+
+    def slopes(self) -> np.ndarray:
+        """Ideal image-plane coordinates (x/z, y/z) of every pixel centre, shape (H, W, 2)."""
+        v, u = np.mgrid[0 : self.height, 0 : self.width].astype(np.float64)
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        coefficients = self._coefficients()
+        if self.distortion_model == "inverse_brown_conrady":
+            x, y = _brown_conrady(x, y, coefficients)
+        elif self.distortion_model == "plumb_bob":
+            x, y = _undistort(x, y, coefficients)
+        return np.stack([x, y], axis=-1)
+
+    def rays(self) -> np.ndarray:
+        """Unit ray directions r̂ in the camera frame C, shape (H, W, 3)."""
+        slopes = self.slopes()
+        rays = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        return rays
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixel coordinates (u, v) of points (…, 3) in C; shape (…, 2)."""
+        x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
+        coefficients = self._coefficients()
+        if self.distortion_model == "plumb_bob":
+            x, y = _brown_conrady(x, y, coefficients)
+        elif self.distortion_model == "inverse_brown_conrady":
+            x, y = _undistort(x, y, coefficients)
+        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
+
+    def _coefficients(self) -> tuple[float, float, float, float, float]:
+        k1, k2, p1, p2, k3 = (*self.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
+        return k1, k2, p1, p2, k3
+
+
+def _brown_conrady(
+    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radial and tangential polynomial of Brown and Conrady (OpenCV, librealsense)."""
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
+    )
+
+
+def _undistort(
+    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], iterations: int = 20
+) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse of `_brown_conrady` by fixed-point iteration (a contraction for real lenses)."""
+    x0, y0 = x, y
+    for _ in range(iterations):
+        xd, yd = _brown_conrady(x, y, coefficients)
+        x, y = x + (x0 - xd), y + (y0 - yd)
+    return x, y

@@ -1,0 +1,1 @@
+"""Frames of data: recordings and live sources in, recorder out."""

@@ -1,0 +1,40 @@
+"""One moment of one sensor, whatever source it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import Intrinsics
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A depth image and what was measured with it.
+
+    Attributes
+    ----------
+    index : int
+        Index in the recording, or count since a live source started.
+    time_s : float
+        Seconds from the start of the recording.
+    depth_m : (H, W) float32 array
+        z-depth in metres; NaN where there is no return.
+    intrinsics : Intrinsics or None
+        From the recording's CameraInfo, which wins over the sensor file's.
+    gas_pressure_pa : float or None
+        Absolute gas pressure at the frame's time, in Pa.
+    wrench : (6,) array or None
+        Force in N and torque in N·m as recorded, in the wrench sensor's own axes.
+    stamp_ns : int
+        The message's own time stamp.
+    """
+
+    index: int
+    time_s: float
+    depth_m: np.ndarray
+    intrinsics: Intrinsics | None = None
+    gas_pressure_pa: float | None = None
+    wrench: np.ndarray | None = None
+    stamp_ns: int = 0

@@ -1,0 +1,33 @@
+"""What every source of frames offers."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from bubbleviz.frames.frame import Frame
+
+
+class FrameSource(Protocol):
+    """Frames by index: a recording, or a simulation that makes them when asked.
+
+    Attributes
+    ----------
+    name : str
+        What the window's title shows.
+    times_s : (F,) array
+        Time of each frame from the start, s.
+    """
+
+    name: str
+    times_s: np.ndarray
+
+    def __len__(self) -> int:
+        """Count the frames."""
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
+
+    def close(self) -> None:
+        """Let go of files."""

@@ -1,0 +1,1 @@
+"""The membrane: reference surface to mesh, stiffness, gas, forward contact."""

@@ -1,0 +1,54 @@
+"""The gas behind the membrane: ideal gas law and its linearisation (Eqs. 6, 9 and 22)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Pneumatics
+
+
+@dataclass(frozen=True)
+class Gas:
+    """Isothermal ideal gas in the chamber and under the cap.
+
+    Attributes
+    ----------
+    P0 : float
+        Absolute reference pressure, Pa.
+    V0 : float
+        Reference volume, chamber and cap, m³.
+    dV_du : (n,) array
+        Volume change per node displacement, m². The divergence theorem gives A; the paper's
+        Eq. 9 has A/3, which under-reports p_v threefold and is kept for comparison.
+    """
+
+    P0: float
+    V0: float
+    dV_du: np.ndarray
+
+    @classmethod
+    def of(cls, pneumatics: Pneumatics, mesh: MembraneMesh) -> Gas:
+        """Gas of a sensor whose reference surface is `mesh`."""
+        factor = 1.0 if pneumatics.volume_model == "exact" else 1.0 / 3.0
+        return cls(
+            P0=pneumatics.reference_pressure_pa,
+            V0=pneumatics.chamber_volume_m3 + mesh.cap_volume(),
+            dV_du=factor * mesh.areas,
+        )
+
+    def volume(self, displacement: np.ndarray) -> float:
+        """Gas volume V in m³ at displacement u (first order in u, as the membrane is)."""
+        return self.V0 + float(self.dV_du @ displacement)
+
+    def pressure_change(self, displacement: np.ndarray) -> float:
+        """Pressure change p_v = P0 V0 / V − P0 in Pa (Eq. 6); inf when no volume is left."""
+        volume = self.volume(displacement)
+        return self.P0 * self.V0 / volume - self.P0 if volume > 0.0 else np.inf
+
+    @property
+    def beta(self) -> np.ndarray:
+        """−∂p_v/∂u at u = 0, shape (n,), Pa/m (Eq. 22)."""
+        return self.P0 / self.V0 * self.dV_du

@@ -1,0 +1,89 @@
+"""The triangle mesh of the reference configuration and its geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class MembraneMesh:
+    """Reference configuration S0 in the bubble frame B.
+
+    Attributes
+    ----------
+    nodes : (n, 3) array
+        Node positions x0 in m.
+    triangles : (m, 3) int array
+        Node indices, counter-clockwise seen from outside (normals point out of the sensor).
+    rim : (n,) bool array
+        Nodes clamped at the rim, where u = 0.
+    """
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+    rim: np.ndarray
+
+    @cached_property
+    def facet_vectors(self) -> np.ndarray:
+        """Area vectors of the triangles (area × unit normal), shape (m, 3), m²."""
+        a, b, c = (self.nodes[self.triangles[:, k]] for k in range(3))
+        return 0.5 * np.cross(b - a, c - a)
+
+    @cached_property
+    def facet_areas(self) -> np.ndarray:
+        """Triangle areas, shape (m,), m²."""
+        return np.linalg.norm(self.facet_vectors, axis=1)
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """Lumped nodal areas A, one third of the incident area each, shape (n,), m² (Eq. 4)."""
+        weights = np.repeat(self.facet_areas / 3.0, 3)
+        return np.bincount(self.triangles.ravel(), weights, minlength=len(self.nodes))
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Area-weighted unit node normals n̂0, outward, shape (n, 3)."""
+        vectors = np.repeat(self.facet_vectors, 3, axis=0)
+        flat = self.triangles.ravel()
+        sums = np.stack(
+            [np.bincount(flat, vectors[:, k], minlength=len(self.nodes)) for k in range(3)], axis=1
+        )
+        return sums / np.linalg.norm(sums, axis=1, keepdims=True)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Indices of the nodes that move (not on the rim)."""
+        return np.flatnonzero(~self.rim)
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Interior angles of every triangle, shape (m, 3), rad."""
+        corners = self.nodes[self.triangles]
+        edges = np.roll(corners, -1, axis=1) - corners
+        out, back = edges, -np.roll(edges, 1, axis=1)
+        cosine = np.einsum("ijk,ijk->ij", out, back)
+        sine = np.linalg.norm(np.cross(out, back), axis=2)
+        return np.arctan2(sine, cosine)
+
+    @property
+    def min_angle(self) -> float:
+        """Smallest interior angle of any triangle, rad: the usual measure of mesh quality."""
+        return float(self.angles.min())
+
+    def deformed(self, displacement: np.ndarray) -> np.ndarray:
+        """Move the nodes to x = x0 + u n̂0 (Eq. 1); shape (n, 3), m."""
+        return self.nodes + displacement[:, None] * self.normals
+
+    def cap_volume(self, displacement: np.ndarray | None = None) -> float:
+        """Signed volume in m³ between the (deformed) surface and the rim plane z = 0 (Eq. 7).
+
+        Exact for the triangle mesh whatever its shape, as long as the rim lies in the plane: by
+        the divergence theorem with the field (0, 0, z) the plane itself contributes nothing.
+        """
+        nodes = self.nodes if displacement is None else self.deformed(displacement)
+        a, b, c = (nodes[self.triangles[:, k]] for k in range(3))
+        normal_z = 0.5 * np.cross(b - a, c - a)[:, 2]
+        return float(np.sum(normal_z * (a[:, 2] + b[:, 2] + c[:, 2]) / 3.0))

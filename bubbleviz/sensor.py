@@ -1,0 +1,173 @@
+"""What a sensor is: validated, read from and written to TOML (CONTRACT: sensor file)."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from bubbleviz.errors import InputError
+
+Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
+"""A length of the sensor: outside 0.1 mm … 1 m somebody mixed up mm and m."""
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Membrane(_Section):
+    """Reference surface S0 of the membrane, in the bubble frame B."""
+
+    shape: Literal["spherical_cap", "ellipsoidal_cap", "mesh"] = "spherical_cap"
+    rim_radius_m: Metres | None = None
+    rim_semi_axes_m: tuple[Metres, Metres] | None = None
+    height_m: Metres | None = None
+    mesh_file: str | None = None
+    nodes: int = Field(default=800, ge=30, le=100_000)
+
+    @model_validator(mode="after")
+    def _shape_has_its_numbers(self) -> Membrane:
+        needed = {
+            "spherical_cap": ("rim_radius_m", "height_m"),
+            "ellipsoidal_cap": ("rim_semi_axes_m", "height_m"),
+            "mesh": ("mesh_file",),
+        }[self.shape]
+        for name in needed:
+            if getattr(self, name) is None:
+                raise ValueError(f'shape = "{self.shape}" needs {name}')
+        return self
+
+
+class Pneumatics(_Section):
+    """The gas behind the membrane and the tension in it."""
+
+    gauge_pressure_pa: float = Field(gt=0, lt=1e6)
+    atmospheric_pressure_pa: float = Field(default=101_325.0, gt=1e3, lt=1e6)
+    chamber_volume_m3: float = Field(gt=0, lt=100.0)
+    tension_n_per_m: float | None = Field(default=None, gt=0, lt=1e9)
+    volume_model: Literal["exact", "paper"] = "exact"
+
+    @property
+    def reference_pressure_pa(self) -> float:
+        """Absolute pressure P0 in the reference configuration, Pa."""
+        return self.atmospheric_pressure_pa + self.gauge_pressure_pa
+
+
+class Camera(_Section):
+    """Depth camera: intrinsics in pixels and pose T_B_C in the bubble frame."""
+
+    width: int = Field(ge=1, le=10_000)
+    height: int = Field(ge=1, le=10_000)
+    fx: float = Field(gt=0)
+    fy: float = Field(gt=0)
+    cx: float
+    cy: float
+    distortion_model: Literal["none", "plumb_bob", "inverse_brown_conrady"] = "none"
+    distortion: tuple[float, ...] = ()
+    position_m: Vector3
+    quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    noise_relative: float = Field(default=0.01, gt=0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _plausible_pose(self) -> Camera:
+        if any(abs(x) > 2.0 for x in self.position_m):
+            raise ValueError("position_m is more than 2 m from the bubble; is it in millimetres?")
+        if abs(np.linalg.norm(self.quaternion_xyzw) - 1.0) > 1e-3:
+            raise ValueError("quaternion_xyzw is not of unit length")
+        return self
+
+    @property
+    def T_B_C(self) -> np.ndarray:
+        """Pose of the camera in the bubble frame, 4×4."""
+        from scipy.spatial.transform import Rotation
+
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_quat(self.quaternion_xyzw).as_matrix()
+        T[:3, 3] = self.position_m
+        return T
+
+
+class Calibration(_Section):
+    """What contact-free frames taught about this one sensor."""
+
+    pixels_file: str
+    """NPZ with `mask` (H×W bool, pixels to use), `bias_m` and `noise_m` (H×W, of range)."""
+
+
+class Sensor(_Section):
+    """One Soft-bubble sensor, as its file describes it.
+
+    `folder` is where relative file names inside it start; it is not part of the file.
+    """
+
+    schema_version: Literal[1] = 1
+    name: str = Field(min_length=1)
+    membrane: Membrane
+    pneumatics: Pneumatics
+    camera: Camera
+    calibration: Calibration | None = None
+    folder: Path = Field(default=Path(), exclude=True)
+
+    def resolve(self, file: str) -> Path:
+        """Path of a file named in the sensor file."""
+        return self.folder / file
+
+
+def presets_folder(kind: str) -> Path:
+    """Folder of the shipped presets of a kind: `sensors`, `objects` or `scenes`."""
+    installed = Path(str(resources.files("bubbleviz"))) / "presets" / kind
+    return installed if installed.is_dir() else Path(__file__).parents[1] / "presets" / kind
+
+
+def load_sensor(name: str | Path) -> Sensor:
+    """Sensor from a TOML file or, where there is no such file, the preset of that name.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not TOML, or breaks the schema; names the key and what to do.
+    """
+    path = Path(name)
+    if not path.exists():
+        path = presets_folder("sensors") / f"{Path(name).stem}.toml"
+        if not path.exists():
+            known = ", ".join(sorted(p.stem for p in presets_folder("sensors").glob("*.toml")))
+            raise InputError(f"{name}: no such sensor file; give a .toml file or one of: {known}")
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
+    if "folder" in data:
+        raise InputError(f"{path}: folder: unknown key; remove it")
+    try:
+        return Sensor.model_validate({**data, "folder": path.parent})
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error)}") from error
+
+
+def sensor_to_toml(sensor: Sensor) -> str:
+    """Text of the sensor file that describes `sensor`."""
+    import tomli_w
+
+    data: dict[str, Any] = sensor.model_dump(mode="json", exclude_none=True)
+    return tomli_w.dumps(data)
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    where = ".".join(str(part) for part in problem["loc"]) or "sensor"
+    if problem["type"] == "extra_forbidden":
+        return f"{where}: unknown key; check its spelling"
+    if problem["type"] == "missing":
+        return f"{where}: missing; add it"
+    message = problem["msg"].removeprefix("Value error, ")
+    hint = "; lengths are in metres" if where.endswith("_m") else ""
+    return f"{where} = {problem['input']!r}: {message}{hint}"[:300]

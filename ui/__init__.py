@@ -1,0 +1,1 @@
+"""The window: draws what `bubbleviz` computed; no numerics of its own."""
