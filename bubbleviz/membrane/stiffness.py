@@ -20,8 +20,8 @@ def cotangent_laplacian(mesh: MembraneMesh) -> sparse.csr_array:
     cols = np.concatenate([k, i, j])
     weights = cotangents.T.ravel()
     n = len(mesh.nodes)
-    off = sparse.coo_array((weights, (rows, cols)), shape=(n, n))
-    off = (off + off.T).tocsr()
+    half = sparse.csr_array((weights, (rows, cols)), shape=(n, n))
+    off = half + half.T
     return (sparse.diags_array(off.sum(axis=1)) - off).tocsr()
 
 
