@@ -1,0 +1,39 @@
+"""From the sensor file's membrane section to the mesh of the reference surface."""
+
+from __future__ import annotations
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Sensor
+
+
+def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
+    """Mesh of the sensor's reference surface S0.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    nodes : int, optional
+        Target number of nodes in place of the file's; a mesh from file keeps its own.
+
+    Raises
+    ------
+    InputError
+        The surface cannot be built; names the file and the place.
+    """
+    from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap, spherical_cap
+
+    membrane = sensor.membrane
+    count = membrane.nodes if nodes is None else nodes
+    if membrane.shape == "mesh" and membrane.mesh_file is not None:
+        from bubbleviz.membrane.meshfile import load_membrane
+
+        return load_membrane(sensor.resolve(membrane.mesh_file))
+    if membrane.height_m is None:
+        raise InputError(f"{sensor.name}: membrane.height_m is missing; add it")
+    if membrane.shape == "spherical_cap" and membrane.rim_radius_m is not None:
+        return mesh_cap(spherical_cap(membrane.rim_radius_m, membrane.height_m), count)
+    if membrane.rim_semi_axes_m is not None:
+        cap = EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
+        return mesh_cap(cap, count)
+    raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its numbers')
