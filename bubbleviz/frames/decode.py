@@ -1,0 +1,110 @@
+"""Messages to arrays: depth images in metres, intrinsics, and time stamps."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+
+DEPTH_ENCODINGS = {"16UC1": np.dtype(np.uint16), "32FC1": np.dtype(np.float32)}
+"""Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
+
+_MAX_SIDE = 10_000
+
+_MODELS: dict[str, DistortionModel] = {
+    "": "none",
+    "none": "none",
+    "plumb_bob": "plumb_bob",
+    "rational_polynomial": "plumb_bob",  # with k4 … k6 = 0, which is checked
+    "inverse_brown_conrady": "inverse_brown_conrady",
+}
+
+
+def decode_depth(message: Any) -> np.ndarray:
+    """z-depth of a `sensor_msgs/Image`, shape (H, W), float32, m; NaN where no return.
+
+    0, NaN, inf and negative values all mean no return.
+
+    Raises
+    ------
+    ValueError
+        Encoding, size and data of the image do not fit together; says how.
+    """
+    if message.encoding not in DEPTH_ENCODINGS:
+        raise ValueError(
+            f"encoding is {message.encoding[:40]!r}, not a depth image's 16UC1 or 32FC1"
+        )
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    dtype = DEPTH_ENCODINGS[message.encoding]
+    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
+        raise ValueError(f"image size {width}×{height} is not plausible")
+    if step < width * dtype.itemsize or height * step > len(message.data):
+        raise ValueError(
+            f"{len(message.data)} bytes with a row step of {step} are no {width}×{height} image"
+        )
+    data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
+    rows = data.reshape(height, step)[:, : width * dtype.itemsize]
+    raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
+    if dtype.kind == "u":
+        depth = raw * np.float32(1e-3)
+        depth[raw == 0] = np.nan
+        return depth
+    depth = raw.astype(np.float32)
+    depth[~((depth > 0) & (depth < np.inf))] = np.nan
+    return depth
+
+
+def has_returns(depth_m: np.ndarray) -> bool:
+    """Whether any pixel of a depth image (H, W) saw anything: a covered camera sees none."""
+    return bool(np.isfinite(depth_m).any())
+
+
+def decode_intrinsics(message: Any) -> Intrinsics | None:
+    """Intrinsics of a `sensor_msgs/CameraInfo`; None where it says the camera is uncalibrated.
+
+    Raises
+    ------
+    ValueError
+        A distortion model that is not known, or numbers that are no camera's.
+    """
+    matrix = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
+    coefficients = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
+    if matrix.size != 9 or not matrix.any():
+        return None  # ROS: K = 0 means uncalibrated
+    fx, cx, fy, cy = (float(matrix[k]) for k in (0, 2, 4, 5))
+    if not (np.isfinite(matrix).all() and fx > 0 and fy > 0):
+        raise ValueError(f"focal lengths {fx:g}, {fy:g} px are not positive")
+    model, distortion = _distortion(str(message.distortion_model), coefficients)
+    return Intrinsics(
+        int(message.width), int(message.height), fx, fy, cx, cy, model, tuple(distortion)
+    )
+
+
+def _distortion(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, list[float]]:
+    if not np.isfinite(coefficients).all():
+        raise ValueError("distortion coefficients are not finite")
+    if not coefficients.any():
+        return "none", []
+    key = name.strip().lower().replace(" ", "_")
+    if key not in _MODELS or key in ("", "none") or coefficients[5:].any():
+        raise ValueError(
+            f"distortion model {name[:40]!r} with {len(coefficients)} coefficients is not known; "
+            "rectify the images, or use plumb_bob or inverse_brown_conrady"
+        )
+    return _MODELS[key], [float(c) for c in coefficients[:5]]
+
+
+def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
+    """Time stamp in ns of a serialised message that begins with a header; 0 when unset.
+
+    Reads the first 16 bytes only, so that an index needs no image.
+    """
+    if ros1:
+        sec, nanosec = struct.unpack_from("<II", payload, 4)  # after seq
+    else:
+        order = "<" if payload[1] & 1 else ">"  # CDR encapsulation
+        sec, nanosec = struct.unpack_from(f"{order}iI", payload, 4)
+    return max(int(sec) * 1_000_000_000 + int(nanosec), 0)

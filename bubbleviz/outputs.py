@@ -1,0 +1,91 @@
+"""Output files that are written whole or not at all and never silently overwrite."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bubbleviz.errors import InputError
+
+_CANNOT_WRITE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """Temporary path beside `path` that becomes `path` when the block ends without an error.
+
+    Write a file or a folder at the temporary path, which does not exist yet and ends like
+    `path` (some writers choose the format by it). When the block raises, nothing remains.
+
+    Raises
+    ------
+    InputError
+        `path` exists, its folder does not, or the disk refuses.
+    """
+    path = Path(path)
+    refuse_existing(path)
+    temporary = path.parent / f".{path.stem}.{secrets.token_hex(4)}{path.suffix}"
+    try:
+        yield temporary
+        _publish(temporary, path)
+    except OSError as error:
+        if error.errno in _CANNOT_WRITE:
+            raise _cannot_write(path, error) from error
+        raise
+    finally:
+        _discard(temporary)
+
+
+def refuse_existing(path: str | Path) -> None:
+    """Raise InputError unless a new file can be made at `path`; ask before long work."""
+    path = Path(path)
+    try:
+        exists, parent_exists = os.path.lexists(path), path.parent.is_dir()
+    except (OSError, ValueError) as error:
+        raise _cannot_write(path, error) from error
+    if exists:
+        raise _exists(path)
+    if not parent_exists:
+        raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: folder {path.parent} is not writable; choose another")
+
+
+def _publish(temporary: Path, path: Path) -> None:
+    """Move into place; a file that appeared at `path` meanwhile is refused, not replaced."""
+    if temporary.is_dir():
+        if os.path.lexists(path):
+            raise _exists(path)
+        temporary.rename(path)
+        return
+    try:
+        os.link(temporary, path)  # atomic, and fails where the name is taken
+    except FileExistsError:
+        raise _exists(path) from None
+    except OSError as error:
+        if not temporary.exists():
+            raise
+        if os.path.lexists(path):  # a file system without hard links
+            raise _exists(path) from error
+        temporary.replace(path)
+
+
+def _discard(temporary: Path) -> None:
+    if temporary.is_dir():
+        shutil.rmtree(temporary, ignore_errors=True)
+    else:
+        temporary.unlink(missing_ok=True)
+
+
+def _exists(path: Path) -> InputError:
+    return InputError(f"{path}: exists already; choose another name or delete it first")
+
+
+def _cannot_write(path: Path, error: Exception) -> InputError:
+    reason = getattr(error, "strerror", None) or error
+    return InputError(f"{path}: cannot be written ({reason}); choose another place")
