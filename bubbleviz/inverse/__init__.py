@@ -1,0 +1,1 @@
+"""The inverse problem: from a range image to displacement, contact pressure and patch."""

@@ -1,0 +1,105 @@
+"""Eq. 23 as the paper has it: one sparse QP in u, p_c and p_v, solved by OSQP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Solution
+
+
+class OsqpSolver:
+    """Set up once, factorised once, then only values change from frame to frame.
+
+    Parameters
+    ----------
+    equilibrium : Equilibrium
+    tolerance : float
+        Absolute and relative tolerance of OSQP on the dimensionless problem.
+    max_iterations : int
+    """
+
+    def __init__(
+        self, equilibrium: Equilibrium, tolerance: float = 1e-4, max_iterations: int = 4000
+    ) -> None:
+        self._equilibrium = equilibrium
+        self._settings = {
+            "eps_abs": tolerance,
+            "eps_rel": tolerance,
+            "max_iter": max_iterations,
+            "verbose": False,
+            "polishing": False,
+        }
+        self._solver: Any = None
+        self._scale = 1.0
+        self._data = np.zeros(0)
+
+    def solve(self, problem: FrameProblem) -> Solution:
+        """Solution of one frame, started from that of the last."""
+        if self._solver is None:
+            self._set_up(problem)
+        else:
+            self._update(problem)
+        result = self._solver.solve(raise_error=False)
+        n = len(problem.g)
+        pressure = np.maximum(result.x[n : 2 * n], 0.0)
+        displacement, gas = self._equilibrium.displacement(pressure, problem.measured_gas)
+        converged = result.info.status_val in (1, 2)  # solved, or solved inaccurately
+        return Solution(displacement, pressure, gas, result.info.iter, converged)
+
+    def _set_up(self, problem: FrameProblem) -> None:
+        import osqp
+
+        eq, n = self._equilibrium, len(problem.g)
+        self._scale = 1.0 / max(problem.Q.diagonal().mean(), 1e-12)
+        areas = sparse.diags_array(eq.A)
+        column = sparse.csc_array(eq.A[:, None])
+        rows: Any = [
+            [eq.L, areas, -column],
+            [sparse.csc_array(eq.beta[None, :]), None, sparse.csc_array([[1.0]])],
+            [None, sparse.eye_array(n), None],
+            [None, None, sparse.csc_array([[1.0]])],
+        ]
+        self._solver = osqp.OSQP()
+        P = self._hessian(problem)
+        self._data = P.data
+        lower, upper = self._bounds(problem)
+        self._solver.setup(
+            P, self._linear(problem), _for_osqp(sparse.block_array(rows)), lower, upper,
+            **self._settings,
+        )  # fmt: skip
+
+    def _update(self, problem: FrameProblem) -> None:
+        lower, upper = self._bounds(problem)
+        data = self._hessian(problem).data
+        values = {} if np.array_equal(data, self._data) else {"Px": data}
+        self._data = data
+        self._solver.update(q=self._linear(problem), l=lower, u=upper, **values)
+
+    def _hessian(self, problem: FrameProblem) -> sparse.csc_matrix:
+        H1 = problem.lambda_ * self._equilibrium.L
+        blocks = sparse.block_diag((problem.Q, H1, sparse.csc_array((1, 1))))
+        return _for_osqp(sparse.triu(blocks) * self._scale)
+
+    def _linear(self, problem: FrameProblem) -> np.ndarray:
+        return np.concatenate([-problem.g, problem.tau, [0.0]]) * self._scale
+
+    def _bounds(self, problem: FrameProblem) -> tuple[np.ndarray, np.ndarray]:
+        """Equilibrium, gas law, p_c ≥ 0, measured p_v; an infinite pair switches a row off."""
+        n, gas = len(problem.g), problem.measured_gas
+        law = (0.0, 0.0) if gas is None else (-np.inf, np.inf)
+        known = (-np.inf, np.inf) if gas is None else (gas, gas)
+        zero = np.zeros(n)
+        lower = np.concatenate([zero, [law[0]], zero, [known[0]]])
+        upper = np.concatenate([zero, [law[1]], np.full(n, np.inf), [known[1]]])
+        return lower, upper
+
+
+def _for_osqp(matrix: sparse.sparray) -> sparse.csc_matrix:
+    """OSQP takes nothing but a `csc_matrix` with 32-bit indices."""
+    csc = sparse.csc_matrix(matrix)
+    csc.sort_indices()
+    csc.indices, csc.indptr = csc.indices.astype(np.int32), csc.indptr.astype(np.int32)
+    return csc
