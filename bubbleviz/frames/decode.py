@@ -9,7 +9,10 @@ import numpy as np
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
 
-DEPTH_ENCODINGS = {"16UC1": np.dtype(np.uint16), "32FC1": np.dtype(np.float32)}
+DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
+    "16UC1": np.dtype(np.uint16),
+    "32FC1": np.dtype(np.float32),
+}
 """Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
 
 _MAX_SIDE = 10_000
@@ -46,7 +49,7 @@ def decode_depth(message: Any) -> np.ndarray:
             f"{len(message.data)} bytes with a row step of {step} are no {width}×{height} image"
         )
     data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
-    rows = data.reshape(height, step)[:, : width * dtype.itemsize]
+    rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
     raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
     if dtype.kind == "u":
         depth = raw * np.float32(1e-3)

@@ -1,0 +1,270 @@
+"""A recording as topics of messages, whatever the file format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.bags.chunks import decompress
+from bubbleviz.frames.bags.storage import Entries, Storage
+from bubbleviz.frames.decode import header_stamp_ns
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a recording.
+
+    Attributes
+    ----------
+    name, type : str
+        As in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`.
+    count : int
+        Number of messages.
+    """
+
+    name: str
+    type: str
+    count: int
+
+
+@contextmanager
+def damage(path: Path, what: str) -> Iterator[None]:
+    """Turn whatever a damaged file makes a reader raise into one InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        raise InputError(
+            f"{path}: {what} cannot be read ({reason}); record or copy it again"
+        ) from error
+
+
+class Bag:
+    """An open rosbag2 folder, `.mcap`, `.db3` or ROS 1 `.bag`.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Attributes
+    ----------
+    path : Path
+    topics : tuple of Topic
+        In the order of the recording.
+    size_bytes : int
+        Size of the recording's files.
+    ros1 : bool
+        Whether messages are serialised as in ROS 1.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._storages: list[tuple[Any, Storage]] = []
+        self._reader: Any = None
+        try:
+            found = self.path.exists()
+        except (OSError, ValueError):
+            found = False
+        if not found:
+            raise InputError(f"{self.path}: no such recording; check the path")
+        self.ros1 = self.path.suffix == ".bag"
+        try:
+            with damage(self.path, "the recording"):
+                self._open()
+        except BaseException:
+            self.close()
+            raise
+        if not any(topic.count for topic in self.topics):
+            self.close()
+            raise InputError(f"{self.path}: the recording has no messages; record it again")
+
+    def close(self) -> None:
+        """Let go of files."""
+        for _, storage in self._storages:
+            storage.close()
+        self._storages = []
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()
+
+    def messages(self, topic: Topic) -> Messages:
+        """Messages of a topic in the order of their log times."""
+        with damage(self.path, f"the index of {topic.name}"):
+            parts = [
+                (storage, storage.entries(connection.id))
+                for reader, storage in self._storages
+                for connection in reader.connections
+                if (connection.topic, connection.msgtype) == (topic.name, topic.type)
+            ]
+            return Messages(self, topic, parts)
+
+    def decode(self, payload: bytes, kind: str) -> Any:
+        """Message object of rosbags from its serialised form."""
+        from rosbags.typesys import Stores, get_typestore
+
+        if self.ros1:
+            return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1(payload, kind)
+        # these message types are the same in every ROS 2 so far
+        return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(payload, kind)
+
+    def inflate(self, payload: bytes) -> bytes:
+        """Undo rosbag2's compression of single messages, where the bag has it."""
+        return decompress("zstd", payload) if self._compressed_messages else payload
+
+    @property
+    def inflates(self) -> bool:
+        """Whether a message's first bytes need all of it."""
+        return self._compressed_messages
+
+    def _open(self) -> None:
+        self._compressed_messages = False
+        if self.ros1:
+            self._open_ros1()
+        else:
+            self._open_ros2()
+        self.topics = self._find_topics()
+        files = [self.path] if self.path.is_file() else self.path.iterdir()
+        self.size_bytes = sum(file.stat().st_size for file in files if file.is_file())
+
+    def _open_ros1(self) -> None:
+        from rosbags.rosbag1 import Reader
+
+        from bubbleviz.frames.bags.ros1 import Ros1Storage
+
+        reader = Reader(self.path)
+        reader.open()
+        self._reader = reader
+        self._storages = [(reader, Ros1Storage(reader))]
+
+    def _open_ros2(self) -> None:
+        from rosbags.rosbag2.reader import DirectoryReader
+
+        from bubbleviz.frames.bags.mcap import McapStorage
+        from bubbleviz.frames.bags.sqlite import SqliteStorage
+
+        readers = []
+        if (self.path / "metadata.yaml").exists():
+            folder = DirectoryReader(self.path)
+            folder.open()
+            self._reader = folder
+            self._compressed_messages = folder.metadata.compression_mode == "message"
+            readers = list(folder.storages)
+        else:
+            self._reader = _Readers()
+            for file in self._bare_files():
+                readers.append(_open_bare(file))
+                self._reader.append(readers[-1])
+        for reader in readers:
+            mcap = type(reader).__name__ == "McapReader"
+            self._storages.append((reader, McapStorage(reader) if mcap else SqliteStorage(reader)))
+
+    def _bare_files(self) -> list[Path]:
+        if self.path.is_file():
+            return [self.path]
+        files = sorted(f for f in self.path.iterdir() if f.suffix in (".mcap", ".db3"))
+        if not files:
+            raise InputError(
+                f"{self.path}: no recording in this folder; give one with metadata.yaml, "
+                ".mcap or .db3 files"
+            )
+        return files
+
+    def _find_topics(self) -> tuple[Topic, ...]:
+        counts: dict[tuple[str, str], int] = {}
+        for reader, _ in self._storages:
+            for connection in reader.connections:
+                key = (str(connection.topic), str(connection.msgtype))
+                counts[key] = counts.get(key, 0) + int(connection.msgcount)
+        return tuple(Topic(name, kind, count) for (name, kind), count in counts.items())
+
+
+class _Readers(list[Any]):
+    """Readers of bare files, closed together."""
+
+    def close(self) -> None:
+        for reader in self:
+            reader.close()
+
+
+def _open_bare(file: Path) -> Any:
+    from rosbags.rosbag2.storage_mcap import McapReader
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    kinds = {".mcap": McapReader, ".db3": Sqlite3Reader}
+    if file.suffix not in kinds:
+        raise InputError(
+            f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
+        )
+    if file.suffix == ".mcap":
+        _check_whole_mcap(file)
+    reader = kinds[file.suffix](file)
+    reader.open()
+    return reader
+
+
+def _check_whole_mcap(file: Path) -> None:
+    """Tell a recorder that was killed from a file that is something else."""
+    magic = b"\x89MCAP0\r\n"
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        begin = stream.read(8)
+        stream.seek(max(size - 8, 0))
+        end = stream.read(8)
+    if size == 0:
+        raise InputError(f"{file}: the file is empty; record or copy it again")
+    if begin != magic:
+        raise InputError(f"{file}: not an MCAP file; check what it is")
+    if end != magic or size < 16:
+        raise InputError(f"{file}: the MCAP file is truncated; copy it again or `mcap recover` it")
+
+
+class Messages:
+    """Messages of one topic, by position in log-time order; nothing is kept.
+
+    Attributes
+    ----------
+    topic : Topic
+    log_ns : (n,) int64 array
+        When each message was recorded, ns.
+    """
+
+    def __init__(self, bag: Bag, topic: Topic, parts: list[tuple[Storage, Entries]]) -> None:
+        self.topic = topic
+        self._bag = bag
+        self._storages = [storage for storage, _ in parts]
+        log = np.concatenate([e.log_ns for _, e in parts] or [np.empty(0, np.int64)])
+        order = np.argsort(log, kind="stable")
+        self.log_ns = log[order]
+        self._part = np.repeat(np.arange(len(parts)), [len(e.log_ns) for _, e in parts])[order]
+        self._chunk = np.concatenate([e.chunk for _, e in parts] or [order])[order]
+        self._offset = np.concatenate([e.offset for _, e in parts] or [order])[order]
+
+    def __len__(self) -> int:
+        """Count the messages."""
+        return len(self.log_ns)
+
+    def payload(self, k: int, limit: int | None = None) -> bytes:
+        """Serialised message `k`, or its first `limit` bytes."""
+        storage = self._storages[self._part[k]]
+        chunk, offset = int(self._chunk[k]), int(self._offset[k])
+        if self._bag.inflates:
+            return self._bag.inflate(storage.read(chunk, offset))[:limit]
+        return storage.read(chunk, offset, limit)
+
+    def stamp_ns(self, k: int) -> int:
+        """Header stamp of message `k`, ns; 0 when unset. Reads no more than the header."""
+        with damage(self._bag.path, f"the header of message {k} of {self.topic.name}"):
+            return header_stamp_ns(self.payload(k, 16), ros1=self._bag.ros1)
+
+    def message(self, k: int) -> Any:
+        """Message `k`, decoded by rosbags."""
+        with damage(self._bag.path, f"message {k} of {self.topic.name}"):
+            return self._bag.decode(self.payload(k), self.topic.type)

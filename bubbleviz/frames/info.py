@@ -1,0 +1,189 @@
+"""The facts of a recording, for people and for programs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.frames.bags import Topic
+from bubbleviz.frames.recording import Recording
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Missing frames.
+
+    Attributes
+    ----------
+    after_frame : int
+        Index of the last frame before the gap.
+    missing : int
+        Number of frames missing there.
+    duration_s : float
+        Time between the frames on either side, s.
+    """
+
+    after_frame: int
+    missing: int
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """Facts of a recording.
+
+    Attributes
+    ----------
+    path : str
+    topics : tuple of Topic
+    depth_topic, encoding : str
+        Topic and encoding of the depth images.
+    frames : int
+        Number of depth images.
+    duration_s : float
+        Time from the first to the last frame, s.
+    rate_hz : float or None
+        One over the median frame period; None for fewer than two frames.
+    size_bytes : int
+        Size of the files.
+    width, height : int
+        Image size, pixels.
+    gaps : int
+        Number of missing frames.
+    gap_positions : tuple of Gap
+        Where they are missing.
+    intrinsics : Intrinsics or None
+    gas_pressure_pa : (float, float) or None
+        Lowest and highest recorded gas pressure, absolute, Pa.
+    wrench : bool
+        Whether a wrench was recorded.
+    """
+
+    path: str
+    topics: tuple[Topic, ...]
+    depth_topic: str
+    encoding: str
+    frames: int
+    duration_s: float
+    rate_hz: float | None
+    size_bytes: int
+    width: int
+    height: int
+    gaps: int
+    gap_positions: tuple[Gap, ...]
+    intrinsics: Intrinsics | None
+    gas_pressure_pa: tuple[float, float] | None
+    wrench: bool
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_text(self) -> str:
+        """A few lines for people, with units."""
+        rate = "–" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
+        facts = [
+            ("recording", self.path),
+            ("frames", f"{self.frames} in {self.duration_s:.3f} s, {rate}"),
+            ("gaps", self._gaps_text()),
+            ("image", f"{self.width} × {self.height} pixels, {self.encoding}, {self.depth_topic}"),
+            ("intrinsics", self._intrinsics_text()),
+            ("gas pressure", self._pressure_text()),
+            ("wrench", "recorded" if self.wrench else "not recorded"),
+            ("size", f"{self.size_bytes / 1e6:.1f} MB"),
+        ]
+        lines = [f"{label:<13} {text}" for label, text in facts]
+        width = max(len(topic.name) for topic in self.topics)
+        lines += ["topics"]
+        lines += [f"  {t.name:<{width}}  {t.count:>8}  {t.type}" for t in self.topics]
+        return "\n".join(lines)
+
+    def _gaps_text(self) -> str:
+        if not self.gaps:
+            return "no missing frames"
+        places = [f"{g.missing} after frame {g.after_frame}" for g in self.gap_positions[:10]]
+        more = len(self.gap_positions) - len(places)
+        return f"{self.gaps} missing: {', '.join(places)}" + (f" and {more} more" if more else "")
+
+    def _intrinsics_text(self) -> str:
+        camera = self.intrinsics
+        if camera is None:
+            return "not recorded"
+        return (
+            f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} "
+            f"pixels, distortion {camera.distortion_model}"
+        )
+
+    def _pressure_text(self) -> str:
+        if self.gas_pressure_pa is None:
+            return "not recorded"
+        low, high = self.gas_pressure_pa
+        return f"{low / 1e3:.3f} … {high / 1e3:.3f} kPa absolute"
+
+
+def recording_info(recording: Recording | str | Path) -> RecordingInfo:
+    """Facts of a recording, open or by its path."""
+    if not isinstance(recording, Recording):
+        with Recording(recording) as opened:
+            return recording_info(opened)
+    times = recording.times_s
+    gaps = find_gaps(times)
+    pressures = recording.gas_pressures_pa()
+    extremes = (float(pressures.min()), float(pressures.max())) if len(pressures) else None
+    return RecordingInfo(
+        path=str(recording.path),
+        topics=recording.bag.topics,
+        depth_topic=recording.depth_topic.name,
+        encoding=recording.encoding,
+        frames=len(recording),
+        duration_s=float(times[-1] - times[0]),
+        rate_hz=_rate(times),
+        size_bytes=recording.bag.size_bytes,
+        width=recording.size[0],
+        height=recording.size[1],
+        gaps=sum(gap.missing for gap in gaps),
+        gap_positions=gaps,
+        intrinsics=recording.intrinsics,
+        gas_pressure_pa=(float(pressures.min()), float(pressures.max()))
+        if len(pressures)
+        else None,
+        wrench=recording.has_wrench,
+    )
+
+
+def find_gaps(times_s: np.ndarray) -> tuple[Gap, ...]:
+    """Places where frames are missing.
+
+    A step of about n + 1 periods misses n frames. A late frame is not a missing one: the steps
+    beside it are short by as much, so two on either side count, less their whole periods.
+
+    Parameters
+    ----------
+    times_s : (F,) array
+        Time of each frame, s, not falling.
+    """
+    steps = np.diff(times_s)
+    median = _period(steps)
+    if median is None:
+        return ()
+    # unlike the median, the mean of the single steps is not biased by lateness
+    period = steps[(steps > 0) & (steps < 1.5 * median)].mean()
+    excess = steps / period - 1.0
+    fraction = excess - np.rint(excess)
+    beside = np.convolve(fraction, [1, 1, 0, 1, 1])[2 : 2 + len(steps)]
+    missing = np.where(excess > 0.25, np.rint(excess + beside), 0).astype(np.int64)
+    return tuple(Gap(int(k), int(missing[k]), float(steps[k])) for k in np.flatnonzero(missing > 0))
+
+
+def _period(steps: np.ndarray) -> float | None:
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else None
+
+
+def _rate(times_s: np.ndarray) -> float | None:
+    period = _period(np.diff(times_s))
+    return None if period is None else 1.0 / period

@@ -1,0 +1,203 @@
+"""Recordings as frames: random access, and nothing read that was not asked for."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.frames.bags import Bag, Messages, Topic
+from bubbleviz.frames.bags.bag import damage
+from bubbleviz.frames.decode import decode_depth
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.series import Series
+from bubbleviz.frames.topics import (
+    PRESSURE,
+    WRENCH,
+    find_depth,
+    find_intrinsics,
+    first_of_type,
+)
+
+_SAMPLED_ABOVE = 4096
+
+
+class Recording:
+    """Frames of a rosbag2 (folder, `.mcap`, `.db3`) or a ROS 1 `.bag`.
+
+    Frames are ordered by the header stamps of the depth images. When any of them is unset, the
+    log times take their place for all frames. Any thread may read; one reads at a time.
+
+    Parameters
+    ----------
+    path : path-like
+    depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
+        Topics to use; without them the first of the right message type, with the camera info
+        that is nearest by name and has the image's size.
+
+    Attributes
+    ----------
+    name : str
+        File name.
+    path : Path
+    bag : Bag
+        The recording by topics.
+    times_s : (F,) float array
+        Time of each frame since the first, s.
+    stamps_ns : (F,) int64 array
+        The stamps they come from, ns.
+    size : (int, int)
+        Width and height of the depth images, pixels.
+    encoding : str
+        Encoding of the depth images.
+    intrinsics : Intrinsics or None
+    depth_topic : Topic
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or truncated, or has no depth images.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        depth_topic: str | None = None,
+        info_topic: str | None = None,
+        pressure_topic: str | None = None,
+        wrench_topic: str | None = None,
+    ) -> None:
+        self._lock = threading.Lock()
+        self.bag = Bag(path)
+        self.path = self.bag.path
+        self.name = self.path.name or str(self.path)
+        try:
+            self.depth_topic = find_depth(self.bag, depth_topic)
+            self._open_images()
+            self.intrinsics: Intrinsics | None = find_intrinsics(
+                self.bag, self.depth_topic, self.size, info_topic
+            )
+            self._pressure = self._series(PRESSURE, pressure_topic, _pressure_of)
+            self._wrench = self._series(WRENCH, wrench_topic, _wrench_of)
+        except BaseException:
+            self.bag.close()
+            raise
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self.times_s)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
+        index = int(index)
+        with self._lock, damage(self.path, f"frame {index}"):
+            k = int(self._order[index])
+            depth = decode_depth(self._images.message(k))
+            if depth.shape != self.size[::-1]:
+                raise ValueError(
+                    f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
+                    f"{self.size[1]} pixels"
+                )
+            stamp, log = int(self.stamps_ns[index]), int(self._images.log_ns[k])
+            pressure = self._pressure.at(stamp, log) if self._pressure else None
+            return Frame(
+                index=index,
+                time_s=float(self.times_s[index]),
+                depth_m=depth,
+                intrinsics=self.intrinsics,
+                gas_pressure_pa=None if pressure is None else float(pressure[0]),
+                wrench=self._wrench.at(stamp, log) if self._wrench else None,
+                stamp_ns=stamp,
+            )
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of files."""
+        with self._lock:
+            self.bag.close()
+
+    @property
+    def has_gas_pressure(self) -> bool:
+        """Whether the gas pressure was recorded."""
+        return self._pressure is not None
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether a wrench was recorded."""
+        return self._wrench is not None
+
+    def gas_pressures_pa(self) -> np.ndarray:
+        """Every recorded gas pressure, shape (n,), absolute, Pa; empty where there is none."""
+        series = self._pressure
+        if series is None:
+            return np.empty(0)
+        with self._lock, damage(self.path, "the gas pressure"):
+            return np.array([series.values(k)[0] for k in range(len(series))])
+
+    def _open_images(self) -> None:
+        self._images = self.bag.messages(self.depth_topic)
+        if len(self._images) == 0:
+            raise InputError(f"{self.path}: the index lists no depth images; record it again")
+        first = self._images.message(0)
+        self.size = (int(first.width), int(first.height))
+        self.encoding = str(first.encoding)
+        stamps = _header_stamps(self._images)
+        self._by_log = not stamps.all()
+        if self._by_log:
+            stamps = self._images.log_ns
+        self._order = np.argsort(stamps, kind="stable")
+        self.stamps_ns = stamps[self._order]
+        self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
+
+    def _series(self, kind: str, name: str | None, value: Any) -> Series | None:
+        topic: Topic | None = first_of_type(self.bag, kind, name)
+        if topic is None:
+            return None
+        messages = self.bag.messages(topic)
+        return Series(messages, value, by_log=self._by_log) if len(messages) else None
+
+
+def _header_stamps(images: Messages) -> np.ndarray:
+    """Header stamps of the images, ns; 0 where unset.
+
+    Each costs the decompression of the chunk's first blocks (0.1 ms). In a long recording whose
+    sampled stamps all are the log times to the nanosecond, the others are taken to be, too.
+    """
+    if len(images) > _SAMPLED_ABOVE:
+        sample = np.linspace(0, len(images) - 1, 64).astype(int)
+        if all(images.stamp_ns(int(k)) == images.log_ns[k] for k in sample):
+            return images.log_ns
+    return np.array([images.stamp_ns(k) for k in range(len(images))], dtype=np.int64)
+
+
+def _pressure_of(message: Any) -> np.ndarray:
+    value = float(message.fluid_pressure)
+    if not np.isfinite(value):
+        raise ValueError("the gas pressure is not finite")
+    return np.array([value])
+
+
+def _wrench_of(message: Any) -> np.ndarray:
+    force, torque = message.wrench.force, message.wrench.torque
+    values = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z], dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("the wrench is not finite")
+    return values

@@ -1,0 +1,79 @@
+"""Which topics of a recording hold the depth images and what belongs to them."""
+
+from __future__ import annotations
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.frames.bags import Bag, Topic
+from bubbleviz.frames.bags.bag import damage
+from bubbleviz.frames.decode import DEPTH_ENCODINGS, decode_intrinsics
+
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+PRESSURE = "sensor_msgs/msg/FluidPressure"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+def find_depth(bag: Bag, name: str | None = None) -> Topic:
+    """Topic of the depth images: `name`, or the first image topic with a depth encoding.
+
+    A topic with `depth` in its name is preferred: infrared images are 16UC1 too.
+    """
+    candidates = of_type(bag, IMAGE, name)
+    candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
+    encodings = {topic.name: bag.messages(topic).message(0).encoding for topic in candidates}
+    for topic in candidates:
+        if encodings[topic.name] in DEPTH_ENCODINGS:
+            return topic
+    if candidates:
+        first = candidates[0].name
+        raise InputError(
+            f"{bag.path}: no depth image: {first} has encoding {encodings[first][:40]!r}; "
+            f"record depth with {' or '.join(DEPTH_ENCODINGS)}"
+        )
+    raise InputError(
+        f"{bag.path}: no depth image topic ({IMAGE}); record the depth camera"
+        if name is None
+        else f"{bag.path}: no depth images on topic {name}; see bubbleviz info"
+    )
+
+
+def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
+    """Topics of a message type that have messages, all or the one of that name."""
+    return [
+        topic
+        for topic in bag.topics
+        if topic.type == kind and topic.count and name in (None, topic.name)
+    ]
+
+
+def first_of_type(bag: Bag, kind: str, name: str | None = None) -> Topic | None:
+    """Topic of a message type; None where there is none, InputError where `name` is not one."""
+    topics = of_type(bag, kind, name)
+    if name is not None and not topics:
+        raise InputError(f"{bag.path}: no {kind} on topic {name}; see bubbleviz info")
+    return topics[0] if topics else None
+
+
+def find_intrinsics(
+    bag: Bag, depth: Topic, size: tuple[int, int], name: str | None = None
+) -> Intrinsics | None:
+    """Intrinsics from the CameraInfo beside `depth` that has its image size (width, height).
+
+    None where the recording has no CameraInfo for this camera.
+    """
+    if name is not None:
+        first_of_type(bag, CAMERA_INFO, name)
+    infos = of_type(bag, CAMERA_INFO, name)
+    infos.sort(key=lambda topic: _common_prefix(topic.name, depth.name), reverse=True)
+    for topic in infos:
+        message = bag.messages(topic).message(0)
+        if (message.width, message.height) == size:
+            with damage(bag.path, f"the camera info on {topic.name}"):
+                return decode_intrinsics(message)
+    return None
+
+
+def _common_prefix(a: str, b: str) -> int:
+    parts = zip(a.split("/"), b.split("/"), strict=False)
+    return next((k for k, (x, y) in enumerate(parts) if x != y), 99)
