@@ -148,9 +148,7 @@ def recording_info(recording: Recording | str | Path) -> RecordingInfo:
         gaps=sum(gap.missing for gap in gaps),
         gap_positions=gaps,
         intrinsics=recording.intrinsics,
-        gas_pressure_pa=(float(pressures.min()), float(pressures.max()))
-        if len(pressures)
-        else None,
+        gas_pressure_pa=extremes,
         wrench=recording.has_wrench,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,15 @@ class Topic:
     name: str
     type: str
     count: int
+
+
+@cache
+def _typestore(ros1: bool) -> Any:
+    """Message types by name; they compile their readers once, hence the cache."""
+    from rosbags.typesys import Stores, get_typestore
+
+    # the types used here are the same in every ROS 2 so far
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 @contextmanager
@@ -108,12 +118,9 @@ class Bag:
 
     def decode(self, payload: bytes, kind: str) -> Any:
         """Message object of rosbags from its serialised form."""
-        from rosbags.typesys import Stores, get_typestore
-
-        if self.ros1:
-            return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1(payload, kind)
-        # these message types are the same in every ROS 2 so far
-        return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(payload, kind)
+        store = _typestore(self.ros1)
+        read = store.deserialize_ros1 if self.ros1 else store.deserialize_cdr
+        return read(payload, kind)
 
     def inflate(self, payload: bytes) -> bytes:
         """Undo rosbag2's compression of single messages, where the bag has it."""
