@@ -1,0 +1,143 @@
+"""How far each node may move outward before it meets a rigid object (Eqs. 10 to 12)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.objects import RigidObject
+
+
+class GapFinder:
+    """Casts the normal lines of a membrane at rigid objects.
+
+    The object presses from outside, so the membrane stays on the inner side of it: along its
+    normal line node k may go up to the lowest place where the line enters the object, whether
+    that is above the node (a gap) or below (a penetration, which Eq. 16 undoes). A place beyond
+    half way to the opposite side of a dome belongs to the membrane over there and is left out,
+    unless the node itself is in the same stretch of the object. Where an object is not
+    watertight nothing tells in from out and every hit counts as an entry.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    """
+
+    def __init__(self, mesh: MembraneMesh) -> None:
+        self.mesh = mesh
+        self._reach: np.ndarray | None = None
+        self._object: RigidObject | None = None
+        self._scene: Any = None
+        self._solid = False
+
+    def gaps(self, obj: RigidObject, T_B_O: np.ndarray) -> np.ndarray:
+        """Upper bound g of the displacement, shape (n,), m; inf where the object is not met."""
+        pose = checked_pose(T_B_O)
+        if obj is not self._object:
+            self._load(obj)
+        nodes = (self.mesh.nodes - pose[:3, 3]) @ pose[:3, :3]
+        normals = self.mesh.normals @ pose[:3, :3]
+        ray, where, entering = self._hits(nodes, normals)
+        return self._lowest_entry(ray, where, entering)
+
+    def _load(self, obj: RigidObject) -> None:
+        scene = _scene(obj.vertices, obj.triangles)
+        a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
+        vectors = np.cross(b - a, c - a)
+        self._solid = _is_watertight(obj.triangles)
+        if self._solid and np.einsum("ij,ij->", vectors, a) < 0.0:
+            vectors = -vectors  # inward normals: the signed volume is negative
+        self._object, self._scene = obj, scene
+        self._corner, self._vectors = a, vectors
+        self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
+        self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
+
+    def _hits(
+        self, nodes: np.ndarray, normals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All crossings of the node's lines: node, place along n̂ in m, entering or leaving."""
+        # Start each ray just before the object's bounding sphere, where single precision is best.
+        middle = np.einsum("ij,ij->i", self._centre - nodes, normals)
+        miss = np.linalg.norm(nodes + middle[:, None] * normals - self._centre, axis=1)
+        near = np.flatnonzero(miss <= self._radius)
+        start = middle[near] - 1.01 * self._radius
+        origins = nodes[near] + start[:, None] * normals[near]
+        hits = self._scene.list_intersections(_rays(origins, normals[near]))
+        ray = near[hits["ray_ids"].numpy().astype(np.int64)]
+        facet = hits["primitive_ids"].numpy().astype(np.int64)
+        # The place again in double precision, from the plane of the facet that was hit.
+        vectors = self._vectors[facet]
+        slope = np.einsum("ij,ij->i", vectors, normals[ray])
+        distance = np.einsum("ij,ij->i", vectors, self._corner[facet] - nodes[ray])
+        kept = np.abs(slope) > 1e-7 * np.linalg.norm(vectors, axis=1)  # not along the facet
+        return ray[kept], distance[kept] / slope[kept], slope[kept] < 0.0
+
+    def _lowest_entry(self, ray: np.ndarray, where: np.ndarray, entering: np.ndarray) -> np.ndarray:
+        n = len(self.mesh.nodes)
+        lowest = np.full(n, np.inf)
+        counts = entering if self._solid else np.ones_like(entering)
+        # The stretch the node is in: its highest crossing below the node is an entry.
+        below = counts & (where <= 0.0)
+        last = np.full(n, -np.inf)
+        np.maximum.at(last, ray[where <= 0.0], where[where <= 0.0])
+        own = below & (where == last[ray])
+        valid = counts & ((where >= -self.reach[ray]) | own)
+        np.minimum.at(lowest, ray[valid], where[valid])
+        return lowest
+
+    @property
+    def reach(self) -> np.ndarray:
+        """Half the way inward to the membrane's other side, shape (n,), m; inf below a dome."""
+        if self._reach is None:
+            mesh = self.mesh
+            step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
+            rays = _rays(mesh.nodes - step * mesh.normals, -mesh.normals)
+            distance = _scene(mesh.nodes, mesh.triangles).cast_rays(rays)["t_hit"].numpy()
+            self._reach = 0.5 * (distance.astype(np.float64) + step)
+        return self._reach
+
+
+def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
+    """Pose as a 4×4 float array; InputError where it is no rigid transform."""
+    pose = np.asarray(T_B_O, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise InputError("pose T_B_O: not a finite 4×4 matrix; give a rigid transform")
+    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-6 or (
+        np.linalg.det(pose[:3, :3]) < 0.0
+    ):
+        raise InputError("pose T_B_O: its 3×3 part is no rotation; give a rigid transform")
+    if np.abs(pose[:3, 3]).max() > 10.0:
+        raise InputError(
+            f"pose T_B_O: {np.abs(pose[:3, 3]).max():.4g} m away; is it in millimetres? use metres"
+        )
+    return pose
+
+
+def _scene(vertices: np.ndarray, triangles: np.ndarray) -> Any:
+    from open3d import core
+    from open3d.t.geometry import RaycastingScene
+
+    scene = RaycastingScene()
+    scene.add_triangles(
+        core.Tensor.from_numpy(vertices.astype(np.float32)),
+        core.Tensor.from_numpy(triangles.astype(np.uint32)),
+    )
+    return scene
+
+
+def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
+    from open3d import core
+
+    return core.Tensor.from_numpy(np.hstack([origins, directions]).astype(np.float32))
+
+
+def _is_watertight(triangles: np.ndarray) -> bool:
+    """Whether every edge has two triangles that run along it in opposite directions."""
+    n = int(triangles.max()) + 1
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    forward, backward = np.sort(start * n + end), np.sort(end * n + start)
+    once = bool((np.diff(forward) > 0).all())
+    return once and bool((forward == backward).all())
