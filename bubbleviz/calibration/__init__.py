@@ -1,0 +1,1 @@
+"""Calibration: pixels to trust, reference surface, tension, chamber, and the sensor file."""

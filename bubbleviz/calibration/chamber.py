@@ -1,0 +1,143 @@
+"""Volume of the chamber from a press: the gas law on measured pressure and measured shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from bubbleviz.calibration.pixels import PixelStatistics
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.operators import range_jacobian
+from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.stiffness import cotangent_laplacian
+
+_RELINEARISATIONS = 3
+
+
+@dataclass(frozen=True)
+class ChamberEstimate:
+    """Gas volume from a press.
+
+    Attributes
+    ----------
+    gas_volume_m3 : float
+        V0, chamber and cap, m³: median over the frames.
+    spread_m3 : float
+        Largest minus smallest over the frames, m³.
+    volume_change_m3 : (k,) array
+        Measured change of the volume under the membrane, m³, negative when pressed in.
+    pressure_change_pa : (k,) array
+        Measured change of the gas pressure, Pa.
+    seen : float
+        Share of the membrane's area that the camera sees; the rest is the model's.
+    """
+
+    gas_volume_m3: float
+    spread_m3: float
+    volume_change_m3: np.ndarray
+    pressure_change_pa: np.ndarray
+    seen: float
+
+
+class MembraneTracker:
+    """Displacement of the membrane from a depth frame, contact or not.
+
+    Least squares of the ranges with λ ‖A^½ (A⁻¹ L u − p_v/γ0)‖²: where nothing is seen the
+    membrane bulges as the measured gas pressure makes it.
+
+    Parameters
+    ----------
+    mesh, camera, pixels
+        As identified.
+    tension_n_per_m : float
+        γ0.
+    smoothing : float
+        λ over the one at which data and prior weigh alike.
+    """
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        camera: DepthCamera,
+        pixels: PixelStatistics,
+        tension_n_per_m: float,
+        smoothing: float,
+    ) -> None:
+        self.mesh, self.camera, self.pixels = mesh, camera, pixels
+        self.tension, self.smoothing = tension_n_per_m, smoothing
+        self._caster = RayCaster(camera.center, camera.directions, mesh.triangles)
+        laplacian = cotangent_laplacian(mesh)[:, mesh.free]
+        weighted = laplacian.T @ sparse.diags_array(1.0 / mesh.areas)
+        self._prior = (weighted @ laplacian).tocsc()
+        self._source = laplacian.T @ np.ones(len(mesh.nodes))
+
+    @property
+    def seen(self) -> float:
+        """Share of the membrane's area in triangles that a used pixel's ray hits."""
+        used = np.flatnonzero(self.pixels.mask)
+        hits = self._caster.cast(self.mesh.nodes, self.mesh.normals, used)
+        areas = self.mesh.facet_areas
+        return float(areas[np.unique(hits.triangle)].sum() / areas.sum())
+
+    def displacement(self, depth_m: np.ndarray, gas_pressure_change_pa: float) -> np.ndarray:
+        """Displacement u along the reference normals, shape (n,), m.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+            z-depth, m.
+        gas_pressure_change_pa : float
+            Measured p_v, Pa.
+        """
+        measured = (self.camera.range_image(depth_m) - self.pixels.bias_m).ravel()
+        pixels = np.flatnonzero(self.pixels.mask.ravel() & np.isfinite(measured))
+        mesh, u = self.mesh, np.zeros(len(self.mesh.nodes))
+        for _ in range(_RELINEARISATIONS):
+            hits = self._caster.cast(mesh.deformed(u), mesh.normals, pixels)
+            D = range_jacobian(hits, mesh.triangles, len(u))
+            target = measured[hits.ray] - hits.range_m + D @ u
+            D = D[:, mesh.free]
+            normal = (D.T @ D).tocsc()
+            weight = self.smoothing * float(normal.diagonal().sum() / self._prior.diagonal().sum())
+            right = D.T @ target + weight * gas_pressure_change_pa / self.tension * self._source
+            u = np.zeros(len(u))
+            u[mesh.free] = splu((normal + weight * self._prior).tocsc()).solve(right)
+        return u
+
+
+def estimate_chamber(
+    tracker: MembraneTracker, frames: list[Frame], rest_pressure_pa: float
+) -> ChamberEstimate:
+    """Gas volume V0 from pressed frames: P0 V0 = P (V0 + ΔV), isothermal.
+
+    Parameters
+    ----------
+    tracker : MembraneTracker
+    frames : list of Frame
+        Pressed frames with gas pressure, held still: the gas pressure leads the camera.
+    rest_pressure_pa : float
+        Absolute gas pressure P0 without contact, Pa.
+    """
+    rest = tracker.mesh.cap_volume()
+    changes, rises = [], []
+    for frame in frames:
+        if frame.gas_pressure_pa is None:
+            continue
+        rise = frame.gas_pressure_pa - rest_pressure_pa
+        u = tracker.displacement(frame.depth_m, rise)
+        changes.append(tracker.mesh.cap_volume(u) - rest)
+        rises.append(rise)
+    change, rise = np.array(changes), np.array(rises)
+    volumes = -change * (rest_pressure_pa + rise) / rise
+    return ChamberEstimate(
+        gas_volume_m3=float(np.median(volumes)),
+        spread_m3=float(np.ptp(volumes)),
+        volume_change_m3=change,
+        pressure_change_pa=rise,
+        seen=tracker.seen,
+    )

@@ -1,0 +1,170 @@
+"""Free-form reference surface: the fitted cap plus the smooth correction the data ask for.
+
+Nodes move along the line from the centre of the rim plane, so that those of the rim stay in it.
+The correction c is the P1 field that minimises
+
+    Σ w (measured − cast range)² + λ cᵀ Q c,   Q = (M/ℓ² + L) M⁻¹ (M/ℓ² + L)
+
+with mass M and stiffness L of the mesh: bending at scales below ℓ, back to the cap (zero) where
+nothing is seen. λ is the one under which tiles of pixels left out are predicted best: smaller
+follows the camera's fixed pattern, which is no shape; larger misses the shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from bubbleviz.calibration.robust import robust_sigma, tukey_weights
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.operators import range_jacobian
+from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.stiffness import cotangent_laplacian
+
+_FOLDS = 5
+_DECADES = np.arange(-4.0, 4.5, 0.5)  # of λ around the one at which data and prior weigh alike
+_RELINEARISATIONS = 4
+
+
+@dataclass(frozen=True)
+class FreeForm:
+    """A free-form surface and the numbers behind it.
+
+    Attributes
+    ----------
+    mesh : MembraneMesh
+        The corrected surface in B.
+    correction_m : (n,) array
+        Motion of each node from the cap, along the line from the origin of B, m.
+    smoothing : float
+        λ, relative to the one at which data and prior weigh alike.
+    left_out_rms_m : float
+        Robust rms error of ranges in tiles left out of the fit, m.
+    residual_m : (H, W) array
+        Measured minus cast range, m; NaN where there is no return or the ray misses the mesh.
+    """
+
+    mesh: MembraneMesh
+    correction_m: np.ndarray
+    smoothing: float
+    left_out_rms_m: float
+    residual_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Normal equations of one fold (or of all pixels): matrix n×n and right side (n,)."""
+
+    matrix: sparse.csc_array
+    right: np.ndarray
+
+
+def fit_free_form(
+    start: MembraneMesh,
+    camera: DepthCamera,
+    range_m: np.ndarray,
+    use: np.ndarray,
+    scale_m: float,
+    tile_px: int,
+) -> FreeForm:
+    """Correct a cap's mesh until its cast ranges explain the measured ones.
+
+    Parameters
+    ----------
+    start : MembraneMesh
+        Mesh of the fitted cap in B.
+    camera : DepthCamera
+    range_m : (H, W) array
+        Mean contact-free range, m; NaN: no return.
+    use : (H, W) bool array
+        Pixels of the membrane that may take part.
+    scale_m : float
+        Length ℓ beyond which a correction is the cap's business, m.
+    tile_px : int
+        Side of the tiles left out in turn, pixels; several times the noise's correlation
+        length, or what is left out is still known from its neighbours.
+    """
+    arms = start.nodes / np.linalg.norm(start.nodes, axis=1, keepdims=True)
+    caster = RayCaster(camera.center, camera.directions, start.triangles)
+    pixels = np.flatnonzero((use & np.isfinite(range_m)).ravel())
+    prior = _prior(start, scale_m)
+    fold = _fold_of(pixels, use.shape[1], tile_px)
+    correction = np.zeros(len(start.nodes))
+    smoothing = left_out = float("nan")
+    for k in range(_RELINEARISATIONS):
+        nodes = start.nodes + correction[:, None] * arms
+        hits = caster.cast(nodes, arms, pixels)
+        hit = np.searchsorted(pixels, hits.ray)
+        D = range_jacobian(hits, start.triangles, len(nodes))
+        target = range_m.ravel()[hits.ray] - hits.range_m + D @ correction
+        residual = target - D @ correction
+        weights = tukey_weights(residual - np.median(residual), robust_sigma(residual))
+        unit = _balance(D, weights, prior)
+        if k < 2:  # later rounds move by micrometres: the choice stands
+            smoothing, left_out = _choose(D, target, weights, fold[hit], prior, unit)
+        correction = _solve(_normal(D, target, weights), prior * (smoothing * unit))
+    mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
+    return FreeForm(mesh, correction, smoothing, left_out, range_residual(mesh, camera, range_m))
+
+
+def range_residual(mesh: MembraneMesh, camera: DepthCamera, range_m: np.ndarray) -> np.ndarray:
+    """Measured range (H, W) minus that of the rays cast on the mesh, m; NaN where either lacks."""
+    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
+        mesh.nodes, mesh.normals
+    )
+    cast = np.full(range_m.size, np.nan)
+    cast[hits.ray] = hits.range_m
+    return range_m - cast.reshape(range_m.shape)
+
+
+def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:
+    """Q = (M/ℓ² + L) M⁻¹ (M/ℓ² + L), n×n."""
+    operator = sparse.diags_array(mesh.areas / scale_m**2) + cotangent_laplacian(mesh)
+    return (operator @ sparse.diags_array(1.0 / mesh.areas) @ operator).tocsc()
+
+
+def _fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
+    """Fold 0 … 4 of each pixel: whole tiles, spread like the knights of a chess board."""
+    row, column = np.divmod(pixels, width)
+    return (row // tile_px * 2 + column // tile_px) % _FOLDS
+
+
+def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> _Normal:
+    weighted = D.multiply(weights[:, None]).tocsr()
+    return _Normal((weighted.T @ D).tocsc(), weighted.T @ target)
+
+
+def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) -> float:
+    """λ at which data and prior weigh alike: the ratio of the traces."""
+    return float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
+
+
+def _solve(normal: _Normal, prior: sparse.csc_array) -> np.ndarray:
+    return splu((normal.matrix + prior).tocsc()).solve(normal.right)
+
+
+def _choose(
+    D: sparse.csr_array,
+    target: np.ndarray,
+    weights: np.ndarray,
+    fold: np.ndarray,
+    prior: sparse.csc_array,
+    unit: float,
+) -> tuple[float, float]:
+    """λ / unit that predicts the tiles left out best, and the rms error of that prediction, m."""
+    parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(_FOLDS)]
+    whole = _Normal(sum(p.matrix for p in parts), sum(p.right for p in parts))
+    errors = np.zeros(len(_DECADES))
+    for k, part in enumerate(parts):
+        rest = _Normal(whole.matrix - part.matrix, whole.right - part.right)
+        rows, wanted, weight = D[fold == k], target[fold == k], weights[fold == k]
+        for j, decade in enumerate(_DECADES):
+            missed = wanted - rows @ _solve(rest, prior * (10.0**decade * unit))
+            errors[j] += float(np.sum(weight * missed**2))
+    errors /= float(weights.sum())
+    best = int(np.argmin(errors))
+    return float(10.0 ** _DECADES[best]), float(np.sqrt(errors[best]))
