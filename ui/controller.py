@@ -1,0 +1,242 @@
+"""Between model, clock and solver thread: decides what is asked for and when."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
+
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.pipeline import Product
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from ui.clock import PlayClock
+from ui.needs import products
+from ui.rates import RateMeter
+from ui.requests import (
+    Answer,
+    Failed,
+    FrameRequest,
+    Opened,
+    OpenRequest,
+    PatchRequest,
+    Solved,
+    Thresholded,
+)
+from ui.state import ChoicesChanged, Event, FrameChanged, PlayingChanged, SessionState
+from ui.worker import Worker
+
+TICK_MS = 8
+"""How often playback looks at its clock."""
+
+
+class Controller(QObject):
+    """Asks the solver thread for what the visible things need of the frame at the cursor.
+
+    Attributes
+    ----------
+    opened : Signal
+        An `Opened`: another source or sensor is open.
+    shown : Signal
+        A `Result` to draw.
+    failed : Signal
+        A `Failed` to tell the user about.
+    solves : RateMeter
+        Frames that came back from the solver.
+    skipped : int
+        Frames playback passed by because they were over before they could be asked for.
+    """
+
+    opened = Signal(object)
+    shown = Signal(object)
+    failed = Signal(object)
+
+    def __init__(self, state: SessionState, worker: Worker) -> None:
+        super().__init__()
+        self.state = state
+        self.worker = worker
+        self.sensor: Sensor | None = None
+        self.result: Result | None = None
+        self.solves = RateMeter()
+        self.skipped = 0
+        self._session = 0
+        self._opening = 0
+        self._requests = 0
+        self._open_source: Callable[[Sensor], FrameSource] | None = None
+        self._asked: frozenset[Product] = frozenset()
+        self._clock: PlayClock | None = None
+        self._timer = QTimer(self)
+        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
+        self._timer.setInterval(TICK_MS)
+        self._timer.timeout.connect(self._tick)
+        worker.answered.connect(self._on_answer)
+        state.subscribe(self._on_event)
+
+    @property
+    def dropped(self) -> int:
+        """Frames left out on purpose since the source was opened."""
+        return self.skipped + self.worker.dropped
+
+    @property
+    def solved_session(self) -> int:
+        """Generation of the session that is open; 0 before the first."""
+        return self._session
+
+    def open(
+        self,
+        what: str,
+        open_source: Callable[[Sensor], FrameSource],
+        open_sensor: Callable[[], Sensor],
+        *,
+        frame: int = 0,
+        playing: bool = True,
+        live: bool = False,
+    ) -> None:
+        """Open a source with a sensor in the solver thread; what is open stays until it works."""
+        self._opening += 1
+        needed = products(self.state.choices)
+        request = OpenRequest(
+            session=self._opening,
+            what=what,
+            open_source=open_source,
+            open_sensor=open_sensor,
+            frame=frame,
+            products=needed,
+            kappa=self.state.choices.kappa,
+            playing=playing,
+            live=live,
+        )
+        self.worker.ask(request)
+
+    def open_recording(self, path: Path) -> None:
+        """Open a recording with the present sensor."""
+        from ui.sources import recording
+
+        sensor = self.sensor
+        if sensor is not None:
+            self.open(path.name, recording(path), lambda: sensor)
+
+    def open_sensor(self, path: Path) -> None:
+        """Use another sensor with the present source."""
+        from bubbleviz.sensor import load_sensor
+
+        if self._open_source is not None and self.state.facts is not None:
+            self.open(
+                path.name,
+                self._open_source,
+                lambda: load_sensor(path),
+                frame=self.state.frame,
+                playing=self.state.playing,
+                live=self.state.facts.live,
+            )
+
+    def close(self) -> None:
+        """Stop the timer and the solver thread."""
+        self._timer.stop()
+        self.worker.close()
+
+    # -- events of the model ----------------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, FrameChanged):
+            self._ask_frame()
+            if not event.by_playback:
+                self._start_clock()
+        elif isinstance(event, PlayingChanged):
+            self._start_clock()
+            self._timer.start() if event.playing else self._timer.stop()
+        elif isinstance(event, ChoicesChanged):
+            self._on_choices(event.names)
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if "speed" in names or "loop" in names:
+            self._start_clock()
+        if not products(self.state.choices) <= self._asked:
+            self._ask_frame()
+        elif "kappa" in names:
+            self._ask_patch()
+
+    def _start_clock(self) -> None:
+        if self._clock is not None:
+            self._clock.start(self.state.frame, time.perf_counter(), self.state.choices.speed)
+
+    def _tick(self) -> None:
+        if self._clock is None or not self.state.playing:
+            return
+        index, skipped, ended = self._clock.due(time.perf_counter(), loop=self.state.choices.loop)
+        self.skipped += skipped
+        self.state.seek(index, by_playback=True)
+        if ended:
+            self.state.set_playing(False)
+
+    # -- requests and answers ---------------------------------------------------------------
+
+    def _ask_frame(self) -> None:
+        if self.state.facts is None:
+            return
+        self._requests += 1
+        self._asked = products(self.state.choices)
+        self.worker.ask(
+            FrameRequest(
+                self._session,
+                self._requests,
+                self.state.frame,
+                self._asked,
+                self.state.choices.kappa,
+            )
+        )
+
+    def _ask_patch(self) -> None:
+        estimate = self.result.estimate if self.result is not None else None
+        if estimate is None or "patch" not in self._asked:
+            return
+        self._requests += 1
+        self.worker.ask(
+            PatchRequest(
+                self._session,
+                self._requests,
+                estimate,
+                self.state.choices.kappa,
+                pixel_mask="pixel_mask" in self._asked,
+            )
+        )
+
+    def _on_answer(self, answer: Answer) -> None:
+        if isinstance(answer, Failed):
+            self.failed.emit(answer)
+        elif isinstance(answer, Opened):
+            self._on_opened(answer)
+        elif answer.request.session != self._session:
+            return
+        elif isinstance(answer, Solved):
+            self.solves.tick(time.perf_counter())
+            self._show(answer.result)
+            if answer.request.kappa != self.state.choices.kappa:
+                self._ask_patch()
+        elif (
+            isinstance(answer, Thresholded)
+            and self.result is not None
+            and self.result.estimate is answer.request.estimate
+        ):
+            self._show(replace(self.result, patch=answer.patch))
+
+    def _on_opened(self, answer: Opened) -> None:
+        self._session = answer.request.session
+        self._open_source = answer.request.open_source
+        self.sensor = answer.sensor
+        self._asked = answer.request.products
+        self._clock = PlayClock(answer.facts.times_s)
+        self.skipped = self.worker.dropped = 0
+        self.opened.emit(answer)
+        self.state.set_playing(False)
+        self.state.open(answer.facts, answer.frame, playing=answer.request.playing)
+        self._show(answer.result)
+        if not products(self.state.choices) <= self._asked:
+            self._ask_frame()
+
+    def _show(self, result: Result) -> None:
+        self.result = result
+        self.shown.emit(result)

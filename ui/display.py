@@ -1,0 +1,81 @@
+"""A screen to draw on: the user's, or a private virtual one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from bubbleviz.errors import InputError
+
+
+def has_display(environment: Mapping[str, str] = os.environ) -> bool:
+    """Whether there is a screen that answers."""
+    if not sys.platform.startswith("linux"):
+        return True
+    if environment.get("WAYLAND_DISPLAY") and not environment.get("DISPLAY"):
+        return True
+    return _answers(environment.get("DISPLAY", ""))
+
+
+@contextmanager
+def private_display(width: int, height: int) -> Iterator[None]:
+    """Run with a virtual screen (Xvfb) of a size that nobody sees.
+
+    Raises
+    ------
+    InputError
+        Xvfb is not installed or does not start.
+    """
+    xvfb = shutil.which("Xvfb")
+    if xvfb is None:
+        raise InputError(
+            "no display, and Xvfb for drawing without one is missing; "
+            "install it (apt install xvfb) or run in a desktop session"
+        )
+    read, write = os.pipe()
+    arguments = ["-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp", "-noreset"]
+    server = subprocess.Popen(
+        [xvfb, "-displayfd", str(write), *arguments],
+        pass_fds=(write,),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    before = {name: os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")}
+    try:
+        with os.fdopen(read) as pipe:
+            number = pipe.readline().strip()
+        if not number:
+            raise InputError("Xvfb does not start; run `Xvfb :99` to see why")
+        os.environ["DISPLAY"] = f":{number}"
+        os.environ.pop("WAYLAND_DISPLAY", None)
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+        server.terminate()
+        server.wait(10)
+
+
+def _answers(display: str) -> bool:
+    """Whether an X server is there; one on another host is taken on trust."""
+    host, _, rest = display.partition(":")
+    number = rest.split(".")[0]
+    if not number.isdigit():
+        return False
+    if host not in ("", "unix"):
+        return True
+    path = f"/tmp/.X11-unix/X{number}"
+    return any(_listens(address) for address in (path, "\0" + path))
+
+
+def _listens(address: str) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        return client.connect_ex(address) == 0

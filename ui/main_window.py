@@ -1,0 +1,153 @@
+"""The window: a 3-D view, panels around it, and the wiring between them and the model."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent
+from PySide6.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
+
+from bubbleviz.result import Result
+from ui.controller import Controller
+from ui.menus import Menus
+from ui.panels.kappa import KappaPanel
+from ui.panels.layers import LayersPanel
+from ui.panels.message import MessageBar
+from ui.panels.playback import PlaybackPanel
+from ui.panels.status import Rates, StatusBar
+from ui.requests import Failed, Opened, OpenRequest
+from ui.scene.scene import Scene
+from ui.state import ChoicesChanged, Event, SessionState, SourceChanged
+from ui.view import View
+
+RATES_EVERY_MS = 500
+
+
+class MainWindow(QMainWindow):
+    """Shows one session.
+
+    Parameters
+    ----------
+    state : SessionState
+    controller : Controller
+        The window closes it when it closes.
+    """
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle("bubbleviz")
+        self.setAcceptDrops(True)
+        self.resize(1280, 800)
+        self.state = state
+        self.controller = controller
+        self.message = MessageBar(self)
+        self.view = View(self)
+        self.scene = Scene(self.view, state.units)
+        self.status = StatusBar(state.units)
+        self.layers = LayersPanel(state)
+        self.kappa = KappaPanel(state)
+        self.playback = PlaybackPanel(state)
+        self._lay_out()
+        self.menus = Menus(self)
+        self._rates = QTimer(self)
+        self._rates.setInterval(RATES_EVERY_MS)
+        self._connect()
+
+    def open_file(self, path: Path) -> None:
+        """Open a sensor file (.toml) or a recording (anything else)."""
+        if path.suffix.lower() == ".toml":
+            self.controller.open_sensor(path)
+        else:
+            self.controller.open_recording(path)
+
+    def save_screenshot(self, path: Path) -> None:
+        """Write the picture of the whole window."""
+        if not self.grab().save(str(path)):
+            self.message.say(f"{path}: cannot be written; choose another place")
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Stop the timers and the solver thread, then let go of VTK."""
+        self._rates.stop()
+        self.state.unsubscribe_all()
+        self.controller.close()
+        self.view.close()
+        super().closeEvent(event)
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Accept files."""
+        self.view.dragEnterEvent(event)
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Open dropped files."""
+        self.view.dropEvent(event)
+
+    def _lay_out(self) -> None:
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.message)
+        column.addWidget(self.view, 1)
+        self.setCentralWidget(centre)
+        self.setStatusBar(self.status)
+        right = Qt.DockWidgetArea.RightDockWidgetArea
+        bottom = Qt.DockWidgetArea.BottomDockWidgetArea
+        self.layers_dock = self._dock("Layers", self.layers, right)
+        self.kappa_dock = self._dock("Contact patch", self.kappa, right)
+        self.playback_dock = self._dock("Playback", self.playback, bottom)
+        self.setCorner(Qt.Corner.BottomRightCorner, right)
+        self.resizeDocks([self.layers_dock], [270], Qt.Orientation.Horizontal)
+
+    def _dock(self, title: str, panel: QWidget, area: Qt.DockWidgetArea) -> QDockWidget:
+        dock = QDockWidget(title, self)
+        dock.setObjectName(title)
+        dock.setWidget(panel)
+        self.addDockWidget(area, dock)
+        return dock
+
+    def _connect(self) -> None:
+        self.controller.opened.connect(self._on_opened)
+        self.controller.shown.connect(self._on_shown)
+        self.controller.failed.connect(self._on_failed)
+        self.view.dropped_files.connect(lambda paths: self.open_file(paths[0]))
+        self.kappa_dock.visibilityChanged.connect(
+            lambda on: self.state.choose_panel("kappa_panel", on)
+        )
+        self._rates.timeout.connect(self.show_rates)
+        self._rates.start()
+        self.state.subscribe(self._on_event)
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, SourceChanged):
+            self.setWindowTitle(f"{event.facts.title} – {event.facts.sensor_name} – bubbleviz")
+            self.status.show_source(event.facts)
+        elif isinstance(event, ChoicesChanged) and event.names - {"kappa", "speed", "loop"}:
+            self.scene.apply(self.state.choices)
+
+    def _on_opened(self, opened: Opened) -> None:
+        self.message.hide()
+        self.scene.set_sensor(opened.sensor, opened.mesh)
+        self.kappa.set_mesh(opened.mesh)
+
+    def _on_shown(self, result: Result) -> None:
+        if self.state.facts is None:
+            return
+        self.scene.show(result, self.state.choices)
+        self.kappa.show_result(result)
+        self.status.show_result(result, self.state.facts)
+
+    def _on_failed(self, failed: Failed) -> None:
+        kept = "  What was open stays." if isinstance(failed.request, OpenRequest) else ""
+        self.state.set_playing(self.state.playing and bool(kept))
+        self.message.say(failed.message + kept, failed.details)
+
+    def show_rates(self) -> None:
+        """Write how fast the window is, now."""
+        now = time.perf_counter()
+        controller, view = self.controller, self.view
+        self.status.show_rates(
+            Rates(controller.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped)
+        )

@@ -1,0 +1,97 @@
+"""Menus and shortcuts of the window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtGui import QAction, QKeySequence
+from PySide6.QtWidgets import QFileDialog, QMenu
+
+if TYPE_CHECKING:
+    from ui.main_window import MainWindow
+
+RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
+
+
+class Menus:
+    """Actions of the menu bar; they only call the window and the model."""
+
+    def __init__(self, window: MainWindow) -> None:
+        self._window = window
+        bar = window.menuBar()
+        self._file(bar.addMenu("&File"))
+        self._playback(bar.addMenu("&Playback"))
+        self._view(bar.addMenu("&View"))
+
+    def _file(self, menu: QMenu) -> None:
+        self._add(menu, "&Open recording…", self._open_recording, QKeySequence.StandardKey.Open)
+        self._add(menu, "Open recording &folder…", self._open_folder, "Ctrl+Shift+O")
+        self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
+        self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
+        menu.addSeparator()
+        self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
+
+    def _playback(self, menu: QMenu) -> None:
+        state = self._window.state
+        self._add(menu, "&Play / pause", lambda: state.set_playing(not state.playing), "Space")
+        self._add(menu, "One frame &back", lambda: state.step(-1), "Left")
+        self._add(menu, "One frame &on", lambda: state.step(1), "Right")
+        self._add(menu, "&First frame", lambda: state.seek(0), "Home")
+        self._add(menu, "&Last frame", self._last_frame, "End")
+
+    def _view(self, menu: QMenu) -> None:
+        window = self._window
+        self._add(menu, "&Reset view", window.scene.reset_view, "R")
+        menu.addSeparator()
+        for dock in (window.layers_dock, window.kappa_dock, window.playback_dock):
+            menu.addAction(dock.toggleViewAction())
+        status = self._add(menu, "Status bar", lambda: None)
+        status.setCheckable(True)
+        status.setChecked(True)
+        status.toggled.connect(window.status.setVisible)
+        status.toggled.connect(lambda on: window.state.choose_panel("status", on))
+
+    def _add(
+        self,
+        menu: QMenu,
+        title: str,
+        do: Callable[[], object],
+        keys: str | QKeySequence.StandardKey | None = None,
+    ) -> QAction:
+        action = QAction(title, menu)
+        if keys is not None:
+            action.setShortcut(QKeySequence(keys))
+        action.triggered.connect(lambda: do())
+        menu.addAction(action)
+        return action
+
+    def _last_frame(self) -> None:
+        facts = self._window.state.facts
+        if facts is not None:
+            self._window.state.seek(facts.frames - 1)
+
+    def _open_recording(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self._window, "Open recording", "", RECORDINGS)
+        if name:
+            self._window.controller.open_recording(Path(name))
+
+    def _open_folder(self) -> None:
+        name = QFileDialog.getExistingDirectory(self._window, "Open recording folder")
+        if name:
+            self._window.controller.open_recording(Path(name))
+
+    def _open_sensor(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(
+            self._window, "Open sensor", "", "Sensor files (*.toml);;All files (*)"
+        )
+        if name:
+            self._window.controller.open_sensor(Path(name))
+
+    def _screenshot(self) -> None:
+        name, _ = QFileDialog.getSaveFileName(
+            self._window, "Save screenshot", "bubbleviz.png", "PNG images (*.png)"
+        )
+        if name:
+            self._window.save_screenshot(Path(name))

@@ -1,0 +1,46 @@
+"""What each visible thing asks of the pipeline: hidden means not asked for, not computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bubbleviz.pipeline import Product
+    from ui.state import Choices
+
+CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
+    {
+        "membrane": frozenset({"estimate"}),
+        "wireframe": frozenset({"estimate"}),
+        "contour": frozenset({"estimate", "patch"}),
+        "cloud": frozenset({"cloud"}),
+        "force": frozenset({"estimate", "patch"}),
+        "readout": frozenset({"estimate", "patch"}),
+        "frustum": frozenset(),
+        "rim": frozenset(),
+        "kappa_panel": frozenset({"estimate", "patch"}),
+        "status": frozenset({"estimate", "patch"}),
+    }
+)
+"""Products by the name of a layer, panel or bar."""
+
+CLOUD_COLOURS: Mapping[str, frozenset[Product]] = MappingProxyType(
+    {
+        "residual": frozenset({"estimate", "residual"}),
+        "patch": frozenset({"estimate", "patch", "pixel_mask"}),
+        "plain": frozenset(),
+    }
+)
+"""Products a colouring of the cloud needs on top of the cloud itself."""
+
+
+def products(choices: Choices) -> frozenset[Product]:
+    """Everything the visible layers and panels need of a frame."""
+    visible = choices.layers | choices.panels
+    needed: frozenset[Product] = frozenset()
+    needed = needed.union(*(CONSUMERS[name] for name in visible))
+    if "cloud" in choices.layers:
+        needed |= CLOUD_COLOURS[choices.cloud_colour]
+    return needed

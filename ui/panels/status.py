@@ -1,0 +1,107 @@
+"""Status bar: the facts of the sensor and of the frame that is shown, each with its unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QLabel, QStatusBar
+
+from bubbleviz.result import Result
+from ui.state import SourceFacts
+from ui.units import Units
+
+WIDEST = {
+    "sensor": "soft-bubble pico flexx",
+    "frame": "frame 888/888 · 88.888 s",
+    "force": "force 88.88 N",
+    "area": "patch 8888 mm²",
+    "gas": "Δp gas +8888 Pa",
+    "residual": "residual 8.88 mm",
+    "camera": "camera 88.8 Hz",
+    "solve": "solve 88.8 ms · 88.8 Hz",
+    "render": "render 88 fps",
+    "dropped": "dropped 8888 frames",
+}
+TIPS = {
+    "sensor": "Sensor",
+    "frame": "Frame shown and its time in the recording",
+    "force": "Resultant of the contact pressure on the membrane",
+    "area": "Area of the contact patch on the membrane",
+    "gas": "Change of the gas pressure against the reference, p_v",
+    "residual": "Root mean square of measured minus modelled range",
+    "camera": "Mean frame rate of the depth camera",
+    "solve": "Depth image in → products out, and frames processed in the last second",
+    "render": "Pictures drawn in the last second",
+    "dropped": "Frames left out on purpose, because a newer one was there",
+}
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the window measures about itself."""
+
+    solve_hz: float
+    render_hz: float
+    dropped: int
+
+
+class StatusBar(QStatusBar):
+    """One label a fact, each as wide as its widest text, so nothing jumps."""
+
+    def __init__(self, units: Units) -> None:
+        super().__init__()
+        self._units = units
+        self.setSizeGripEnabled(False)
+        self.setContentsMargins(10, 2, 10, 2)
+        self.labels = {name: self._label(name) for name in WIDEST}
+        for name, label in self.labels.items():
+            self.addWidget(label, 1 if name == "sensor" else 0)
+
+    def show_source(self, facts: SourceFacts) -> None:
+        """Write what does not change from frame to frame."""
+        self.labels["sensor"].setText(facts.sensor_name)
+        self.labels["sensor"].setToolTip(f"Sensor: {facts.sensor_name}; source: {facts.title}")
+        self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
+
+    def show_result(self, result: Result, facts: SourceFacts) -> None:
+        """Write the numbers of the frame that is shown."""
+        units, frame, estimate, patch = self._units, result.frame, result.estimate, result.patch
+        time_text = units.time.text(frame.time_s)
+        texts = {
+            "frame": f"frame {frame.index}/{facts.frames - 1} · {time_text}",
+            "force": "force "
+            + units.force.text(float(np.linalg.norm(patch.force_n)) if patch else None),
+            "area": "patch " + units.area.text(patch.area_m2 if patch else None),
+            "gas": "Δp gas "
+            + units.gas_pressure.text(
+                estimate.gas_pressure_change_pa if estimate else None, signed=True
+            ),
+            "residual": "residual "
+            + units.length.text(estimate.residual_rms_m if estimate else None),
+        }
+        for name, text in texts.items():
+            self.labels[name].setText(text)
+        self._solve_ms = result.times_ms.get("total")
+
+    def show_rates(self, rates: Rates) -> None:
+        """Write how fast the window is."""
+        units = self._units
+        solve = f"{units.duration.text(self._solve_ms)} · {units.rate.text(rates.solve_hz)}"
+        self.labels["solve"].setText(f"solve {solve}")
+        self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
+        self.labels["dropped"].setText(f"dropped {rates.dropped} frames")
+
+    _solve_ms: float | None = None
+
+    def _label(self, name: str) -> QLabel:
+        label = QLabel()
+        label.setObjectName(f"status_{name}")
+        label.setToolTip(TIPS[name])
+        label.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        if name == "sensor":
+            label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        width = label.fontMetrics().horizontalAdvance(WIDEST[name])
+        label.setMinimumWidth(width + 6)
+        return label

@@ -1,0 +1,110 @@
+"""What the window asks of the solver thread, and what comes back: values, never live objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.pipeline import Product
+from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.sensor import Sensor
+from ui.state import SourceFacts
+
+
+@dataclass(frozen=True)
+class OpenRequest:
+    """Open a source with a sensor and show a frame of it.
+
+    Attributes
+    ----------
+    session : int
+        Generation of the session it would start.
+    what : str
+        What to call it in a message.
+    open_source, open_sensor : callable
+        Make the source and the sensor; called in the solver thread.
+    frame : int
+        Frame to show first; proof that the source can be used with the sensor.
+    products : frozenset
+        Products of that frame.
+    kappa : float or None
+    playing, live : bool
+        Play once it is open; it is a live source.
+    """
+
+    session: int
+    what: str
+    open_source: Callable[[Sensor], FrameSource]
+    open_sensor: Callable[[], Sensor]
+    frame: int
+    products: frozenset[Product]
+    kappa: float | None
+    playing: bool = False
+    live: bool = False
+
+
+@dataclass(frozen=True)
+class FrameRequest:
+    """Make products of one frame; `id` counts up, so newer answers are told from older ones."""
+
+    session: int
+    id: int
+    index: int
+    products: frozenset[Product]
+    kappa: float | None
+
+
+@dataclass(frozen=True)
+class PatchRequest:
+    """Threshold an estimate anew at another κ, without solving."""
+
+    session: int
+    id: int
+    estimate: Estimate
+    kappa: float | None
+    pixel_mask: bool
+
+
+Request = OpenRequest | FrameRequest | PatchRequest
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A source is open; the solver thread keeps it."""
+
+    request: OpenRequest
+    facts: SourceFacts
+    sensor: Sensor
+    mesh: MembraneMesh
+    frame: int
+    result: Result
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A frame's products."""
+
+    request: FrameRequest
+    result: Result
+
+
+@dataclass(frozen=True)
+class Thresholded:
+    """The patch of an estimate at another κ."""
+
+    request: PatchRequest
+    patch: Patch
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A request that could not be served: one line for a person, and the details."""
+
+    request: Request
+    message: str
+    details: str
+
+
+Answer = Opened | Solved | Thresholded | Failed

@@ -1,0 +1,53 @@
+"""A colour bar with a title that names the quantity and its unit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ui.scene.colours import ENTRIES
+from ui.scene.text import write_in
+from ui.view import View
+
+
+class ColourBar:
+    """Colour bar at a fixed place at the right edge of the view.
+
+    Parameters
+    ----------
+    view : View
+    table : pyvista.LookupTable
+    title : str
+        Quantity and unit.
+    bottom : float
+        Lower end as a share of the view's height.
+    """
+
+    def __init__(self, view: View, table: Any, title: str, bottom: float) -> None:
+        from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+
+        bar = vtkScalarBarActor()
+        bar.SetLookupTable(table)
+        bar.SetTitle(title)
+        bar.SetNumberOfLabels(5)
+        bar.SetLabelFormat("{:.3g}")
+        bar.UnconstrainedFontSizeOn()
+        bar.SetBarRatio(0.22)
+        bar.SetVerticalTitleSeparation(6)
+        bar.SetPosition(0.88, bottom)
+        bar.SetWidth(0.11)
+        bar.SetHeight(0.42)
+        bar.SetMaximumNumberOfColors(ENTRIES)
+        write_in(bar.GetTitleTextProperty(), 12)
+        write_in(bar.GetLabelTextProperty(), 12)
+        view.renderer.AddViewProp(bar)
+        self._bar = bar
+        self._table = table
+
+    def set_range(self, low: float, high: float) -> None:
+        """Take other ends, in displayed units."""
+        if tuple(self._table.scalar_range) != (low, high):
+            self._table.scalar_range = (low, high)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide."""
+        self._bar.SetVisibility(visible)

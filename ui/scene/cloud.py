@@ -1,0 +1,117 @@
+"""The measured points, coloured by residual, by patch membership, or plain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from ui import theme
+from ui.scene.bars import ColourBar
+from ui.scene.colours import residual_map, rgb
+from ui.scene.layer import Picture
+from ui.units import Unit
+from ui.view import View
+
+MOST_POINTS = 40_000
+"""Points drawn at most: beyond that, every n-th measured point."""
+CHUNK = 8192
+"""The buffers grow in steps, so a few points more or less change no array's size."""
+
+
+class CloudLayer:
+    """Point cloud in buffers that only grow; spare points repeat the last one."""
+
+    RESIDUAL = "residual"
+    COLOUR = "colour"
+
+    def __init__(self, view: View, unit: Unit) -> None:
+        import pyvista as pv
+
+        self._unit = unit
+        self._poly = pv.PolyData(np.zeros((1, 3)))
+        self._table = residual_map()
+        self._reserve(CHUNK)
+        self._actor = view.add_mesh(
+            self._poly,
+            scalars=self.RESIDUAL,
+            cmap=self._table,
+            style="points",
+            point_size=2,
+            render_points_as_spheres=False,
+            lighting=False,
+            show_scalar_bar=False,
+            interpolate_before_map=False,
+            name="cloud",
+            reset_camera=False,
+            render=False,
+        )
+        self._bar = ColourBar(view, self._table, f"residual\n({unit.symbol})", bottom=0.04)
+        self._visible = True
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Put the points of the old sensor away."""
+        self._poly.points[:] = 0.0
+
+    def draw(self, picture: Picture) -> None:
+        """Write the points and their colours into the buffers."""
+        result = picture.result
+        if result.cloud_m is None or len(result.cloud_m) == 0:
+            self._actor.visibility = False
+            return
+        step = -(-len(result.cloud_m) // MOST_POINTS)
+        points = result.cloud_m[::step]
+        self._reserve(len(points))
+        _fill(self._poly.points, points)
+        by_residual = picture.choices.cloud_colour == "residual"
+        if by_residual and result.cloud_residual_m is not None:
+            self._colour_by_residual(result.cloud_residual_m[::step], picture.ranges.residual_m)
+        else:
+            self._colour_by_patch(result, step)
+        self._poly.Modified()
+        self._actor.visibility = self._visible
+        self._bar.set_visible(self._visible and by_residual)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide the points and their bar."""
+        self._visible = visible
+        self._actor.visibility = visible
+        self._bar.set_visible(visible)
+
+    def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
+        high = self._unit.of(high_m)
+        _fill(self._poly.point_data[self.RESIDUAL], self._unit.of(1.0) * residual_m)
+        self._bar.set_range(-high, high)
+        self._actor.mapper.scalar_range = (-high, high)
+        self._use(self.RESIDUAL, direct=False)
+
+    def _colour_by_patch(self, result: Result, step: int) -> None:
+        colours = self._poly.point_data[self.COLOUR]
+        colours[:] = rgb(theme.CLOUD)
+        mask = result.patch.pixel_mask if result.patch is not None else None
+        if mask is not None and result.cloud_pixels is not None:
+            inside = mask.ravel()[result.cloud_pixels[::step]]
+            colours[: len(inside)][inside] = rgb(theme.PATCH_POINT)
+        self._use(self.COLOUR, direct=True)
+
+    def _use(self, array: str, *, direct: bool) -> None:
+        mapper = self._actor.mapper
+        mapper.SelectColorArray(array)
+        mapper.SetColorModeToDirectScalars() if direct else mapper.SetColorModeToMapScalars()
+
+    def _reserve(self, count: int) -> None:
+        size = -(-count // CHUNK) * CHUNK
+        if size <= self._poly.n_points and self.RESIDUAL in self._poly.point_data:
+            return
+        self._poly.point_data.clear()
+        self._poly.points = np.zeros((size, 3), np.float32)
+        self._poly.verts = np.insert(np.arange(size), 0, size)
+        self._poly.point_data[self.RESIDUAL] = np.zeros(size, np.float32)
+        self._poly.point_data[self.COLOUR] = np.zeros((size, 3), np.uint8)
+
+
+def _fill(buffer: np.ndarray, values: np.ndarray) -> None:
+    """Write values into the head of a buffer and repeat the last in the rest."""
+    buffer[: len(values)] = values
+    buffer[len(values) :] = values[-1]

@@ -1,0 +1,58 @@
+"""Colour maps of the 3-D view."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from ui import theme
+
+ENTRIES = 256
+NEUTRAL_ENTRIES = 4
+"""Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
+BLEND_ENTRIES = 10
+RESIDUAL_NEUTRAL = 0.35
+"""Share of the residual range over which colour fades into grey: what fits does not shout."""
+
+
+@cache
+def _sampled(name: str, start: float) -> np.ndarray:
+    from matplotlib import colormaps
+
+    rgba = colormaps[name](np.linspace(start, 1.0, ENTRIES))
+    return np.asarray(rgba * 255.0).astype(np.uint8)
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue, 0 … 255, of `#rrggbb`."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def pressure_map() -> Any:
+    """Neutral at zero, then inferno (perceptually uniform): brighter is stronger."""
+    values = _sampled("inferno", 0.28).copy()
+    neutral = np.array([*rgb(theme.NEUTRAL), 255], float)
+    values[:NEUTRAL_ENTRIES] = neutral
+    blend = slice(NEUTRAL_ENTRIES, NEUTRAL_ENTRIES + BLEND_ENTRIES)
+    share = np.linspace(0.0, 1.0, BLEND_ENTRIES)[:, None]
+    values[blend] = (1 - share) * neutral + share * values[blend]
+    return _table(values)
+
+
+def residual_map() -> Any:
+    """Diverging: blue where the surface was measured nearer than modelled, red farther."""
+    values = _sampled("coolwarm", 0.0).astype(float)
+    near = np.exp(-((np.linspace(-1.0, 1.0, ENTRIES) / RESIDUAL_NEUTRAL) ** 2))[:, None]
+    neutral = np.array([*rgb(theme.CLOUD_NEUTRAL), 255], float)
+    return _table((near * neutral + (1.0 - near) * values).astype(np.uint8))
+
+
+def _table(values: np.ndarray) -> Any:
+    import pyvista as pv
+
+    table = pv.LookupTable()
+    table.values = values
+    table.nan_color = "#5b6470"
+    return table

@@ -1,0 +1,55 @@
+"""The outline of the contact patch: where the contact pressure crosses the κ threshold."""
+
+from __future__ import annotations
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Sensor
+from ui import theme
+from ui.scene.layer import Picture
+from ui.scene.membrane import lift
+from ui.scene.surface import Surface
+from ui.units import Unit
+from ui.view import View
+
+
+class ContourLayer:
+    """Contour line on the displayed surface; VTK traces it along the triangles."""
+
+    def __init__(self, view: View, surface: Surface, unit: Unit) -> None:
+        from vtkmodules.vtkFiltersCore import vtkContourFilter
+
+        self._unit = unit
+        self._filter = vtkContourFilter()
+        self._filter.SetInputData(surface.poly)
+        self._filter.ComputeScalarsOff()
+        self._filter.ComputeNormalsOff()
+        self._filter.SetInputArrayToProcess(0, 0, 0, 0, surface.PRESSURE)
+        self._filter.SetValue(0, 1e9)
+        self._actor = view.add_mesh(
+            self._filter,
+            color=theme.LINE,
+            line_width=3,
+            lighting=False,
+            name="contour",
+            reset_camera=False,
+            render=False,
+        )
+        lift(self._actor, -200.0)
+        self._visible = True
+        self._any = False
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Nothing: the surface is shared."""
+
+    def draw(self, picture: Picture) -> None:
+        """Trace the threshold of the patch; nothing without contact."""
+        patch = picture.result.patch
+        self._any = patch is not None and patch.area_m2 > 0
+        if patch is not None and self._any:
+            self._filter.SetValue(0, self._unit.of(patch.threshold_pa))
+        self._actor.visibility = self._visible and self._any
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide."""
+        self._visible = visible
+        self._actor.visibility = visible and self._any

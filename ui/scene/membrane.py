@@ -1,0 +1,90 @@
+"""The membrane, coloured by contact pressure; neutral where nothing touches it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Sensor
+from ui.scene.bars import ColourBar
+from ui.scene.colours import pressure_map
+from ui.scene.layer import Picture
+from ui.scene.surface import Surface
+from ui.units import Unit
+from ui.view import View
+
+
+class MembraneLayer:
+    """The deformed surface with a colour bar in the operator's pressure unit."""
+
+    def __init__(self, view: View, surface: Surface, unit: Unit) -> None:
+        self._surface = surface
+        self._unit = unit
+        self._table = pressure_map()
+        self._actor = view.add_mesh(
+            surface.poly,
+            scalars=surface.PRESSURE,
+            cmap=self._table,
+            show_scalar_bar=False,
+            smooth_shading=False,
+            ambient=0.25,
+            diffuse=0.75,
+            specular=0.15,
+            specular_power=25,
+            name="membrane",
+            reset_camera=False,
+            render=False,
+        )
+        surface.shade(self._actor)
+        title = f"contact pressure\n({unit.symbol})"
+        self._bar = ColourBar(view, self._table, title, bottom=0.53)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Nothing: the surface is shared."""
+
+    def draw(self, picture: Picture) -> None:
+        """Take the colour range and the opacity; the surface itself is shared."""
+        high = self._unit.of(picture.ranges.pressure_pa)
+        self._bar.set_range(0.0, high)
+        self._actor.mapper.scalar_range = (0.0, high)
+        self._actor.prop.opacity = picture.choices.membrane_opacity
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide the surface and its bar."""
+        self._actor.visibility = visible
+        self._bar.set_visible(visible)
+
+
+class WireframeLayer:
+    """The edges of the mesh."""
+
+    def __init__(self, view: View, surface: Surface) -> None:
+        self._actor: Any = view.add_mesh(
+            surface.poly,
+            style="wireframe",
+            color="#0d1014",
+            line_width=1,
+            lighting=False,
+            opacity=0.55,
+            name="wireframe",
+            reset_camera=False,
+            render=False,
+        )
+        lift(self._actor)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Nothing: the surface is shared."""
+
+    def draw(self, picture: Picture) -> None:
+        """Nothing: the surface is shared."""
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide."""
+        self._actor.visibility = visible
+
+
+def lift(actor: Any, units: float = -60.0) -> None:
+    """Draw lines that lie on the membrane in front of it."""
+    mapper = actor.mapper
+    mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)

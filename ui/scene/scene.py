@@ -1,0 +1,100 @@
+"""All 3-D layers together: which are visible, and one picture after another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from ui.scene.cloud import CloudLayer
+from ui.scene.contour import ContourLayer
+from ui.scene.force import ForceLayer
+from ui.scene.frustum import FrustumLayer
+from ui.scene.layer import Layer, Picture
+from ui.scene.membrane import MembraneLayer, WireframeLayer
+from ui.scene.ranges import HeldRanges
+from ui.scene.readout import ReadoutLayer
+from ui.scene.rim import RimLayer
+from ui.scene.surface import Surface
+from ui.state import Choices
+from ui.units import Units
+from ui.view import View
+
+VIEW_FROM = np.array([-0.55, -1.0, 0.95])
+"""Direction of the default view: obliquely from outside and above."""
+ON_SURFACE = frozenset({"membrane", "wireframe", "contour"})
+
+
+class Scene:
+    """Draws results in a view. Actors are made once; a result changes arrays in place."""
+
+    def __init__(self, view: View, units: Units) -> None:
+        self._view = view
+        self._surface = Surface(units.pressure)
+        self._ranges = HeldRanges()
+        self._result: Result | None = None
+        self._placed: tuple[object, ...] | None = None
+        self._mesh: MembraneMesh | None = None
+        self.layers: dict[str, Layer] = {
+            "membrane": MembraneLayer(view, self._surface, units.pressure),
+            "wireframe": WireframeLayer(view, self._surface),
+            "contour": ContourLayer(view, self._surface, units.pressure),
+            "cloud": CloudLayer(view, units.length),
+            "force": ForceLayer(view),
+            "readout": ReadoutLayer(view, units),
+            "frustum": FrustumLayer(view),
+            "rim": RimLayer(view, self._surface),
+        }
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take another sensor; the camera stays where the user has put it."""
+        self._mesh = mesh
+        self._result = None
+        self._surface.set_mesh(mesh)
+        self._ranges.set_sensor(sensor)
+        for layer in self.layers.values():
+            layer.set_sensor(sensor, mesh)
+        if self._placed is None or self._placed == self._camera_place():
+            self.reset_view()
+
+    def reset_view(self) -> None:
+        """Look at the whole membrane obliquely from outside."""
+        if self._mesh is None:
+            return
+        low, high = self._mesh.nodes.min(axis=0), self._mesh.nodes.max(axis=0)
+        camera = self._view.camera
+        camera.focal_point = tuple((low + high) / 2)
+        camera.position = tuple((low + high) / 2 + VIEW_FROM)
+        camera.up = (0.0, 0.0, 1.0)
+        bounds = [b for pair in zip(low, high, strict=True) for b in pair]
+        self._view.renderer.ResetCamera(bounds)
+        camera.zoom(1.25)
+        self._placed = self._camera_place()
+        self._view.renderer.ResetCameraClippingRange()
+        self._view.refresh()
+
+    def show(self, result: Result, choices: Choices) -> None:
+        """Draw a result with what the user chose to see."""
+        self._result = result
+        picture = Picture(
+            result, self._surface.shape_of(result.estimate), self._ranges.take(result, choices),
+            choices,
+        )  # fmt: skip
+        if picture.shape is not None and ON_SURFACE & choices.layers:
+            self._surface.draw(picture.shape)
+        for name, layer in self.layers.items():
+            layer.set_visible(name in choices.layers)
+            if name in choices.layers:
+                layer.draw(picture)
+        self._view.renderer.ResetCameraClippingRange()
+        self._view.refresh()
+
+    def apply(self, choices: Choices) -> None:
+        """Draw the last result again with other choices."""
+        if self._result is not None:
+            self.show(self._result, choices)
+
+    def _camera_place(self) -> tuple[object, ...]:
+        camera = self._view.camera
+        return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))

@@ -1,0 +1,67 @@
+"""The displayed surface: one VTK mesh that membrane, wireframe, contour and rim share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Estimate
+from ui.scene.layer import Shape
+from ui.units import Unit
+
+
+class Surface:
+    """Holds the vertices; changed in place, never replaced.
+
+    Attributes
+    ----------
+    poly : pyvista.PolyData
+        Nodes in B, m; point data `PRESSURE` in displayed units.
+    """
+
+    PRESSURE = "contact pressure"
+
+    def __init__(self, unit: Unit) -> None:
+        import pyvista as pv
+
+        self._unit = unit
+        self._mesh: MembraneMesh | None = None
+        self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
+        self.poly.point_data[self.PRESSURE] = np.zeros(3)
+        self.poly.point_data["Normals"] = np.eye(3)
+        self.poly.GetPointData().SetActiveNormals("Normals")
+
+    def set_mesh(self, mesh: MembraneMesh) -> None:
+        """Take the reference mesh of another sensor, at rest."""
+        self._mesh = mesh
+        faces = np.column_stack([np.full(len(mesh.triangles), 3), mesh.triangles])
+        self.poly.point_data.clear()
+        self.poly.points = mesh.nodes.astype(float)
+        self.poly.faces = faces.ravel()
+        self.poly.point_data[self.PRESSURE] = np.zeros(len(mesh.nodes))
+        self.poly.point_data["Normals"] = mesh.normals.astype(float)
+        self.poly.GetPointData().SetActiveNormals("Normals")
+        self.poly.GetPointData().SetActiveScalars(self.PRESSURE)
+
+    def shape_of(self, estimate: Estimate | None) -> Shape | None:
+        """Shape bubbleviz found; None without an estimate."""
+        if estimate is None or self._mesh is None:
+            return None
+        nodes = self._mesh.deformed(estimate.displacement_m)
+        normals = replace(self._mesh, nodes=nodes).normals
+        return Shape(nodes, normals, estimate.contact_pressure_pa)
+
+    def draw(self, shape: Shape) -> None:
+        """Move the vertices and colour them, in place."""
+        self.poly.points[:] = shape.nodes_m
+        self.poly.point_data["Normals"][:] = shape.normals
+        self.poly.point_data[self.PRESSURE][:] = self._unit.of(1.0) * shape.pressure_pa
+        self.poly.GetPoints().Modified()
+        self.poly.Modified()
+
+    def shade(self, actor: Any) -> None:
+        """Light an actor by the normals bubbleviz computed, not by VTK's facets."""
+        actor.prop.interpolation = "Phong"

@@ -1,0 +1,105 @@
+"""Serves requests with bubbleviz, in the solver thread. No Qt in here."""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from bubbleviz.camera.view import MembraneView
+from bubbleviz.errors import InputError
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Patch
+from ui.requests import (
+    Answer,
+    Failed,
+    FrameRequest,
+    Opened,
+    OpenRequest,
+    PatchRequest,
+    Request,
+    Solved,
+    Thresholded,
+)
+from ui.state import SourceFacts
+
+
+@dataclass(frozen=True)
+class _Session:
+    number: int
+    source: FrameSource
+    pipeline: Pipeline
+
+    @cached_property
+    def view(self) -> MembraneView:
+        """Where the camera's rays meet the membrane; made when first asked for."""
+        return MembraneView(self.pipeline.camera, self.pipeline.mesh)
+
+
+class Server:
+    """Keeps the open source and its pipeline; a request that fails changes nothing."""
+
+    def __init__(self) -> None:
+        self._session: _Session | None = None
+
+    def serve(self, request: Request) -> Answer | None:
+        """Answer one request; None when it belongs to a session that is gone."""
+        try:
+            if isinstance(request, OpenRequest):
+                return self._open(request)
+            session = self._session
+            if session is None or session.number != request.session:
+                return None
+            session.pipeline.kappa = request.kappa
+            if isinstance(request, PatchRequest):
+                return Thresholded(request, self._threshold(session, request))
+            return self._solve(session, request)
+        except InputError as error:
+            return Failed(request, str(error), "")
+        except Exception as error:
+            return Failed(request, _in_words(error), traceback.format_exc())
+
+    def close(self) -> None:
+        """Let go of the open source."""
+        if self._session is not None:
+            self._session.source.close()
+            self._session = None
+
+    def _solve(self, session: _Session, request: FrameRequest) -> Solved:
+        frame = session.source[request.index]
+        return Solved(request, session.pipeline.process(frame, request.products))
+
+    def _threshold(self, session: _Session, request: PatchRequest) -> Patch:
+        patch = session.pipeline.patch(request.estimate)
+        if not request.pixel_mask:
+            return patch
+        mask = session.view.above(
+            request.estimate.displacement_m,
+            request.estimate.contact_pressure_pa,
+            max(patch.threshold_pa, 0.0),
+        )
+        return replace(patch, pixel_mask=mask)
+
+    def _open(self, request: OpenRequest) -> Opened:
+        sensor = request.open_sensor()
+        source = request.open_source(sensor)
+        try:
+            if len(source) == 0:
+                raise InputError(f"{source.name}: has no frames; choose another recording")
+            index = min(max(request.frame, 0), len(source) - 1)
+            frame = source[index]
+            pipeline = Pipeline(sensor, intrinsics=frame.intrinsics, kappa=request.kappa)
+            pipeline.process(frame, request.products)  # builds the solver: its time says nothing
+            result = pipeline.process(frame, request.products)
+        except BaseException:
+            source.close()
+            raise
+        self.close()
+        self._session = _Session(request.session, source, pipeline)
+        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live)
+        return Opened(request, facts, sensor, pipeline.mesh, index, result)
+
+
+def _in_words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0][:300]

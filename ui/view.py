@@ -1,0 +1,115 @@
+"""The 3-D view: a VTK render window in Qt that draws once per repaint, and only then."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PySide6.QtCore import Signal
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage, QKeyEvent
+from PySide6.QtWidgets import QWidget
+from pyvistaqt import QtInteractor
+
+from ui import theme
+from ui.rates import RateMeter
+
+
+class View(QtInteractor):  # type: ignore[misc]
+    """View of the sensor; `refresh()` asks for a repaint, Qt decides when.
+
+    VTK's own renders on mouse moves become repaint requests too, so any number of changes
+    between two repaints costs one render.
+
+    Attributes
+    ----------
+    dropped_files : Signal
+        List of paths the user dropped on the view.
+    renders : RateMeter
+        Real renders of VTK.
+    render_count : int
+        Renders since the view exists.
+    """
+
+    dropped_files = Signal(list)
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
+        self.renders = RateMeter()
+        self.render_count = 0
+        self.set_background(theme.VIEW_BOTTOM, top=theme.VIEW_TOP)
+        self._tags = [
+            (subject, subject.AddObserver(event, callback))
+            for subject, event, callback in (
+                (self.ren_win, "EndEvent", self._count_render),
+                (self.iren.interactor, "RenderEvent", self._on_vtk_wants_render),
+            )
+        ]
+        self.iren.interactor.EnableRenderOff()
+        self._add_lights()
+
+    def refresh(self) -> None:
+        """Ask Qt to repaint; many calls before the repaint are one render."""
+        self.update()
+
+    def pixels(self) -> np.ndarray:
+        """What the view shows now, shape (height, width, 3), uint8."""
+        image = self.grabFramebuffer().convertToFormat(QImage.Format.Format_RGB888)
+        flat = np.frombuffer(image.constBits(), np.uint8)
+        rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
+        return rows.reshape(image.height(), image.width(), 3).copy()
+
+    def paintGL(self) -> None:
+        """Render and put the picture on the screen."""
+        interactor = self.iren.interactor if self.iren is not None else None
+        if interactor is not None:
+            interactor.EnableRenderOn()
+        try:
+            super().paintGL()
+        finally:
+            if interactor is not None:
+                interactor.EnableRenderOff()
+
+    def close(self) -> None:
+        """Let go of VTK's render window and of every observer that would keep it alive."""
+        for subject, tag in self._tags:
+            subject.RemoveObserver(tag)
+        self._tags = []
+        super().close()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Leave keys to the window: VTK's own would quit or change styles."""
+        event.ignore()
+
+    def keyReleaseEvent(self, event: QKeyEvent) -> None:
+        """Leave keys to the window."""
+        event.ignore()
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Accept files."""
+        if event.mimeData().hasUrls():
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Hand dropped files to the window instead of reading them as meshes."""
+        paths = [Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()]
+        if paths:
+            event.acceptProposedAction()
+            self.dropped_files.emit(paths)
+
+    def _add_lights(self) -> None:
+        import pyvista as pv
+
+        for position, intensity in (((-0.5, 0.7, 1.0), 0.75), ((0.8, -0.3, 0.6), 0.35)):
+            light = pv.Light(light_type="camera light", intensity=intensity)
+            light.position = position
+            self.add_light(light)
+
+    def _count_render(self, *_: Any) -> None:
+        self.render_count += 1
+        self.renders.tick(time.perf_counter())
+
+    def _on_vtk_wants_render(self, *_: Any) -> None:
+        if not self._in_paint:
+            self.update()
