@@ -1,0 +1,232 @@
+"""Recordings are read as what another program wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bagmaker import (
+    HEIGHT,
+    KINDS,
+    PERIOD,
+    SECOND,
+    START,
+    WIDTH,
+    BagMaker,
+    depth_image,
+    fill,
+    pressure_at,
+)
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.bags import chunks
+from bubbleviz.frames.recording import Recording
+
+
+def test_every_format_gives_the_frames_written(press: Path) -> None:
+    with Recording(press) as recording:
+        assert len(recording) == 6
+        np.testing.assert_allclose(recording.times_s, np.arange(6) * PERIOD / SECOND, atol=1e-12)
+        for k in (5, 0, 3, 3, 1):  # any order
+            frame = recording[k]
+            np.testing.assert_array_equal(frame.depth_m, depth_image(k))
+            assert frame.depth_m.dtype == np.float32
+            assert (frame.index, frame.stamp_ns) == (k, START + k * PERIOD)
+            assert frame.time_s == recording.times_s[k]
+            assert frame.gas_pressure_pa == pytest.approx(pressure_at(frame.stamp_ns), abs=1e-6)
+            np.testing.assert_allclose(frame.wrench, [k, 2, 3, 4, 5, 6])
+            assert frame.intrinsics is not None
+            assert (frame.intrinsics.width, frame.intrinsics.height) == (WIDTH, HEIGHT)
+            assert (frame.intrinsics.fx, frame.intrinsics.cy) == (30.0, 11.5)
+            assert frame.intrinsics.distortion_model == "none"  # plumb_bob with zeros
+
+
+def test_index_outside_is_an_index_error(press: Path) -> None:
+    with Recording(press) as recording:
+        for k in (-1, 6, 10**6):
+            with pytest.raises(IndexError):
+                recording[k]
+
+
+def test_a_bag_split_over_files_is_one_recording(tmp_path: Path) -> None:
+    for part in (1, 0):
+        bag = BagMaker("mcap file")
+        for k in range(3 * part, 3 * part + 3):
+            bag.image(START + k * PERIOD, depth_image(k))
+        bag.write(tmp_path, f"rec_{part}")
+    for leftover in ("rec_0", "rec_1"):
+        (tmp_path / leftover / "metadata.yaml").unlink()
+        (tmp_path / leftover).rmdir()
+    with Recording(tmp_path) as recording:
+        for k in range(6):
+            np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+
+
+def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    for log, k in enumerate((2, 0, 1)):
+        bag.image(START + k * PERIOD, depth_image(k), log=START + log)
+    with Recording(bag.write(tmp_path)) as recording:
+        assert (np.diff(recording.times_s) > 0).all()
+        for k in range(3):
+            np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+
+
+def test_without_stamps_the_log_times_count(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    for k in range(4):
+        bag.image(0, depth_image(k), log=START + k * PERIOD)
+        bag.pressure(0, pressure_at(START + k * PERIOD), log=START + k * PERIOD)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(recording.times_s, np.arange(4) * PERIOD / SECOND, atol=1e-12)
+        assert recording[2].gas_pressure_pa == pytest.approx(pressure_at(START + 2 * PERIOD))
+
+
+def test_pressure_without_stamps_is_matched_by_log_time(tmp_path: Path) -> None:
+    """The camera's stamps then are another clock's, 1 s behind."""
+    bag = BagMaker("mcap file")
+    for k in range(4):
+        log = START + k * PERIOD
+        bag.image(log - SECOND, depth_image(k), log=log)
+        bag.pressure(0, pressure_at(log), log=log)
+    with Recording(bag.write(tmp_path)) as recording:
+        assert recording[2].gas_pressure_pa == pytest.approx(pressure_at(START + 2 * PERIOD))
+
+
+@pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
+def test_pressure_beyond_its_range_is_the_nearest_or_none(
+    tmp_path: Path, late_s: float, found: bool
+) -> None:
+    bag = BagMaker("mcap file")
+    bag.pressure(START, 106_000.0)
+    bag.image(START + round(late_s * SECOND), depth_image(0))
+    bag.image(START - round(late_s * SECOND), depth_image(1))
+    with Recording(bag.write(tmp_path)) as recording:
+        expected = 106_000.0 if found else None
+        assert [recording[k].gas_pressure_pa for k in range(2)] == [expected] * 2
+
+
+def test_without_gas_pressure_wrench_and_camera_info_they_are_none(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0))
+    with Recording(bag.write(tmp_path)) as recording:
+        frame = recording[0]
+        assert (frame.gas_pressure_pa, frame.wrench, frame.intrinsics) == (None, None, None)
+        assert not recording.has_gas_pressure
+        assert not recording.has_wrench
+
+
+def test_the_depth_image_is_found_among_others_and_may_be_chosen(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    grey = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
+    infrared = np.full((HEIGHT, WIDTH), 500, dtype=np.uint16)
+    bag.image(START, grey, "mono8", topic="/cam/depth/confidence")
+    bag.image(START, infrared, "16UC1", topic="/cam/infrared/image")
+    bag.image(START, depth_image(0), topic="/cam/depth/image")
+    path = bag.write(tmp_path)
+    with Recording(path) as recording:
+        assert recording.depth_topic.name == "/cam/depth/image"
+    with Recording(path, depth_topic="/cam/infrared/image") as recording:
+        assert recording[0].depth_m[0, 0] == np.float32(0.5)
+    with pytest.raises(InputError, match="/nope"):
+        Recording(path, depth_topic="/nope")
+    with pytest.raises(InputError, match="/nope"):
+        Recording(path, pressure_topic="/nope")
+
+
+def test_camera_info_of_the_same_camera_and_size_is_taken(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.camera_info(START, topic="/other/camera_info", k=np.eye(3).ravel() * 7)
+    bag.camera_info(START, topic="/cam/color/camera_info", width=1280, height=720)
+    bag.camera_info(START)
+    bag.image(START, depth_image(0))
+    with Recording(bag.write(tmp_path)) as recording:
+        assert recording.intrinsics is not None
+        assert recording.intrinsics.fx == 30.0
+
+
+def test_reading_one_frame_does_not_decompress_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    bag = BagMaker("mcap file")
+    for k in range(20):
+        noise = rng.uniform(0.1, 0.2, (480, 640)).astype(np.float32)
+        bag.image(START + k * PERIOD, noise)
+    path = bag.write(tmp_path)
+    inflated = [0]
+    original = chunks.LazyChunk._fill
+
+    def counting(self: chunks.LazyChunk, stop: int, short: bool) -> None:
+        before = self.memory
+        original(self, stop, short)
+        inflated[0] += self.memory - before
+
+    monkeypatch.setattr(chunks.LazyChunk, "_fill", counting)
+    image = 640 * 480 * 4
+    with Recording(path) as recording:
+        assert inflated[0] < 2 * image  # 20 headers and the first image
+        inflated[0] = 0
+        recording[13]
+        assert inflated[0] < 1.2 * image
+
+
+def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bubbleviz.frames.recording._SAMPLED_ABOVE", 100)
+    reads = []
+    bag, jittered = BagMaker("mcap file"), BagMaker("mcap file")
+    for k in range(300):
+        bag.image(START + k * PERIOD, depth_image(k, 2, 3))
+        jittered.image(START + k * PERIOD, depth_image(k, 2, 3), log=START + k * PERIOD + k % 7)
+    from bubbleviz.frames.bags import Messages
+
+    original = Messages.stamp_ns
+    monkeypatch.setattr(Messages, "stamp_ns", lambda m, k: reads.append(k) or original(m, k))
+    with Recording(bag.write(tmp_path, "same")) as recording:
+        assert len(reads) == 64
+        np.testing.assert_allclose(np.diff(recording.times_s), PERIOD / SECOND, atol=1e-12)
+    with Recording(jittered.write(tmp_path, "jittered")) as recording:
+        np.testing.assert_allclose(np.diff(recording.times_s), PERIOD / SECOND, atol=1e-12)
+
+
+def test_real_recording_against_rosbags(punyo_press: Path) -> None:
+    """Frames and pressures of the real press as rosbags' own sequential reader gives them."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([punyo_press]) as reader, Recording(punyo_press) as recording:
+        by_type = {c.msgtype: c for c in reader.connections}
+        images = by_type["sensor_msgs/msg/Image"]
+        stamps, pressures = [], []
+        for connection, _, raw in reader.messages([by_type["sensor_msgs/msg/FluidPressure"]]):
+            message = reader.deserialize(raw, connection.msgtype)
+            stamps.append(message.header.stamp.sec * SECOND + message.header.stamp.nanosec)
+            pressures.append(message.fluid_pressure)
+        for k, (connection, _, raw) in enumerate(reader.messages([images])):
+            if k % 15:
+                continue
+            message = reader.deserialize(raw, connection.msgtype)
+            pixels = message.data.view(np.float32).reshape(480, 640)
+            frame = recording[k]
+            np.testing.assert_array_equal(np.nan_to_num(frame.depth_m), pixels)
+            offsets = np.array(stamps) - frame.stamp_ns
+            expected = np.interp(0.0, offsets, pressures)
+            assert frame.gas_pressure_pa == pytest.approx(expected, abs=0.01)
+        assert len(recording) == 90
+        assert recording.intrinsics is not None
+        assert recording.intrinsics.distortion_model == "inverse_brown_conrady"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_closing_lets_go_of_the_file(tmp_path: Path, kind: str) -> None:
+    path = fill(BagMaker(kind)).write(tmp_path)
+    descriptors = Path("/proc/self/fd")
+    if not descriptors.is_dir():
+        pytest.skip("needs /proc to count open files")
+    before = len(list(descriptors.iterdir()))
+    with Recording(path) as recording:
+        recording[0]
+        assert len(list(descriptors.iterdir())) > before
+    assert len(list(descriptors.iterdir())) == before
