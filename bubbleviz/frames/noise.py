@@ -1,0 +1,98 @@
+"""Noise of a simulated depth camera, the same for a seed and frame whatever was asked before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+
+_MEMORY = 32
+"""Frames that a frame's correlated noise may reach back."""
+
+
+@dataclass(frozen=True)
+class DepthNoise:
+    """What a camera does to the true range.
+
+    Attributes
+    ----------
+    relative : float
+        σ of range over range.
+    absolute_m : float
+        σ of range that does not grow with range, m; both add in squares.
+    correlation_px : float
+        Distance in pixels at which the correlation of two pixels' noise is 1/e; 0 for white.
+    correlation_frames : float
+        Correlation of one pixel's noise from frame to frame, 0 to below 1.
+    holes : float
+        Fraction of pixels without a return, in blobs as wide as the correlation.
+    outliers : float
+        Fraction of pixels whose range is off by up to `outlier_m`.
+    outlier_m : float
+        Largest error of an outlier, m.
+    """
+
+    relative: float = 0.0
+    absolute_m: float = 0.0
+    correlation_px: float = 0.0
+    correlation_frames: float = 0.0
+    holes: float = 0.0
+    outliers: float = 0.0
+    outlier_m: float = 0.02
+
+    def __post_init__(self) -> None:
+        bad = [name for name, value in vars(self).items() if not 0.0 <= value < np.inf]
+        bad += [n for n in ("correlation_frames", "holes", "outliers") if getattr(self, n) >= 1.0]
+        if self.absolute_m > 0.1:
+            raise InputError(
+                f"noise absolute_m = {self.absolute_m}: above 0.1 m; is it in millimetres?"
+            )
+        if bad:
+            raise InputError(f"noise {bad[0]} = {getattr(self, bad[0])}: out of range; correct it")
+
+    def apply(self, range_m: np.ndarray, seed: int, index: int) -> np.ndarray:
+        """Noisy copy of a range image (H, W), m; NaN where there is no return."""
+        noisy = range_m.copy()
+        if self.relative or self.absolute_m:
+            sigma = np.hypot(self.relative * range_m, self.absolute_m)
+            noisy += sigma * self._unit_field(range_m.shape, seed, index)
+        if self.outliers:
+            random = np.random.default_rng([seed, index, 1])
+            wrong = random.random(range_m.shape) < self.outliers
+            noisy += np.where(wrong, random.uniform(-1.0, 1.0, range_m.shape) * self.outlier_m, 0.0)
+        if self.holes:
+            from scipy.special import ndtri
+
+            random = np.random.default_rng([seed, index, 2])
+            blobs = _smoothed(random.standard_normal(range_m.shape), self.correlation_px)
+            noisy[blobs < ndtri(self.holes)] = np.nan
+        noisy[noisy <= 0.0] = np.nan
+        return noisy
+
+    def _unit_field(self, shape: tuple[int, ...], seed: int, index: int) -> np.ndarray:
+        """Normal noise of unit variance with the asked correlation in space and time."""
+        rho = self.correlation_frames
+        back = 1 if rho == 0.0 else min(_MEMORY, 1 + int(np.ceil(np.log(1e-3) / np.log(rho))))
+        weights = rho ** np.arange(back)
+        weights /= np.linalg.norm(weights)
+        field = np.zeros(shape)
+        for lag, weight in enumerate(weights):
+            random = np.random.default_rng([seed, index + _MEMORY - lag, 0])
+            field += weight * random.standard_normal(shape)
+        return _smoothed(field, self.correlation_px)
+
+
+def _smoothed(white: np.ndarray, correlation_px: float) -> np.ndarray:
+    """White noise filtered to a Gaussian correlation exp(−(d/L)²), of unit variance."""
+    if correlation_px <= 0.0:
+        return white
+    from scipy.ndimage import gaussian_filter, gaussian_filter1d
+
+    sigma = 0.5 * correlation_px  # the autocorrelation of a Gaussian kernel is √2 times as wide
+    impulse = np.zeros(2 * int(4.0 * sigma + 1.0) + 1)
+    impulse[len(impulse) // 2] = 1.0
+    kernel = gaussian_filter1d(impulse, sigma, mode="constant")
+    smooth: np.ndarray = gaussian_filter(white, sigma, mode="wrap") / np.sum(kernel**2)
+    return smooth
