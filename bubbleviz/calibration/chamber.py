@@ -71,10 +71,11 @@ class MembraneTracker:
         self.mesh, self.camera, self.pixels = mesh, camera, pixels
         self.tension, self.smoothing = tension_n_per_m, smoothing
         self._caster = RayCaster(camera.center, camera.directions, mesh.triangles)
-        laplacian = cotangent_laplacian(mesh)[:, mesh.free]
-        weighted = laplacian.T @ sparse.diags_array(1.0 / mesh.areas)
+        # Rows of the rim are left out: there the housing, not the gas, balances the tension.
+        laplacian = cotangent_laplacian(mesh)[mesh.free][:, mesh.free]
+        weighted = laplacian.T @ sparse.diags_array(1.0 / mesh.areas[mesh.free])
         self._prior = (weighted @ laplacian).tocsc()
-        self._source = laplacian.T @ np.ones(len(mesh.nodes))
+        self._source = laplacian.T @ np.ones(len(mesh.free))
 
     @property
     def seen(self) -> float:

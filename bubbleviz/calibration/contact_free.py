@@ -129,6 +129,8 @@ def _first_change(score: np.ndarray) -> int:
     if not len(starts):
         return len(score)
     end = int(starts[0])
-    while end > 0 and score[end - 1] > 0.5 * _SIGNIFICANT:  # its beginning, not yet certain
+    before = max(0, end - 2 * _LAG)
+    usual = float(score[: max(before, 1)].max())
+    while end > before and score[end - 1] > usual:  # its beginning, before it was certain
         end -= 1
     return end
