@@ -171,7 +171,7 @@ def find_gaps(times_s: np.ndarray) -> tuple[Gap, ...]:
     # unlike the median, the mean of the single steps is not biased by lateness
     period = steps[(steps > 0) & (steps < 1.5 * median)].mean()
     excess = steps / period - 1.0
-    fraction = excess - np.rint(excess)
+    fraction = excess - np.maximum(np.rint(excess), 0.0)
     beside = np.convolve(fraction, [1, 1, 0, 1, 1])[2 : 2 + len(steps)]
     missing = np.where(excess > 0.25, np.rint(excess + beside), 0).astype(np.int64)
     return tuple(Gap(int(k), int(missing[k]), float(steps[k])) for k in np.flatnonzero(missing > 0))

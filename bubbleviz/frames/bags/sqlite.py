@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ class SqliteStorage:
     """
 
     def __init__(self, reader: Any) -> None:
-        uri = Path(reader.path).resolve().as_uri()
+        path = Path(reader.path)
+        _check_whole(path)
+        uri = path.resolve().as_uri()
         # the worker that reads need not be the thread that opened; Recording has the lock
         self._database = sqlite3.connect(
             f"{uri}?mode=ro&immutable=1", uri=True, check_same_thread=False
@@ -41,3 +44,12 @@ class SqliteStorage:
     def close(self) -> None:
         """Close the database."""
         self._database.close()
+
+
+def _check_whole(path: Path) -> None:
+    """SQLite itself notices a missing end only when it reads there."""
+    with path.open("rb") as stream:
+        header = stream.read(32)
+    page_size, pages = struct.unpack_from(">H10xI", header, 16)
+    if pages * (65_536 if page_size == 1 else page_size) > path.stat().st_size:
+        raise ValueError("the file is truncated")
