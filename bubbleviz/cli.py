@@ -73,4 +73,57 @@ def info(recording: Path, as_json: bool) -> None:
     click.echo(facts.to_json() if as_json else facts.to_text())
 
 
+@main.command()
+@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--object", "object_name", required=True, help="Object mesh or preset.")
+@click.option("--pose", help='T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
+@click.option("--path", "path_file", type=click.Path(path_type=Path), help="CSV of poses.")
+@click.option("--frames", type=click.IntRange(1), default=1, help="Frames at --pose.")
+@click.option("--rate", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames a second.")
+@click.option("--noise-sigma", type=float, default=0.0, help="σ of range, m.")
+@click.option("--noise-relative", type=float, default=0.0, help="σ of range over range.")
+@click.option("--noise-correlation", type=float, default=0.0, help="1/e distance of noise, pixels.")
+@click.option("--holes", type=float, default=0.0, help="Fraction of pixels without a return.")
+@click.option("--outliers", type=float, default=0.0, help="Fraction of pixels far off.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap.")
+@click.option("--truth", type=click.Path(path_type=Path), help="TRUTH.npz.")
+def simulate(
+    sensor: str,
+    object_name: str,
+    pose: str | None,
+    path_file: Path | None,
+    frames: int,
+    rate: float,
+    noise_sigma: float,
+    noise_relative: float,
+    noise_correlation: float,
+    holes: float,
+    outliers: float,
+    seed: int,
+    out: Path,
+    truth: Path | None,
+) -> None:
+    """Record a rigid object pressed into a simulated sensor."""
+    where = pose or path_file
+    if where is None or (pose and path_file):
+        raise click.UsageError("give either --pose or --path")
+    if noise_sigma and noise_relative:
+        raise click.UsageError("give either --noise-sigma or --noise-relative")
+    from bubbleviz.frames.noise import DepthNoise
+    from bubbleviz.simulate import simulated_press, write_simulation
+
+    noise = DepthNoise(
+        relative=noise_relative,
+        absolute_m=noise_sigma,
+        correlation_px=noise_correlation,
+        holes=holes,
+        outliers=outliers,
+    )
+    source = simulated_press(
+        sensor, object_name, where, noise, frames=frames, rate_hz=rate, seed=seed
+    )
+    write_simulation(source, out, truth)
+
+
 # -- the inverse problem: estimate --------------------------------------------------------------
