@@ -18,7 +18,7 @@ def sensor_file(tmp_path_factory):
     small = sensor.camera.model_copy(
         update={"width": 64, "height": 48, "fx": 53.3, "fy": 58.0, "cx": 31.5, "cy": 23.5}
     )
-    membrane = sensor.membrane.model_copy(update={"nodes": 200})
+    membrane = sensor.membrane.model_copy(update={"nodes": 600})
     path = tmp_path_factory.mktemp("sensor") / "small.toml"
     path.write_text(
         sensor_to_toml(sensor.model_copy(update={"camera": small, "membrane": membrane}))
@@ -57,7 +57,7 @@ def test_path_of_poses_gives_frames_and_their_truth(sensor_file, tmp_path):
     points = camera.points(recording[2].depth_m, np.flatnonzero(mask))
     radius = np.linalg.norm(points - [0.0, 0.0, 0.040 + 0.015], axis=1)
     assert mask.sum() >= 10
-    assert np.abs(radius - 0.015).mean() < 2.5e-4
+    assert np.abs(radius - 0.015).mean() < 1.5e-4  # chords of 3 mm edges sink 0.1 mm in
     recording.close()
 
 
