@@ -32,6 +32,8 @@ class Choices:
         What is visible.
     cloud_colour : {"residual", "patch", "plain"}
         What colours the measured points.
+    cloud_points : int or None
+        Points drawn at most: beyond that, every n-th measured point; None for all.
     membrane_opacity : float
         0 … 1.
     pressure_max_pa, residual_max_m : float or None
@@ -44,6 +46,7 @@ class Choices:
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
     cloud_colour: CloudColour = "residual"
+    cloud_points: int | None = 20_000
     membrane_opacity: float = 1.0
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None

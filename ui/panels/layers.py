@@ -28,6 +28,7 @@ TITLES = {
     "frustum": ("Camera frustum", "Field of view of the depth camera"),
     "rim": ("Rim", "Where the membrane is clamped"),
 }
+CLOUD_POINTS = {5_000: "up to 5 000", 20_000: "up to 20 000", 50_000: "up to 50 000", None: "all"}
 CLOUD_COLOURS = {"residual": "residual", "patch": "patch membership", "plain": "one colour"}
 
 
@@ -41,6 +42,9 @@ class LayersPanel(QWidget):
         self.cloud_colour = QComboBox()
         for value, title in CLOUD_COLOURS.items():
             self.cloud_colour.addItem(title, value)
+        self.cloud_points = QComboBox()
+        for most, title in CLOUD_POINTS.items():
+            self.cloud_points.addItem(title, most)
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setRange(10, 100)
         units = state.units
@@ -72,10 +76,12 @@ class LayersPanel(QWidget):
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         form.addRow("Points by", self.cloud_colour)
+        form.addRow("Points shown", self.cloud_points)
         form.addRow("Opacity", self.opacity)
         form.addRow("Pressure to", self.pressure_max)
         form.addRow("Residual to ±", self.residual_max)
         column.addLayout(form)
+        self.cloud_points.setToolTip("Beyond that every n-th point is drawn; all are solved with")
         self.opacity.setToolTip("Opacity of the membrane, 10 … 100 %")
         self.pressure_max.setToolTip("Upper end of the pressure colours; lowest value: automatic")
         self.residual_max.setToolTip("Ends of the residual colours; lowest value: automatic")
@@ -86,6 +92,9 @@ class LayersPanel(QWidget):
             box.toggled.connect(lambda on, name=name: state.choose_layer(name, on))
         self.cloud_colour.currentIndexChanged.connect(
             lambda _: state.choose(cloud_colour=self.cloud_colour.currentData())
+        )
+        self.cloud_points.currentIndexChanged.connect(
+            lambda _: state.choose(cloud_points=self.cloud_points.currentData())
         )
         self.opacity.valueChanged.connect(lambda v: state.choose(membrane_opacity=v / 100))
         pressure, length = state.units.pressure, state.units.length
@@ -105,6 +114,8 @@ class LayersPanel(QWidget):
         for name, box in self.boxes.items():
             box.setChecked(name in choices.layers)
         self.cloud_colour.setCurrentIndex(self.cloud_colour.findData(choices.cloud_colour))
+        self.cloud_points.setCurrentIndex(list(CLOUD_POINTS).index(choices.cloud_points))
+        self.cloud_points.setEnabled("cloud" in choices.layers)
         self.opacity.setValue(round(100 * choices.membrane_opacity))
         self.cloud_colour.setEnabled("cloud" in choices.layers)
         self.opacity.setEnabled("membrane" in choices.layers)

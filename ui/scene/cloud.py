@@ -14,14 +14,12 @@ from ui.scene.layer import Picture
 from ui.units import Unit
 from ui.view import View
 
-MOST_POINTS = 40_000
-"""Points drawn at most: beyond that, every n-th measured point."""
 CHUNK = 8192
-"""The buffers grow in steps, so a few points more or less change no array's size."""
+"""The buffers change in steps, so a few points more or less change no array's size."""
 
 
 class CloudLayer:
-    """Point cloud in buffers that only grow; spare points repeat the last one."""
+    """Point cloud in buffers with some room; spare points repeat the last one."""
 
     RESIDUAL = "residual"
     COLOUR = "colour"
@@ -47,6 +45,7 @@ class CloudLayer:
             reset_camera=False,
             render=False,
         )
+        self._actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
         self._bar = ColourBar(view, self._table, f"residual\n({unit.symbol})", bottom=0.04)
         self._visible = True
 
@@ -60,7 +59,8 @@ class CloudLayer:
         if result.cloud_m is None or len(result.cloud_m) == 0:
             self._actor.visibility = False
             return
-        step = -(-len(result.cloud_m) // MOST_POINTS)
+        most = picture.choices.cloud_points or len(result.cloud_m)
+        step = -(-len(result.cloud_m) // most)
         points = result.cloud_m[::step]
         self._reserve(len(points))
         _fill(self._poly.points, points)
@@ -102,7 +102,8 @@ class CloudLayer:
 
     def _reserve(self, count: int) -> None:
         size = -(-count // CHUNK) * CHUNK
-        if size <= self._poly.n_points and self.RESIDUAL in self._poly.point_data:
+        fits = size <= self._poly.n_points <= size + 2 * CHUNK
+        if fits and self.RESIDUAL in self._poly.point_data:
             return
         self._poly.point_data.clear()
         self._poly.points = np.zeros((size, 3), np.float32)

@@ -13,8 +13,6 @@ ENTRIES = 256
 NEUTRAL_ENTRIES = 4
 """Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
 BLEND_ENTRIES = 10
-RESIDUAL_NEUTRAL = 0.35
-"""Share of the residual range over which colour fades into grey: what fits does not shout."""
 
 
 @cache
@@ -42,11 +40,15 @@ def pressure_map() -> Any:
 
 
 def residual_map() -> Any:
-    """Diverging: blue where the surface was measured nearer than modelled, red farther."""
-    values = _sampled("coolwarm", 0.0).astype(float)
-    near = np.exp(-((np.linspace(-1.0, 1.0, ENTRIES) / RESIDUAL_NEUTRAL) ** 2))[:, None]
-    neutral = np.array([*rgb(theme.CLOUD_NEUTRAL), 255], float)
-    return _table((near * neutral + (1.0 - near) * values).astype(np.uint8))
+    """Diverging: blue where measured nearer than modelled, green where farther, grey in between.
+
+    Neither end is a colour of the pressure map, so the two are never mistaken for each other.
+    """
+    ends = (theme.NEARER, theme.CLOUD, theme.FARTHER)
+    nearer, middle, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
+    share = np.linspace(-1.0, 1.0, ENTRIES)[:, None]
+    values = np.where(share < 0, nearer, farther) * abs(share) + middle * (1.0 - abs(share))
+    return _table(values.astype(np.uint8))
 
 
 def _table(values: np.ndarray) -> Any:

@@ -6,6 +6,7 @@ from typing import Any
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
+from ui import theme
 from ui.scene.bars import ColourBar
 from ui.scene.colours import pressure_map
 from ui.scene.layer import Picture
@@ -62,10 +63,9 @@ class WireframeLayer:
         self._actor: Any = view.add_mesh(
             surface.poly,
             style="wireframe",
-            color="#0d1014",
+            color=theme.WIREFRAME,
             line_width=1,
             lighting=False,
-            opacity=0.55,
             name="wireframe",
             reset_camera=False,
             render=False,

@@ -1,0 +1,59 @@
+"""Small sensors and sources that are fast enough to drive a window with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.view import MembraneView
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.build import build_mesh
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+
+FIRST_CONTACT = 4
+FRAMES = 12
+
+
+def small_sensor(name: str = "small dome", nodes: int = 200) -> Sensor:
+    """Dome of 75 mm radius seen by a camera of 80×60 pixels."""
+    return Sensor(
+        name=name,
+        membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=nodes),
+        pneumatics=Pneumatics(gauge_pressure_pa=2585.5, chamber_volume_m3=2.2e-3),
+        camera=Camera(
+            width=80, height=60, fx=46.0, fy=38.0, cx=39.5, cy=29.5,
+            position_m=(0.0, 0.0, -0.104), noise_relative=0.001,
+        ),
+    )  # fmt: skip
+
+
+class DentSource:
+    """Dome with a dent beside its apex that grows frame by frame, after frames without one."""
+
+    def __init__(self, sensor: Sensor, *, broken_from: int | None = None) -> None:
+        self.name = "dent"
+        self.times_s = np.arange(FRAMES) / 30.0
+        self.closed = False
+        self.reads = 0
+        self._broken_from = broken_from
+        self._camera = DepthCamera.of(sensor.camera)
+        mesh = build_mesh(sensor)
+        self._view = MembraneView(self._camera, mesh)
+        away = np.linalg.norm(mesh.nodes[:, :2] - [0.02, 0.0], axis=1)
+        self._dent = -np.exp(-((away / 0.015) ** 2)) * ~mesh.rim
+
+    def __len__(self) -> int:
+        return FRAMES
+
+    def __getitem__(self, index: int) -> Frame:
+        if self._broken_from is not None and index >= self._broken_from:
+            raise InputError(f"dent: frame {index} cannot be read; the recording is damaged")
+        self.reads += 1
+        depth = 2e-3 * max(index - FIRST_CONTACT + 1, 0)
+        ranges = self._view.range_image(depth * self._dent)
+        along = self._camera.directions.reshape(*ranges.shape, 3) @ self._camera.T_B_C[:3, 2]
+        return Frame(index, float(self.times_s[index]), (ranges * along).astype(np.float32))
+
+    def close(self) -> None:
+        self.closed = True

@@ -1,0 +1,131 @@
+"""One window with its application, and the loop that waits for it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bubbleviz.errors import InputError
+from bubbleviz.sensor import Sensor
+
+if TYPE_CHECKING:
+    from PySide6.QtWidgets import QApplication
+
+PATIENCE_S = 60.0
+"""How long a picture may take before something is called broken."""
+
+
+class WindowSession:
+    """The application, one window on a recording or the synthetic press, and its event loop.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be opened, does not fit the sensor, or has no such frame.
+    """
+
+    def __init__(self, sensor: Sensor, recording: Path | None, frame: int | None) -> None:
+        from ui.controller import Controller
+        from ui.requests import Failed, Opened
+        from ui.sources import recording as recording_opener
+        from ui.sources import synthetic
+        from ui.state import SessionState
+        from ui.worker import Worker
+
+        self.application = application()
+        self.state = state = SessionState()
+        self.controller = Controller(state, Worker())
+        answers: list[Opened | Failed] = []
+        self.controller.opened.connect(answers.append)
+        self.controller.failed.connect(answers.append)
+        self.controller.open(
+            str(recording) if recording else "synthetic press",
+            recording_opener(recording) if recording else synthetic,
+            lambda: sensor,
+            frame=frame or 0,
+            playing=frame is None,
+            live=recording is None,
+        )
+        from ui.main_window import MainWindow  # imports VTK while the solver thread opens
+
+        self.window = MainWindow(state, self.controller)
+        self.wait_for(lambda: bool(answers), "opening")
+        if isinstance(answers[0], Failed):
+            self.window.close()
+            raise InputError(answers[0].message)
+        if frame is not None and state.facts is not None and frame != state.frame:
+            self.window.close()
+            raise InputError(
+                f"{recording or 'synthetic press'}: has no frame {frame}; "
+                f"choose 0 to {state.facts.frames - 1}"
+            )
+
+    def wait_for(self, done: Callable[[], bool], what: str) -> None:
+        """Run the event loop until something is done."""
+        end = time.monotonic() + PATIENCE_S
+        while not done():
+            if time.monotonic() > end:
+                raise InputError(f"{what} took more than {PATIENCE_S:.0f} s; given up")
+            self.application.processEvents()
+            time.sleep(0.002)
+
+    def settle(self, pictures: int = 3) -> None:
+        """Run until the window is laid out and has drawn what it shows."""
+        view = self.window.view
+        for _ in range(pictures):
+            count = view.render_count
+            view.refresh()
+            self.wait_for(lambda count=count: view.render_count > count, "drawing")  # type: ignore[misc]
+        self.window.show_rates()
+        self.application.processEvents()
+
+    def save(self, out: Path) -> None:
+        """Write the picture of the window whole or not at all."""
+        from PySide6.QtCore import QSaveFile
+
+        file = QSaveFile(str(out))
+        opened = file.open(QSaveFile.OpenModeFlag.WriteOnly)
+        if not (opened and self.window.grab().save(file, "PNG") and file.commit()):
+            raise InputError(f"{out}: cannot be written ({file.errorString()})")
+
+
+@contextmanager
+def window_session(
+    sensor: Sensor, recording: Path | None, frame: int | None
+) -> Iterator[WindowSession]:
+    """Session whose window is closed and gone at the end."""
+    session = WindowSession(sensor, recording, frame)
+    try:
+        yield session
+    finally:
+        from PySide6.QtCore import QEvent
+        from shiboken6 import isValid
+
+        if isValid(session.window):
+            session.window.close()
+        session.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+        session.application.processEvents()
+
+
+def application() -> QApplication:
+    """The Qt application with the window's look; made once."""
+    from PySide6.QtWidgets import QApplication
+
+    from ui import theme
+
+    existing = QApplication.instance()
+    if isinstance(existing, QApplication):
+        made = existing
+    else:
+        if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
+            os.environ.setdefault("QT_QPA_PLATFORM", "xcb")  # VTK draws through X
+        made = QApplication(["bubbleviz"])
+    made.setApplicationName("bubbleviz")
+    made.setStyle("Fusion")
+    made.setPalette(theme.palette())
+    made.setStyleSheet(theme.STYLE)
+    return made
