@@ -52,6 +52,8 @@ def damage(path: Path, what: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        if isinstance(error, MemoryError):  # rosbags believes the sizes it reads
+            reason = "a size in it is implausible"
         raise InputError(
             f"{path}: {what} cannot be read ({reason}); record or copy it again"
         ) from error

@@ -52,12 +52,16 @@ class McapStorage:
         """Positions of the messages of a channel, in file order."""
         if self._walked is not None:
             return Entries.of(self._walked.get(channel, []))
-        blocks = [
-            self._index(number, offset)
-            for number, place in enumerate(self._places)
-            if (offset := place.index_offsets.get(channel)) is not None
-        ]
-        return Entries.of(np.concatenate(blocks) if blocks else [])
+        numbers: list[int] = []
+        blocks: list[bytes] = []
+        for number, place in enumerate(self._places):
+            if (offset := place.index_offsets.get(channel)) is not None:
+                numbers.append(number)
+                blocks.append(self._index(offset))
+        pairs = np.frombuffer(b"".join(blocks), dtype="<i8").reshape(-1, 2)
+        counts = np.array([len(block) // 16 for block in blocks], np.int64)
+        chunk = np.repeat(np.array(numbers, np.int64), counts)
+        return Entries(pairs[:, 0].astype(np.int64), chunk, pairs[:, 1].astype(np.int64))
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
         """Payload of a message, or its first `limit` bytes."""
@@ -109,14 +113,12 @@ class McapStorage:
         codec = tail[:name].decode()
         return LazyChunk(self._bytes, data, compressed, codec, size=size, crc=crc)
 
-    def _index(self, number: int, offset: int) -> np.ndarray:
-        """Rows of log time, chunk and offset from one MessageIndex record."""
+    def _index(self, offset: int) -> bytes:
+        """Pairs of log time and offset, 8 bytes each, from a MessageIndex record."""
         opcode, _, _, count = struct.unpack("<BQHI", self._bytes(offset, 15))
         if opcode != _INDEX_OP or count % 16:
             raise ValueError("a message index is damaged")
-        pairs = np.frombuffer(self._bytes(offset + 15, count), dtype="<i8").reshape(-1, 2)
-        chunk = np.full(len(pairs), number, dtype=np.int64)
-        return np.stack([pairs[:, 0], chunk, pairs[:, 1]], axis=1)
+        return self._bytes(offset + 15, count)
 
     def _walk(self, start: int, stop: int) -> None:
         """Find chunks and messages where the file has no index of them."""
