@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.pixels import PixelStatistics
+from bubbleviz.calibration.robust import robust_sigma, tukey_weights
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.camera.raycast import RayCaster
@@ -16,7 +17,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 
-_RELINEARISATIONS = 3
+_RELINEARISATIONS = 4
 
 
 @dataclass(frozen=True)
@@ -98,16 +99,22 @@ class MembraneTracker:
         measured = (self.camera.range_image(depth_m) - self.pixels.bias_m).ravel()
         pixels = np.flatnonzero(self.pixels.mask.ravel() & np.isfinite(measured))
         mesh, u = self.mesh, np.zeros(len(self.mesh.nodes))
+        weights = np.ones(measured.size)  # the first round must follow the dent, false or not
         for _ in range(_RELINEARISATIONS):
             hits = self._caster.cast(mesh.deformed(u), mesh.normals, pixels)
             D = range_jacobian(hits, mesh.triangles, len(u))
             target = measured[hits.ray] - hits.range_m + D @ u
             D = D[:, mesh.free]
-            normal = (D.T @ D).tocsc()
+            weighted = D.multiply(weights[hits.ray][:, None]).tocsr()
+            normal = (weighted.T @ D).tocsc()
             weight = self.smoothing * float(normal.diagonal().sum() / self._prior.diagonal().sum())
-            right = D.T @ target + weight * gas_pressure_change_pa / self.tension * self._source
+            right = (
+                weighted.T @ target + weight * gas_pressure_change_pa / self.tension * self._source
+            )
             u = np.zeros(len(u))
             u[mesh.free] = splu((normal + weight * self._prior).tocsc()).solve(right)
+            left = target - D @ u[mesh.free]
+            weights[hits.ray] = tukey_weights(left, robust_sigma(left))
         return u
 
 
@@ -133,12 +140,12 @@ def estimate_chamber(
         u = tracker.displacement(frame.depth_m, rise)
         changes.append(tracker.mesh.cap_volume(u) - rest)
         rises.append(rise)
-    change, rise = np.array(changes), np.array(rises)
-    volumes = -change * (rest_pressure_pa + rise) / rise
+    change, pressures = np.array(changes), np.array(rises)
+    volumes = -change * (rest_pressure_pa + pressures) / pressures
     return ChamberEstimate(
         gas_volume_m3=float(np.median(volumes)),
         spread_m3=float(np.ptp(volumes)),
         volume_change_m3=change,
-        pressure_change_pa=rise,
+        pressure_change_pa=pressures,
         seen=tracker.seen,
     )

@@ -84,6 +84,7 @@ class DepthStatistics:
 
 def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:
     """Depth images as one (F, H, W) float32 array in m, NaN for no return."""
+    stack: np.ndarray
     if isinstance(frames, np.ndarray):
         stack = np.asarray(frames, np.float32)
     else:
@@ -128,13 +129,13 @@ def measure_depth(
     mean, sigma, deviations = _clipped_moments(depth, quantum)
     temporal = temporal_correlation(deviations, sigma)
     share = 1.0 - mean_inflation(temporal) / len(depth)  # spread lost to the mean it is taken from
-    sigma = np.sqrt(sigma**2 / max(share, 1.0 / len(depth)) + quantum**2 / 12.0)
+    noise = np.sqrt(sigma**2 / max(share, 1.0 / len(depth)) + quantum**2 / 12.0)
     spatial = spatial_correlation(deviations, sigma, stride=max(1, len(depth) // 20))
     return DepthStatistics(
         frames=len(depth),
         validity=valid.mean(axis=0, dtype=np.float32),
         range_m=mean * range_per_depth,
-        noise_m=(sigma * range_per_depth).astype(np.float32),
+        noise_m=(noise * range_per_depth).astype(np.float32),
         quantum_m=quantum,
         temporal_correlation=temporal,
         spatial_correlation=spatial,

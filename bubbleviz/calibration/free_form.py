@@ -157,7 +157,7 @@ def _choose(
 ) -> tuple[float, float]:
     """λ / unit that predicts the tiles left out best, and the rms error of that prediction, m."""
     parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(_FOLDS)]
-    whole = _Normal(sum(p.matrix for p in parts), sum(p.right for p in parts))
+    whole = _normal(D, target, weights)
     errors = np.zeros(len(_DECADES))
     for k, part in enumerate(parts):
         rest = _Normal(whole.matrix - part.matrix, whole.right - part.right)

@@ -57,8 +57,8 @@ class PixelStatistics:
         try:
             with np.load(path) as data:
                 mask, bias, noise = (data[name] for name in ("mask", "bias_m", "noise_m"))
-                reasons = data["removed_reasons"] if "removed_reasons" in data else ()
-                counts = data["removed_pixels"] if "removed_pixels" in data else ()
+                reasons = data.get("removed_reasons", ())
+                counts = data.get("removed_pixels", ())
         except (OSError, ValueError, KeyError, EOFError) as error:
             raise InputError(
                 f"{path}: not a pixels file ({error}); identify the sensor again"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.calibration.pixels import PixelStatistics
-from bubbleviz.calibration.robust import robust_sigma
+from bubbleviz.calibration.robust import robust_sigma, tukey_weights
 from bubbleviz.frames.frame import Frame
 
 
@@ -27,7 +27,8 @@ class Residuals:
     rectified_rms_m : float
         After the bias image is subtracted, m.
     drift_m : (F,) array
-        Mean rectified residual of each frame, m: what a slow drift would show in.
+        Mean rectified residual of each frame without its outliers (Tukey), m: what a slow
+        drift would show in.
     """
 
     rms_m: float
@@ -66,5 +67,10 @@ def measure_residuals(
         sigma_m=robust_sigma(raw),
         percentiles_m=(float(p50), float(p95), float(p99)),
         rectified_rms_m=float(np.sqrt(np.nanmean(rectified**2))),
-        drift_m=np.nanmean(rectified, axis=1),
+        drift_m=np.array([_location(frame[np.isfinite(frame)]) for frame in rectified]),
     )
+
+
+def _location(values: np.ndarray) -> float:
+    weights = tukey_weights(values - np.median(values), robust_sigma(values))
+    return float(np.average(values, weights=weights))

@@ -125,7 +125,6 @@ def _fit(
     name: str,
 ) -> SurfaceFit:
     """Reweighted Gauss–Newton: Cauchy's loss to get near, Tukey's biweight to finish."""
-    # Parameters in units of the cloud's own size: least_squares then steps alike in each.
     parameters = start
 
     def residual(p: np.ndarray) -> np.ndarray:
@@ -136,11 +135,10 @@ def _fit(
         now = residual(parameters)
         sigma = max(robust_sigma(now, center=0.0), 1e-9)
         weights = tukey_weights(now, sigma)
-        root = np.sqrt(weights)
         if k == 0:
             found = least_squares(residual, parameters, loss="cauchy", f_scale=sigma, x_scale="jac")
         else:
-            found = least_squares(lambda p, r=root: r * residual(p), parameters, x_scale="jac")
+            found = least_squares(_weighted(residual, np.sqrt(weights)), parameters, x_scale="jac")
         moved = float(np.abs(found.x - parameters).max())
         parameters = found.x
         if moved < 1e-6:  # a micrometre, or a microradian
@@ -160,6 +158,15 @@ def _fit(
         sigma_m=robust_sigma(now, center=0.0),
         inliers=float(kept.mean()),
     )
+
+
+def _weighted(
+    residual: Callable[[np.ndarray], np.ndarray], root: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    def weighted(p: np.ndarray) -> np.ndarray:
+        return root * residual(p)
+
+    return weighted
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:

@@ -1,0 +1,112 @@
+"""Depth statistics, correlation, rim height and pixel files on made-up data."""
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.correlation import mean_inflation
+from bubbleviz.calibration.depth_statistics import measure_depth
+from bubbleviz.calibration.pixels import PixelStatistics
+from bubbleviz.calibration.rim import rim_height
+from bubbleviz.calibration.robust import robust_sigma, tukey_weights
+from bubbleviz.errors import InputError
+
+
+def noisy(frames=60, shape=(40, 50), rho=0.6, sigma=5e-5, seed=0):
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal(shape)
+    out = []
+    for _ in range(frames):
+        noise = rho * noise + np.sqrt(1.0 - rho**2) * rng.standard_normal(shape)
+        out.append(0.08 + sigma * noise)
+    return np.array(out, np.float32)
+
+
+def test_sigma_is_corrected_for_temporal_correlation():
+    depth = noisy(frames=40, rho=0.8)
+    found = measure_depth(depth, np.ones((40, 50), np.float32))
+    naive = depth.std(axis=0, dtype=np.float64)
+    rms = float(np.sqrt(np.mean(found.noise_m.astype(float) ** 2)))
+    assert rms == pytest.approx(5e-5, rel=0.06)
+    assert np.sqrt(np.mean(naive**2)) < 0.93 * 5e-5
+    assert found.temporal_correlation[1] == pytest.approx(0.8, abs=0.06)
+
+
+def test_correlated_frames_count_for_fewer():
+    found = measure_depth(noisy(frames=60, rho=0.6), np.ones((40, 50), np.float32))
+    assert found.effective_frames == pytest.approx(60 / 4.0, rel=0.25)
+
+
+def test_white_noise_has_no_spatial_correlation():
+    found = measure_depth(noisy(rho=0.0), np.ones((40, 50), np.float32))
+    assert np.abs(found.spatial_correlation[1:8]).max() < 0.05
+    assert found.correlation_length_px < 1.0
+    assert mean_inflation(found.temporal_correlation) < 1.2
+
+
+def test_quantised_depth_keeps_its_mean_and_a_floor_of_noise():
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0.08, 0.081, (40, 50))
+    depth = np.rint((truth + 5e-5 * rng.standard_normal((60, 40, 50))) / 1e-4) * 1e-4
+    found = measure_depth(depth.astype(np.float32), np.ones((40, 50), np.float32))
+    assert found.quantum_m == pytest.approx(1e-4, rel=1e-3)
+    assert np.sqrt(np.mean((found.range_m - truth) ** 2)) < 1.2e-5  # the median: 3e-5
+    assert found.noise_m.min() >= 0.99e-4 / np.sqrt(12.0)
+
+
+def test_outliers_and_missing_returns():
+    depth = noisy(rho=0.0)
+    depth[::10, 3, 3] = 0.12
+    depth[:, 5, 5] = np.nan
+    depth[::2, 6, 6] = np.nan
+    found = measure_depth(depth, np.ones((40, 50), np.float32))
+    assert found.range_m[3, 3] == pytest.approx(0.08, abs=3e-5)
+    assert np.isnan(found.range_m[5, 5]) and found.validity[5, 5] == 0.0
+    assert found.validity[6, 6] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("depth", "message"),
+    [
+        (noisy(frames=4), "at least 5"),
+        (np.full((6, 40, 50), np.nan, np.float32), "no pixel has a return"),
+        (noisy(shape=(4, 4)), "sensor file"),
+    ],
+)
+def test_unusable_frames_are_refused_in_one_line(depth, message):
+    with pytest.raises(InputError, match=message) as error:
+        measure_depth(depth, np.ones((40, 50), np.float32))
+    assert "\n" not in str(error.value)
+
+
+def test_robust_statistics():
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal(10_000)
+    values[:1000] = 100.0
+    assert robust_sigma(values) == pytest.approx(1.0, rel=0.2)
+    weights = tukey_weights(np.array([0.0, 100.0, np.nan]), 1.0)
+    np.testing.assert_array_equal(weights, [1.0, 0.0, 0.0])
+
+
+def test_rim_is_the_height_that_edges_share():
+    rng = np.random.default_rng(0)
+    edge = np.concatenate([rng.uniform(0.0, 0.02, 300), rng.normal(0.001, 3e-4, 300)])
+    height, sigma = rim_height(edge)
+    assert height == pytest.approx(0.001, abs=5e-4)
+    assert 0.0 < sigma < 1e-3
+    assert np.isnan(rim_height(np.empty(0))[0])
+
+
+def test_pixels_file_round_trip_and_refusal(tmp_path):
+    mask = np.zeros((4, 6), bool)
+    mask[1:3, 2:5] = True
+    bias = np.where(mask, 1.23e-4, 0.0).astype(np.float32)
+    noise = np.where(mask, 4.5e-5, np.inf).astype(np.float32)
+    PixelStatistics(mask, bias, noise, {"never_valid": 18}).save(tmp_path / "p.npz")
+    back = PixelStatistics.load(tmp_path / "p.npz")
+    np.testing.assert_array_equal(back.mask, mask)
+    np.testing.assert_allclose(back.bias_m, bias, atol=1e-6)
+    np.testing.assert_allclose(back.noise_m, noise, atol=1e-6)
+    assert back.removed == {"never_valid": 18}
+    (tmp_path / "bad.npz").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match=r"bad\.npz: not a pixels file"):
+        PixelStatistics.load(tmp_path / "bad.npz")
