@@ -109,7 +109,9 @@ def mesh_cap(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
     rim[-len(rings[-1]) :] = True
     points[rim, 2] = 0.0
     triangles = lawson_flips(points, triangles)
-    points, triangles = smooth(points, triangles, rim, cap.project)
+    held = rim.copy()
+    held[0] = True  # a node at the apex, so that the mesh is as high as the cap
+    points, triangles = smooth(points, triangles, held, cap.project)
     return MembraneMesh(nodes=points, triangles=triangles, rim=rim)
 
 
