@@ -36,6 +36,9 @@ class ChamberEstimate:
         Measured change of the gas pressure, Pa.
     seen : float
         Share of the membrane's area that the camera sees; the rest is the model's.
+    sensitivity_m2 : float
+        Error of V0 in m³ per metre by which all ranges change too much: it is large, because
+        the volume change is a dent less a bulge of nearly the same volume.
     """
 
     gas_volume_m3: float
@@ -43,6 +46,12 @@ class ChamberEstimate:
     volume_change_m3: np.ndarray
     pressure_change_pa: np.ndarray
     seen: float
+    sensitivity_m2: float
+
+    def chamber_volume_m3(self, cap_volume_m3: float) -> float | None:
+        """V0 less the volume under the cap, m³; None where V0 does not even hold the cap."""
+        rest = self.gas_volume_m3 - cap_volume_m3
+        return rest if rest > 0.0 else None
 
 
 class MembraneTracker:
@@ -148,4 +157,7 @@ def estimate_chamber(
         volume_change_m3=change,
         pressure_change_pa=pressures,
         seen=tracker.seen,
+        sensitivity_m2=float(
+            tracker.mesh.areas.sum() * np.median((rest_pressure_pa + pressures) / pressures)
+        ),
     )

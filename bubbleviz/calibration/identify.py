@@ -161,9 +161,8 @@ def identify(
     tension = balance_tension(surface.mesh, pneumatics.gauge_pressure_pa)
     tracker = MembraneTracker(surface.mesh, camera, pixels, tension, surface.smoothing)
     chamber = _chamber(source, chosen, tracker, rest)
-    volume = pneumatics.chamber_volume_m3
-    if chamber is not None and chamber.gas_volume_m3 > surface.mesh.cap_volume():
-        volume = chamber.gas_volume_m3 - surface.mesh.cap_volume()
+    measured = chamber.chamber_volume_m3(surface.mesh.cap_volume()) if chamber else None
+    volume = pneumatics.chamber_volume_m3 if measured is None else measured
     pneumatics = pneumatics.model_copy(
         update={"chamber_volume_m3": float(f"{volume:.3g}"), "tension_n_per_m": round(tension, 2)}
     )

@@ -77,23 +77,30 @@ def _comment(identification: Identification) -> str:
         f" {1e3 * fits.cap.rms_m:.2f} mm, the mesh {1e3 * np.sqrt(np.mean(seen**2)):.3f} mm.",
         "tension_n_per_m: Young–Laplace, summed over the mesh so that its bumps do not bias it.",
     ]
-    chamber = identification.chamber
-    if chamber is not None:
-        lines += [
-            "chamber_volume_m3: the gas law on the press that follows. While the gas pressure rose"
-            f" by {np.median(chamber.pressure_change_pa):.0f} Pa the",
-            f"volume under the membrane changed by"
-            f" {1e6 * np.median(chamber.volume_change_m3):.2f} cm³ (measured on the"
-            f" {100 * chamber.seen:.0f} % that is seen), so the gas is",
-            f"{1e6 * chamber.gas_volume_m3:.0f} cm³ with the"
-            f" {1e6 * identification.mesh.cap_volume():.0f} cm³ under the cap"
-            f" (spread over the frames {1e6 * chamber.spread_m3:.0f} cm³).",
-            "The change is a dent less a bulge nearly as large: a tenth of a millimetre all over"
-            f" the membrane is {1e6 * 1e-4 * identification.mesh.areas.sum():.1f} cm³,",
-            "so this is the volume that makes the gas as stiff as it was seen to be, and no"
-            " dimension of the housing.",
-        ]
+    lines += _chamber_lines(identification)
     return "".join(f"# {line}\n" for line in lines) + "\n"
+
+
+def _chamber_lines(identification: Identification) -> list[str]:
+    chamber, cap = identification.chamber, identification.mesh.cap_volume()
+    if chamber is None:
+        return ["chamber_volume_m3: as given; no press with gas pressure to measure it by."]
+    lines = [
+        "chamber_volume_m3: by the gas law on the press that follows. The gas pressure rose by"
+        f" {np.median(chamber.pressure_change_pa):.0f} Pa",
+        f"while the volume under the membrane ({100 * chamber.seen:.0f} % of it seen) changed by"
+        f" {1e6 * np.median(chamber.volume_change_m3):.2f} cm³: {1e6 * chamber.gas_volume_m3:.0f}"
+        f" cm³ of gas in all,",
+        f"{1e6 * cap:.0f} cm³ of it under the cap. The change is a dent less a bulge nearly as"
+        " large, so that 0.1 mm of common",
+        f"error in the depth makes {1e2 * chamber.sensitivity_m2:.0f} cm³ of difference"
+        f" (spread over the frames {1e6 * chamber.spread_m3:.0f} cm³).",
+    ]
+    if chamber.chamber_volume_m3(cap) is None:
+        lines.append(
+            "That leaves nothing for the chamber: the value given before is kept, unmeasured."
+        )
+    return lines
 
 
 def _write_ply(mesh: MembraneMesh, path: Path) -> None:

@@ -1,5 +1,7 @@
 """The whole identification on a synthetic twin of the real press."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,14 @@ def test_written_sensor_reads_back(found, tmp_path):
     with pytest.raises(InputError, match="exists already"):
         write_sensor(found, tmp_path / "mine.toml")
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_gas_volume_below_the_caps_is_not_believed(found, tmp_path):
+    assert found.chamber is not None
+    small = replace(found, chamber=replace(found.chamber, gas_volume_m3=1e-5))
+    assert small.chamber.chamber_volume_m3(found.mesh.cap_volume()) is None
+    write_sensor(small, tmp_path / "small.toml")
+    assert "kept, unmeasured" in (tmp_path / "small.toml").read_text()
 
 
 def test_bad_ranges_are_refused(twin):
