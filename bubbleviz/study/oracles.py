@@ -9,6 +9,7 @@ triangles, of normals of a reference shape or of small displacements.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -156,6 +157,10 @@ def _free_part(
     segment = np.pi * sag**2 * (ball - sag / 3.0) if slope else 0.0
     start = [contact_radius, tip + sag, -slope, 0.0]
     longest = 6.0 * (bubble.rim_radius_m + bubble.height_m)
-    result = solve_ivp(along, (0.0, longest), start, events=at_rim_plane, rtol=1e-10, atol=1e-13)
+    result = solve_ivp(
+        along, (0.0, longest), start, events=at_rim_plane, rtol=1e-10, atol=1e-13, dense_output=True
+    )
     # V = ∫ π r² (−dz) of the free part, less the dent between tip and contact circle.
-    return result.y[:2].T, float(result.y[3, -1]) - segment
+    dense: Any = result.sol
+    profile = dense(np.linspace(0.0, result.t[-1], 401))[:2].T
+    return profile, float(result.y[3, -1]) - segment
