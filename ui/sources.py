@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.sensor import Sensor
 
@@ -24,4 +25,26 @@ def synthetic(sensor: Sensor) -> FrameSource:
     """Open the built-in synthetic press, which the window loops as a live sensor."""
     from bubbleviz.frames.synthetic import default_press
 
-    return default_press(sensor)
+    return MadeOnce(default_press(sensor))
+
+
+class MadeOnce:
+    """Keeps the frames of a short source that computes them, so a loop costs them once."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self._frames: dict[int, Frame] = {}
+        self.name = source.name
+        self.times_s = source.times_s
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Frame:
+        if index not in self._frames:
+            self._frames[index] = self._source[index]
+        return self._frames[index]
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()

@@ -10,9 +10,9 @@ import numpy as np
 from ui import theme
 
 ENTRIES = 256
-NEUTRAL_ENTRIES = 4
+NEUTRAL_ENTRIES = 5
 """Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
-BLEND_ENTRIES = 10
+BLEND_ENTRIES = 20
 
 
 @cache

@@ -10,6 +10,9 @@ from ui import theme
 from ui.scene.layer import Picture
 from ui.view import View
 
+TO_THE_FRONT = -4000.0
+"""Depth offset in the units of VTK's coincident topology."""
+
 
 class ForceLayer:
     """Arrow along the resultant, drawn on the side it comes from."""
@@ -32,6 +35,9 @@ class ForceLayer:
             render=False,
         )
         self._actor.visibility = False
+        mapper = self._actor.mapper  # in front of the membrane: the tip may lie behind a dent
+        mapper.SetResolveCoincidentTopologyToPolygonOffset()
+        mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, TO_THE_FRONT)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Scale to the size of the sensor: the end of the force scale is the dome's height."""

@@ -1,0 +1,141 @@
+"""A real window per test, and nothing of it left afterwards."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from fakes import small_sensor
+from PySide6.QtCore import QEvent
+from PySide6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.frames.synthetic import default_press
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import Sensor
+from ui.controller import Controller
+from ui.main_window import MainWindow
+from ui.session import application
+from ui.sources import MadeOnce
+from ui.state import SessionState
+from ui.view import View
+from ui.worker import Worker
+
+PATIENCE_MS = 30_000
+
+
+@dataclass
+class Driver:
+    """A window and what a test does with it besides clicking."""
+
+    bot: QtBot
+    window: MainWindow
+
+    @property
+    def state(self) -> SessionState:
+        return self.window.state
+
+    @property
+    def pipeline(self) -> Pipeline:
+        session = self.window.controller.worker._server._session
+        assert session is not None
+        return session.pipeline
+
+    def wait(self, done: Callable[[], Any]) -> None:
+        self.bot.waitUntil(done, timeout=PATIENCE_MS)
+
+    def settle(self) -> None:
+        """Wait until the frame at the cursor is shown and painted."""
+        result = lambda: self.window.controller.result  # noqa: E731
+        self.wait(lambda: result() is not None and result().frame.index == self.state.frame)
+        count = self.window.view.render_count
+        self.window.view.refresh()
+        self.wait(lambda: self.window.view.render_count > count)
+
+    def seek(self, frame: int) -> None:
+        self.state.seek(frame)
+        self.settle()
+
+    def warm_pixels(self) -> np.ndarray:
+        """Row and column of the pixels in the colours of contact pressure, (k, 2)."""
+        return warm(self.window.view.pixels())
+
+
+def warm(pixels: np.ndarray) -> np.ndarray:
+    """Row and column of strong orange and red, left of the colour bars."""
+    red, green, blue = (pixels[:, : int(0.85 * pixels.shape[1]), k].astype(int) for k in range(3))
+    return np.argwhere((red > 130) & (red > 2 * blue) & (red > green + 30))
+
+
+@pytest.fixture(scope="session")
+def sensor() -> Sensor:
+    return small_sensor()
+
+
+@pytest.fixture(scope="session")
+def press(sensor: Sensor) -> FrameSource:
+    """The window's own synthetic press on a small sensor."""
+    return MadeOnce(default_press(sensor))
+
+
+@pytest.fixture
+def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable[..., Driver]]:
+    """Open windows: `drive(open_source=…, sensor=…, frame=…, playing=…)`."""
+    application()
+    windows: list[MainWindow] = []
+
+    def make(
+        open_source: Callable[[Sensor], FrameSource] = lambda _: press,
+        sensor: Sensor = sensor,
+        frame: int = 0,
+        playing: bool = False,
+    ) -> Driver:
+        controller = Controller(SessionState(), Worker())
+        window = MainWindow(controller.state, controller)
+        windows.append(window)
+        controller.open("press", open_source, lambda: sensor, frame=frame, playing=playing)
+        window.show()
+        driver = Driver(qtbot, window)
+        driver.wait(lambda: controller.result is not None)
+        driver.settle() if not playing else None
+        return driver
+
+    yield make
+    while windows:
+        _close(windows.pop())
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    """Fail a test that leaves a window, a VTK render window or a solver thread alive."""
+    yield
+    app = QApplication.instance()
+    if app is None:
+        return
+    app.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    app.processEvents()
+    gc.collect()
+    left = [object.__repr__(w) for w in QApplication.topLevelWidgets()]
+    left += [object.__repr__(o) for o in gc.get_objects() if _is_view(o)]
+    left += [t.name for t in threading.enumerate() if t.name == "solver"]
+    assert not left, f"left alive: {left}"
+
+
+def _is_view(thing: object) -> bool:
+    from vtkmodules.vtkRenderingCore import vtkRenderWindow
+
+    kind = type(thing)  # isinstance asks proxies, which may be dead
+    return issubclass(kind, (View, vtkRenderWindow))
+
+
+def _close(window: MainWindow) -> None:
+    from shiboken6 import isValid
+
+    if isValid(window):
+        window.close()

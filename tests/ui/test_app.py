@@ -1,0 +1,118 @@
+"""The window without a person: pictures, no display, and what it says then."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import Driver, warm
+from PySide6.QtGui import QImage
+
+from bubbleviz.frames.recording import Recording
+from bubbleviz.sensor import load_sensor
+
+HERE = Path(__file__).parent
+PROGRAM = """
+import sys
+sys.path.insert(0, {here!r})
+from pathlib import Path
+from fakes import small_sensor
+from bubbleviz.errors import InputError
+from ui.app import run_window, screenshot
+from ui.benchmark import replay_fps
+try:
+    {what}
+except InputError as error:
+    sys.exit(str(error))
+"""
+
+
+def run(what: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a call in a process that has no display."""
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY")
+    kept = {k: v for k, v in os.environ.items() if k not in hidden}
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(here=str(HERE), what=what)],
+        env={**kept, **environment}, capture_output=True, text=True, timeout=200, check=False,
+        cwd=HERE.parents[1],
+    )  # fmt: skip
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    head = path.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", head[16:24])
+    return width, height
+
+
+def test_screenshot_is_the_whole_window(tmp_path: Path) -> None:
+    out = tmp_path / "frame.png"
+    done = run(f"screenshot(small_sensor(), None, 75, Path({str(out)!r}))")
+    assert done.returncode == 0, done.stderr
+    assert png_size(out) == (1280, 800)
+    image = QImage(str(out)).convertToFormat(QImage.Format.Format_RGB888)
+    import numpy as np
+
+    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
+    pixels = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
+    assert len(warm(pixels[:700, :1000])) > 200
+
+
+def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(tmp_path: Path) -> None:
+    out = tmp_path / "frame.png"
+    done = run(f"screenshot(small_sensor(), None, 100000, Path({str(out)!r}))")
+    assert done.returncode == 1 and "has no frame 100000" in done.stderr
+    assert not out.exists()
+    out.write_text("mine")
+    done = run(f"screenshot(small_sensor(), None, 0, Path({str(out)!r}))")
+    assert "exists already" in done.stderr and out.read_text() == "mine"
+
+
+def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path: Path) -> None:
+    done = run("sys.exit(run_window(small_sensor()))", TMPDIR=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    said, *wrote = done.stdout.splitlines()
+    assert "no display" in said and wrote
+    for line in wrote:
+        assert png_size(Path(line.removeprefix("wrote "))) == (1280, 800)
+
+
+def test_without_a_display_and_without_xvfb_one_clear_line(tmp_path: Path) -> None:
+    done = run("sys.exit(run_window(small_sensor()))", PATH=str(tmp_path))
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1 and "xvfb" in done.stderr
+
+
+def test_a_recording_that_cannot_be_opened_never_becomes_a_window(tmp_path: Path) -> None:
+    missing = tmp_path / "missing.mcap"
+    done = run(f"run_window(small_sensor(), Path({str(missing)!r}))")
+    assert done.returncode == 1 and "missing.mcap" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_benchmark_counts_renders() -> None:
+    done = run("print(sorted(replay_fps(small_sensor(), None, 1.0).items()))")
+    assert done.returncode == 0, done.stderr
+    assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
+
+
+def test_the_real_press_is_painted_where_the_poker_is(drive, punyo_press: Path) -> None:  # type: ignore[no-untyped-def]
+    driver: Driver = drive(
+        lambda _: Recording(punyo_press), load_sensor("punyo_oval_d405"), frame=75
+    )
+    assert len(driver.warm_pixels()) > 50
+    driver.seek(10)
+    assert len(driver.warm_pixels()) == 0
+
+
+@pytest.mark.parametrize("name", ["DISPLAY"])
+def test_a_display_that_does_not_answer_is_none(name: str) -> None:
+    from ui.display import has_display
+
+    assert not has_display({name: ":4711"})
+    assert not has_display({name: ""})
+    assert has_display({"WAYLAND_DISPLAY": "wayland-0"})

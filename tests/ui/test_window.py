@@ -1,0 +1,267 @@
+"""The real window on the real pipeline, driven by clicks and keys, its pixels read back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Driver
+from fakes import DentSource, small_sensor
+from PySide6.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QUrl
+from PySide6.QtGui import QDropEvent
+from PySide6.QtWidgets import QApplication, QWidget
+
+from bubbleviz.sensor import Sensor
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+CONTACT = 75
+"""A frame of the synthetic press with the object well pressed in."""
+
+
+def click(driver: Driver, widget: QWidget) -> None:
+    """Click where a person would: check boxes on their box, everything else in the middle."""
+    box = widget.objectName().startswith("layer_") or widget is driver.window.kappa.automatic
+    place = QPoint(10, widget.height() // 2) if box else widget.rect().center()
+    driver.bot.mouseClick(widget, LEFT, pos=place)
+
+
+def press_key(driver: Driver, key: Qt.Key) -> None:
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(driver.window, key)
+
+
+def test_shows_where_the_contact_is(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    warm = driver.warm_pixels()
+    assert len(warm) > 200
+    patch = driver.window.controller.result.patch
+    renderer = driver.window.view.renderer
+    renderer.SetWorldPoint(*patch.center_of_pressure_m, 1.0)
+    renderer.WorldToDisplay()
+    x, y, _ = renderer.GetDisplayPoint()
+    height = driver.window.view.pixels().shape[0]
+    row, column = warm.mean(axis=0)
+    assert np.hypot(column - x, (height - row) - y) < 80
+
+
+def test_no_contact_is_neutral(drive: Drive) -> None:
+    driver = drive(frame=0)
+    assert len(driver.warm_pixels()) == 0
+
+
+def test_hiding_the_membrane_takes_its_pixels_away(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    boxes = driver.window.layers.boxes
+    click(driver, boxes["contour"])
+    click(driver, boxes["membrane"])
+    assert "membrane" not in driver.state.choices.layers
+    driver.settle()
+    assert len(driver.warm_pixels()) == 0
+    click(driver, boxes["membrane"])
+    driver.settle()
+    assert len(driver.warm_pixels()) > 200
+
+
+@pytest.mark.parametrize("name", ["wireframe", "cloud", "contour", "force", "frustum", "rim"])
+def test_each_layer_draws_something(drive: Drive, name: str) -> None:
+    driver = drive(frame=CONTACT)
+    driver.state.choose(layers=frozenset())
+    driver.settle()
+    empty = driver.window.view.pixels()
+    click(driver, driver.window.layers.boxes[name])
+    driver.settle()
+    assert np.any(driver.window.view.pixels() != empty)
+
+
+def test_hidden_cloud_is_not_computed(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    click(driver, driver.window.layers.boxes["cloud"])
+    before = driver.pipeline.counts["cloud"]
+    driver.seek(CONTACT + 1)
+    assert driver.pipeline.counts["cloud"] == before
+    assert driver.window.controller.result.cloud_m is None
+    click(driver, driver.window.layers.boxes["cloud"])
+    driver.wait(lambda: driver.window.controller.result.cloud_m is not None)
+
+
+def test_kappa_thresholds_anew_without_solving(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    panel = driver.window.kappa
+    solved, area = driver.pipeline.counts["estimate"], panel.area.text()
+    click(driver, panel.automatic)
+    panel.slider.setFocus()
+    for _ in range(3):
+        driver.bot.keyClick(panel.slider, Qt.Key.Key_PageUp)
+    kappa = driver.state.choices.kappa
+    assert kappa == pytest.approx(panel.box.value())
+    driver.wait(lambda: panel.area.text() != area)
+    driver.wait(lambda: driver.pipeline.kappa == driver.state.choices.kappa)
+    patch = driver.window.controller.result.patch
+    assert panel.threshold.text() == f"{patch.threshold_pa / 1e3:.2f} kPa"
+    assert driver.pipeline.counts["estimate"] == solved
+
+
+def test_kappa_moves_the_points_that_belong_to_the_patch(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.state.choose(cloud_colour="patch")
+    result = lambda: driver.window.controller.result  # noqa: E731
+    driver.wait(lambda: result().patch.pixel_mask is not None)
+    few = result().patch.pixel_mask.sum()
+    solved = driver.pipeline.counts["estimate"]
+    driver.state.choose(kappa=0.2)
+    driver.wait(lambda: result().patch.pixel_mask.sum() > few)
+    assert driver.pipeline.counts["estimate"] == solved
+
+
+def test_play_button_plays_and_pauses(drive: Drive) -> None:
+    driver = drive()
+    click(driver, driver.window.playback.play)
+    driver.wait(lambda: driver.state.frame > 3)
+    driver.wait(lambda: driver.window.controller.result.frame.index > 3)
+    click(driver, driver.window.playback.play)
+    assert not driver.state.playing
+    driver.settle()
+
+
+def test_keys_play_step_and_jump(drive: Drive) -> None:
+    driver = drive()
+    last = driver.state.facts.frames - 1
+    press_key(driver, Qt.Key.Key_Right)
+    assert driver.state.frame == 1
+    press_key(driver, Qt.Key.Key_End)
+    assert driver.state.frame == last
+    press_key(driver, Qt.Key.Key_Left)
+    assert driver.state.frame == last - 1
+    press_key(driver, Qt.Key.Key_Home)
+    assert driver.state.frame == 0
+    press_key(driver, Qt.Key.Key_Space)
+    assert driver.state.playing
+    press_key(driver, Qt.Key.Key_Space)
+    assert not driver.state.playing
+    driver.settle()
+    assert f"frame {driver.state.frame}/{last}" in driver.window.status.labels["frame"].text()
+
+
+def test_space_on_a_check_box_reached_by_tab_toggles_it(drive: Drive) -> None:
+    driver = drive()
+    box = driver.window.layers.boxes["wireframe"]
+    box.setFocus()
+    driver.bot.keyClick(box, Qt.Key.Key_Space)
+    assert box.isChecked() and not driver.state.playing
+
+
+def test_seek_slider_seeks(drive: Drive) -> None:
+    driver = drive()
+    slider = driver.window.playback.slider
+    driver.bot.mouseClick(slider, LEFT, pos=QPoint(slider.width() - 5, slider.height() // 2))
+    assert driver.state.frame > 0
+    driver.settle()
+
+
+def test_every_number_has_a_unit(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.window.show_rates()
+    labels = driver.window.status.labels
+    for name, unit in {
+        "frame": "s", "force": "N", "area": "mm²", "gas": "Pa", "residual": "mm",
+        "camera": "Hz", "solve": "Hz", "render": "fps", "dropped": "frames",
+    }.items():  # fmt: skip
+        assert labels[name].text().endswith(f" {unit}"), labels[name].text()
+    assert " ms " in labels["solve"].text()
+
+
+def test_nothing_is_clipped(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.window.resize(1280, 800)
+    driver.window.show_rates()
+    QApplication.processEvents()
+    assert driver.window.width() == 1280
+    for label in driver.window.status.labels.values():
+        assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
+
+
+def test_new_data_keeps_the_camera_and_the_choices(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    view = driver.window.view
+    middle = view.rect().center()
+    driver.bot.mousePress(view, LEFT, pos=middle)
+    driver.bot.mouseMove(view, middle + QPoint(60, 25))
+    driver.bot.mouseRelease(view, LEFT, pos=middle + QPoint(60, 25))
+    moved = tuple(view.camera.position)
+    driver.state.choose(kappa=2.5, membrane_opacity=0.5)
+    driver.seek(CONTACT + 3)
+    other = small_sensor("another", nodes=150)
+    driver.window.controller.open("dent", DentSource, lambda: other, frame=7, playing=False)
+    driver.wait(lambda: driver.state.facts.sensor_name == "another")
+    driver.settle()
+    assert tuple(view.camera.position) == pytest.approx(moved)
+    assert driver.state.choices.kappa == 2.5 and driver.pipeline.kappa == 2.5
+    assert driver.state.choices.membrane_opacity == 0.5
+
+
+def test_a_file_that_cannot_be_opened_is_a_message(drive: Drive, tmp_path: Path) -> None:
+    driver = drive(frame=CONTACT)
+    title, message = driver.window.windowTitle(), driver.window.message
+    (tmp_path / "broken.mcap").write_bytes(b"not a recording")
+    for bad in (tmp_path / "missing.mcap", tmp_path / "broken.mcap", tmp_path / "missing.toml"):
+        message.hide()
+        driver.window.open_file(bad)
+        driver.wait(message.isVisible)
+        assert bad.name in message.label.text()
+    assert driver.window.windowTitle() == title
+    driver.seek(CONTACT + 2)
+    click(driver, message.dismiss)
+    assert not message.isVisible()
+
+
+def test_a_dropped_file_is_opened(drive: Drive, tmp_path: Path) -> None:
+    driver = drive()
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(tmp_path / "dropped.mcap"))])
+    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    drop = QDropEvent(
+        QPointF(5, 5), Qt.DropAction.CopyAction, data, buttons, keys, QEvent.Type.Drop
+    )
+    driver.window.view.dropEvent(drop)
+    driver.wait(driver.window.message.isVisible)
+    assert "dropped.mcap" in driver.window.message.label.text()
+
+
+def test_a_frame_that_cannot_be_read_is_a_message_and_stops_playback(drive: Drive) -> None:
+    driver = drive(lambda sensor: DentSource(sensor, broken_from=3), playing=True)
+    driver.wait(driver.window.message.isVisible)
+    assert "damaged" in driver.window.message.label.text()
+    assert not driver.state.playing
+    driver.seek(2)
+
+
+def test_a_bug_in_the_solver_is_a_message_with_details(drive: Drive) -> None:
+    driver = drive()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    driver.pipeline.process = broken  # type: ignore[method-assign]
+    driver.state.seek(1)
+    driver.wait(driver.window.message.isVisible)
+    click(driver, driver.window.message.copy)
+    assert "Traceback" in QApplication.clipboard().text()
+
+
+def test_closing_while_playing_stops_everything(drive: Drive) -> None:
+    driver = drive(playing=True)
+    driver.wait(lambda: driver.state.frame > 2)
+    driver.window.close()
+
+
+def test_closing_a_source_for_another(drive: Drive, sensor: Sensor) -> None:
+    first = DentSource(sensor)
+    driver = drive(lambda _: first)
+    driver.window.controller.open("two", DentSource, lambda: sensor, frame=5, playing=False)
+    driver.wait(lambda: driver.window.controller.solved_session == 2)
+    driver.settle()
+    assert first.closed
