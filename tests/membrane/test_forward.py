@@ -76,7 +76,7 @@ def test_gap_to_a_ball_is_that_of_line_and_sphere(mesh):
     assert (exact[both] < 0).any()
     assert (exact[both] > 0).any()
     slant = np.sqrt(discriminant[both]) / 0.015  # facets lie 0.01 mm inside the sphere
-    assert (np.abs(gap - exact)[both] * slant).max() < 1.5e-5
+    assert (np.abs(gap[both] - exact[both]) * slant).max() < 1.5e-5
 
 
 def test_gap_takes_the_lowest_part_of_a_thin_object(mesh):
