@@ -17,9 +17,10 @@ class GapFinder:
     The object presses from outside, so the membrane stays on the inner side of it: along its
     normal line node k may go up to the lowest place where the line enters the object, whether
     that is above the node (a gap) or below (a penetration, which Eq. 16 undoes). A place beyond
-    half way to the opposite side of a dome belongs to the membrane over there and is left out,
-    unless the node itself is in the same stretch of the object. Where an object is not
-    watertight nothing tells in from out and every hit counts as an entry.
+    half way to the opposite side of the dome, or of the rim's cylinder below it, belongs to the
+    membrane over there; one deeper than a rim radius behind the rim to nobody. Both are left out,
+    unless the node itself is in the same stretch of the object. Where an object is not watertight
+    nothing tells in from out and every hit counts as an entry.
 
     Parameters
     ----------
@@ -63,6 +64,8 @@ class GapFinder:
         middle = np.einsum("ij,ij->i", self._centre - nodes, normals)
         miss = np.linalg.norm(nodes + middle[:, None] * normals - self._centre, axis=1)
         near = np.flatnonzero(miss <= self._radius)
+        if not len(near):  # Open3D crashes on no rays
+            return near, np.zeros(0), np.zeros(0, dtype=bool)
         start = middle[near] - 1.01 * self._radius
         origins = nodes[near] + start[:, None] * normals[near]
         hits = self._scene.list_intersections(_rays(origins, normals[near]))
@@ -90,14 +93,28 @@ class GapFinder:
 
     @property
     def reach(self) -> np.ndarray:
-        """Half the way inward to the membrane's other side, shape (n,), m; inf below a dome."""
+        """How far inward a node's line is its own, shape (n,), m."""
         if self._reach is None:
             mesh = self.mesh
             step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
             rays = _rays(mesh.nodes - step * mesh.normals, -mesh.normals)
             distance = _scene(mesh.nodes, mesh.triangles).cast_rays(rays)["t_hit"].numpy()
-            self._reach = 0.5 * (distance.astype(np.float64) + step)
+            across = 0.5 * (distance.astype(np.float64) + step)
+            self._reach = np.minimum(across, _way_through_chamber(mesh))
         return self._reach
+
+
+def _way_through_chamber(mesh: MembraneMesh) -> np.ndarray:
+    """Way inward to half through the rim's cylinder, or to one rim radius behind the rim."""
+    radius = float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
+    x, n = mesh.nodes[:, :2], mesh.normals[:, :2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = (mesh.nodes[:, 2] + radius) / mesh.normals[:, 2]
+        a, b = np.einsum("ij,ij->i", n, n), np.einsum("ij,ij->i", x, n)
+        root = np.sqrt(b**2 - a * (np.einsum("ij,ij->i", x, x) - radius**2))
+        side = 0.5 * (b + root) / a  # NaN where the line never enters the cylinder
+    down[~(down > 0.0)] = np.inf
+    return np.fmin(down, np.where(side > 0.0, side, np.inf))
 
 
 def checked_pose(T_B_O: np.ndarray) -> np.ndarray:

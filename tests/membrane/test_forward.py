@@ -116,6 +116,11 @@ def test_bad_pose_is_refused(mesh, kind):
         GapFinder(mesh).gaps(load_object("sphere"), pose)
 
 
+def test_object_beside_every_normal_line_bounds_nothing(mesh):
+    gap = GapFinder(mesh).gaps(load_object("sphere"), at(0.5, 0.0, -0.3))
+    assert np.isinf(gap).all()
+
+
 # -- the obstacle problem -----------------------------------------------------------------------
 
 
