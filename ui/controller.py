@@ -106,6 +106,7 @@ class Controller(QObject):
             frame=frame,
             products=needed,
             kappa=self.state.choices.kappa,
+            cloud_points=self.state.choices.cloud_points,
             playing=playing,
             live=live,
         )
@@ -154,7 +155,7 @@ class Controller(QObject):
     def _on_choices(self, names: frozenset[str]) -> None:
         if "speed" in names or "loop" in names:
             self._start_clock()
-        if not products(self.state.choices) <= self._asked:
+        if "cloud_points" in names or not products(self.state.choices) <= self._asked:
             self._ask_frame()
         elif "kappa" in names:
             self._ask_patch()
@@ -186,6 +187,7 @@ class Controller(QObject):
                 self.state.frame,
                 self._asked,
                 self.state.choices.kappa,
+                self.state.choices.cloud_points,
             )
         )
 

@@ -140,9 +140,12 @@ class MainWindow(QMainWindow):
         self.status.show_result(result, self.state.facts)
 
     def _on_failed(self, failed: Failed) -> None:
-        kept = "  What was open stays." if isinstance(failed.request, OpenRequest) else ""
-        self.state.set_playing(self.state.playing and bool(kept))
-        self.message.say(failed.message + kept, failed.details)
+        message = failed.message
+        if isinstance(failed.request, OpenRequest):
+            message = f"{message.rstrip('.')}. What was open stays."
+        else:
+            self.state.set_playing(False)
+        self.message.say(message, failed.details)
 
     def show_rates(self) -> None:
         """Write how fast the window is, now."""

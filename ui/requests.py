@@ -29,7 +29,8 @@ class OpenRequest:
         Frame to show first; proof that the source can be used with the sensor.
     products : frozenset
         Products of that frame.
-    kappa : float or None
+    kappa, cloud_points
+        As in `Choices`.
     playing, live : bool
         Play once it is open; it is a live source.
     """
@@ -41,6 +42,7 @@ class OpenRequest:
     frame: int
     products: frozenset[Product]
     kappa: float | None
+    cloud_points: int | None = None
     playing: bool = False
     live: bool = False
 
@@ -54,6 +56,7 @@ class FrameRequest:
     index: int
     products: frozenset[Product]
     kappa: float | None
+    cloud_points: int | None = None
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,7 @@ class Server:
 
     def _solve(self, session: _Session, request: FrameRequest) -> Solved:
         frame = session.source[request.index]
+        session.pipeline.cloud_points = request.cloud_points  # type: ignore[attr-defined]
         return Solved(request, session.pipeline.process(frame, request.products))
 
     def _threshold(self, session: _Session, request: PatchRequest) -> Patch:
@@ -90,6 +91,7 @@ class Server:
             index = min(max(request.frame, 0), len(source) - 1)
             frame = source[index]
             pipeline = Pipeline(sensor, intrinsics=frame.intrinsics, kappa=request.kappa)
+            pipeline.cloud_points = request.cloud_points  # type: ignore[attr-defined]
             pipeline.process(frame, request.products)  # builds the solver: its time says nothing
             result = pipeline.process(frame, request.products)
         except BaseException:

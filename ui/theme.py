@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtGui import QColor, QPalette
 
-VIEW_TOP = "#2a3038"
-VIEW_BOTTOM = "#14171b"
+VIEW = "#191d22"
 NEUTRAL = "#8c97a5"
 """The membrane where nothing touches it."""
 WIREFRAME = "#5d6876"
@@ -16,7 +15,7 @@ FRUSTUM = "#7f8b99"
 CLOUD = "#cfd6de"
 NEARER = "#2a6fff"
 FARTHER = "#13a35b"
-PATCH_POINT = "#ffb000"
+PATCH_POINT = "#b4f52e"
 TEXT = "#e6ebf0"
 
 WINDOW = "#1d2126"

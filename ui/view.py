@@ -38,7 +38,7 @@ class View(QtInteractor):  # type: ignore[misc]
         super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
         self.renders = RateMeter()
         self.render_count = 0
-        self.set_background(theme.VIEW_BOTTOM, top=theme.VIEW_TOP)
+        self.set_background(theme.VIEW)  # plain: a gradient costs a quarter of an empty render
         self._tags = [
             (subject, subject.AddObserver(event, callback))
             for subject, event, callback in (

@@ -14,6 +14,8 @@ from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QApplication, QWidget
 
 from bubbleviz.sensor import Sensor
+from ui import theme
+from ui.scene.colours import rgb
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -115,6 +117,18 @@ def test_kappa_moves_the_points_that_belong_to_the_patch(drive: Drive) -> None:
     driver.state.choose(kappa=0.2)
     driver.wait(lambda: result().patch.pixel_mask.sum() > few)
     assert driver.pipeline.counts["estimate"] == solved
+
+
+def test_points_of_the_patch_have_their_own_colour(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.state.choose(layers=frozenset({"cloud"}), cloud_colour="patch")
+    driver.wait(lambda: driver.window.controller.result.patch.pixel_mask is not None)
+    driver.settle()
+    patch_colour = np.array(rgb(theme.PATCH_POINT))
+    assert np.all(driver.window.view.pixels() == patch_colour, axis=2).sum() > 20
+    driver.state.choose(cloud_colour="plain")
+    driver.settle()
+    assert not np.all(driver.window.view.pixels() == patch_colour, axis=2).any()
 
 
 def test_play_button_plays_and_pauses(drive: Drive) -> None:

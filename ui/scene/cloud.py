@@ -45,6 +45,7 @@ class CloudLayer:
             reset_camera=False,
             render=False,
         )
+        self._actor.mapper.SetScalarModeToUsePointFieldData()
         self._actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
         self._bar = ColourBar(view, self._table, f"residual\n({unit.symbol})", bottom=0.04)
         self._visible = True
@@ -68,7 +69,7 @@ class CloudLayer:
         if by_residual and result.cloud_residual_m is not None:
             self._colour_by_residual(result.cloud_residual_m[::step], picture.ranges.residual_m)
         else:
-            self._colour_by_patch(result, step)
+            self._colour(result if picture.choices.cloud_colour == "patch" else None, step)
         self._poly.Modified()
         self._actor.visibility = self._visible
         self._bar.set_visible(self._visible and by_residual)
@@ -86,12 +87,14 @@ class CloudLayer:
         self._actor.mapper.scalar_range = (-high, high)
         self._use(self.RESIDUAL, direct=False)
 
-    def _colour_by_patch(self, result: Result, step: int) -> None:
+    def _colour(self, patch_of: Result | None, step: int) -> None:
+        """Colour all points alike but those of a result's patch."""
         colours = self._poly.point_data[self.COLOUR]
         colours[:] = rgb(theme.CLOUD)
-        mask = result.patch.pixel_mask if result.patch is not None else None
-        if mask is not None and result.cloud_pixels is not None:
-            inside = mask.ravel()[result.cloud_pixels[::step]]
+        patch = patch_of.patch if patch_of is not None else None
+        pixels = patch_of.cloud_pixels if patch_of is not None else None
+        if patch is not None and patch.pixel_mask is not None and pixels is not None:
+            inside = patch.pixel_mask.ravel()[pixels[::step]]
             colours[: len(inside)][inside] = rgb(theme.PATCH_POINT)
         self._use(self.COLOUR, direct=True)
 

@@ -21,7 +21,7 @@ from ui.state import Choices
 from ui.units import Units
 from ui.view import View
 
-VIEW_FROM = np.array([-0.55, -1.0, 0.95])
+VIEW_FROM = np.array([-0.6, -1.0, 1.1])
 """Direction of the default view: obliquely from outside and above."""
 ON_SURFACE = frozenset({"membrane", "wireframe", "contour"})
 
@@ -69,7 +69,7 @@ class Scene:
         camera.up = (0.0, 0.0, 1.0)
         bounds = [b for pair in zip(low, high, strict=True) for b in pair]
         self._view.renderer.ResetCamera(bounds)
-        camera.zoom(1.25)
+        camera.zoom(1.32)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange()
         self._view.refresh()
