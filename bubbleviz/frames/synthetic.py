@@ -159,6 +159,11 @@ class SyntheticSource:
 
     def _solve(self, index: int) -> Contact:
         contact = self._model.press(self.obj, self.poses[index])
+        if contact.rim_penetration_m > 1e-6:
+            raise InputError(
+                f"frame {index}: {self.obj.name} cuts {contact.rim_penetration_m:.2g} m into the"
+                " clamped rim; raise it or move it inward"
+            )
         if not contact.converged:
             raise SolveError(f"frame {index}: no equilibrium of {self.obj.name} at this pose")
         return contact

@@ -118,41 +118,38 @@ def mesh_cap(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
 def _rings(cap: EllipsoidalCap, nodes: int) -> list[np.ndarray]:
     """Polar angle and azimuth of the nodes, ring by ring from the apex to the rim."""
     azimuth = np.linspace(0.0, 2.0 * np.pi, 721)
-    fine = np.linspace(0.0, cap.rim_polar_angle, 257)
-    points = cap.point(fine[:, None], azimuth[None, :])
-    meridian = np.linalg.norm(np.diff(points, axis=0), axis=2).cumsum(axis=0)
-    meridian = np.concatenate([np.zeros((1, len(azimuth))), meridian])
-    around = np.linalg.norm(np.diff(points, axis=1), axis=2)
-    length = float(meridian[-1].mean())
-    cells = 0.25 * np.diff(meridian, axis=0)  # area of each patch of the fine grid
-    cells = (cells[:, 1:] + cells[:, :-1]) * (around[1:] + around[:-1])
-    area = float(cells.sum())
-    rim_length = float(around[-1].sum())
+    polar = np.linspace(0.0, cap.rim_polar_angle, 257)
+    meridians, area, rim_length = _measure(cap, polar, azimuth)
     edge = _edge_length(area, rim_length, nodes)
-    count = max(2, round(length / (0.5 * np.sqrt(3.0) * edge)))
-    fractions = np.arange(1, count + 1) / count
-    # Polar angle at a fraction of each meridian's length, and the length of that ring.
-    levels = np.stack(
-        [np.interp(fractions * m[-1], m, fine) for m in meridian.T], axis=1
-    )  # (count, azimuths)
-    curves = cap.point(levels, azimuth[None, :])
-    steps = np.linalg.norm(np.diff(curves, axis=1), axis=2)
-    # Nodes spread along a ring so that each has the same area: closer where rings are wide apart.
-    weights = steps * (meridian[-1, 1:] + meridian[-1, :-1]) / 2.0
+    count = max(2, round(float(meridians[-1].mean()) / (0.5 * np.sqrt(3.0) * edge)))
+    fractions = np.arange(1, count + 1) / count  # of every meridian's length
+    levels = np.stack([np.interp(fractions * m[-1], m, polar) for m in meridians.T], axis=1)
+    levels[-1] = cap.rim_polar_angle
+    steps = np.linalg.norm(np.diff(cap.point(levels, azimuth[None, :]), axis=1), axis=2)
+    # The same area for every node: closer together where the rings are far apart.
+    weights = steps * (meridians[-1, 1:] + meridians[-1, :-1])
     weights[-1] = steps[-1]
-    ring_lengths = steps.sum(axis=1)
-    sizes = _ring_sizes(ring_lengths, nodes)
+    sizes = _ring_sizes(steps.sum(axis=1), nodes)
+    golden = 0.6180339887498949 * np.arange(count) % 1.0  # no seam where every ring starts
+    golden[-1] = 0.0
     rings = [np.zeros((1, 2))]
-    for k in range(count):
-        cumulative = np.concatenate([[0.0], weights[k].cumsum()])
-        golden = (k * 0.6180339887498949) % 1.0  # no seam where every ring starts
-        offset = 0.0 if k == count - 1 else golden
-        position = (np.arange(sizes[k]) + offset) / sizes[k] * cumulative[-1]
-        at = np.interp(position, cumulative, azimuth)
-        polar = np.interp(at, azimuth, levels[k])
-        polar = np.full_like(at, cap.rim_polar_angle) if k == count - 1 else polar
-        rings.append(np.stack([polar, at], axis=1))
+    for size, offset, level, weight in zip(sizes, golden, levels, weights, strict=True):
+        share = np.concatenate([[0.0], weight.cumsum() / weight.sum()])
+        at = np.interp((np.arange(size) + offset) / size, share, azimuth)
+        rings.append(np.stack([np.interp(at, azimuth, level), at], axis=1))
     return rings
+
+
+def _measure(
+    cap: EllipsoidalCap, polar: np.ndarray, azimuth: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Length along every meridian (polar × azimuth), area of the cap and length of its rim."""
+    points = cap.point(polar[:, None], azimuth[None, :])
+    along = np.linalg.norm(np.diff(points, axis=0), axis=2)
+    around = np.linalg.norm(np.diff(points, axis=1), axis=2)
+    cells = 0.25 * (along[:, 1:] + along[:, :-1]) * (around[1:] + around[:-1])
+    meridians = np.concatenate([np.zeros((1, len(azimuth))), along.cumsum(axis=0)])
+    return meridians, float(cells.sum()), float(around[-1].sum())
 
 
 def _edge_length(area: float, rim_length: float, nodes: int) -> float:

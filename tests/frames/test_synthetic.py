@@ -137,3 +137,10 @@ def test_default_press_loops_and_touches_in_between(sensor):
     with pytest.raises(IndexError):
         source[30]
     source.close()
+
+
+def test_object_on_the_rim_is_refused(sensor):
+    pose = poses(0.0)
+    pose[0, :3, 3] = 0.075, 0.0, -0.005
+    with pytest.raises(InputError, match="rim"):
+        SyntheticSource(sensor, load_object("sphere"), pose)[0]
