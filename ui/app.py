@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -45,6 +46,7 @@ def run_window(sensor: Sensor, recording: Path | None = None, frame: int | None 
     """
     if has_display():
         with window_session(sensor, recording, frame) as session:
+            signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
             return session.application.exec()
     with private_display(1280, 800), window_session(sensor, recording, frame) as session:

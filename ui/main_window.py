@@ -122,8 +122,10 @@ class MainWindow(QMainWindow):
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, SourceChanged):
-            self.setWindowTitle(f"{event.facts.title} – {event.facts.sensor_name} – bubbleviz")
-            self.status.show_source(event.facts)
+            facts = event.facts
+            live = " (live)" if facts.live else ""
+            self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
+            self.status.show_source(facts)
         elif isinstance(event, ChoicesChanged) and event.names - {"kappa", "speed", "loop"}:
             self.scene.apply(self.state.choices)
 

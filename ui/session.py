@@ -56,6 +56,8 @@ class WindowSession:
         self.wait_for(lambda: bool(answers), "opening")
         if isinstance(answers[0], Failed):
             self.window.close()
+            if answers[0].details:
+                raise RuntimeError(answers[0].details)  # a bug, not the user's file
             raise InputError(answers[0].message)
         if frame is not None and state.facts is not None and frame != state.frame:
             self.window.close()
