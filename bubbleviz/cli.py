@@ -12,6 +12,9 @@ import click
 import bubbleviz
 from bubbleviz.errors import InputError, SolveError
 
+SYNTHETIC_SENSOR = "pico_flexx_75mm"
+"""Preset of the built-in live sensor."""
+
 
 class OneLineErrors(click.Group):
     """A command group whose errors are one line on stderr.
@@ -46,17 +49,99 @@ def _fail(message: str, code: int) -> NoReturn:
     sys.exit(code)
 
 
+def _print_measured(measured: dict[str, float], as_json: bool) -> None:
+    """Numbers by name; a NaN is null in JSON, which has none."""
+    if as_json:
+        import json
+        import math
+
+        finite = {key: value if math.isfinite(value) else None for key, value in measured.items()}
+        click.echo(json.dumps(finite, indent=2, allow_nan=False))
+        return
+    for key, value in measured.items():
+        click.echo(f"{key:<16} {value:.4g}")
+
+
 @click.group(cls=OneLineErrors, invoke_without_command=True)
 @click.version_option(bubbleviz.__version__)
 @click.pass_context
-def main(context: click.Context) -> None:
+def main(context: click.Context) -> int:
     """Calibrate, watch and debug Soft-bubble tactile sensors.
 
     Without a command: the window on a live synthetic sensor.
     """
+    if context.invoked_subcommand is not None:
+        return 0
+    from bubbleviz.sensor import load_sensor
+    from ui.app import run_window
+
+    return run_window(load_sensor(SYNTHETIC_SENSOR))
 
 
-# -- the window: open ---------------------------------------------------------------------------
+# -- the window: open, bench --------------------------------------------------------------------
+
+
+@main.command("open")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--scene", help="Scene preset: which layers are shown.")
+@click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
+@click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
+def open_recording(
+    recording: Path,
+    sensor: str | None,
+    scene: str | None,
+    frame: int | None,
+    screenshot: Path | None,
+) -> int:
+    """Show a recording in the window."""
+    from bubbleviz.matching import checked_sensor, refuse_unknown_scene
+
+    if screenshot is not None:
+        from bubbleviz.outputs import refuse_existing
+
+        refuse_existing(screenshot)
+    refuse_unknown_scene(scene)
+    name, chosen = checked_sensor(recording, sensor)
+    if sensor is None:
+        click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
+    from ui import app
+
+    if screenshot is None:
+        return app.run_window(chosen, recording, frame)
+    app.screenshot(chosen, recording, frame or 0, screenshot)
+    click.echo(f"wrote {screenshot}")
+    return 0
+
+
+@main.group()
+def bench() -> None:
+    """Measure how fast this machine is."""
+
+
+@bench.command("window")
+@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@click.option("--synthetic", is_flag=True, help="The built-in press in place of a recording.")
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=8.0, help="How long.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_window(
+    recording: Path | None, synthetic: bool, sensor: str | None, seconds: float, as_json: bool
+) -> None:
+    """Replay with membrane and cloud shown, and count the rendered frames."""
+    if synthetic == (recording is not None):
+        raise click.UsageError("give either REC or --synthetic")
+    from bubbleviz.matching import checked_sensor
+    from bubbleviz.sensor import load_sensor
+
+    if recording is None:
+        chosen = load_sensor(sensor or SYNTHETIC_SENSOR)
+    else:
+        _, chosen = checked_sensor(recording, sensor)
+    from ui.benchmark import replay_fps
+
+    measured = replay_fps(chosen, recording, seconds)
+    _print_measured(measured, as_json)
 
 
 # -- recordings: info, simulate -----------------------------------------------------------------
@@ -127,3 +212,31 @@ def simulate(
 
 
 # -- the inverse problem: estimate --------------------------------------------------------------
+
+
+@main.command()
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
+@click.option("--solver", help="Solver of the inverse problem.")
+@click.option("--frames", help="A:B[:STEP], B left out; all by default.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="RESULT.npz.")
+@click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="RESULT.csv.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
+def estimate(
+    recording: Path,
+    sensor: str,
+    kappa: float | None,
+    solver: str | None,
+    frames: str | None,
+    out: Path,
+    csv_file: Path | None,
+    as_json: bool,
+) -> None:
+    """Contact pressure, patch and force of every frame of a recording."""
+    from bubbleviz.estimate import estimate_recording
+
+    summary = estimate_recording(
+        recording, sensor, out, csv_file, kappa=kappa, solver=solver, frames=frames
+    )
+    click.echo(summary.to_json() if as_json else summary.to_text())

@@ -1,0 +1,204 @@
+"""RESULT.npz and RESULT.csv (CONTRACT), written frame by frame in bounded memory."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tempfile
+import zipfile
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "frame": (),
+    "time_s": (),
+    "status": (),
+    "gas_pressure_change_pa": (),
+    "threshold_pa": (),
+    "force_n": ("force_x_n", "force_y_n", "force_z_n"),
+    "center_of_pressure_m": (
+        "center_of_pressure_x_m",
+        "center_of_pressure_y_m",
+        "center_of_pressure_z_m",
+    ),
+    "patch_area_m2": (),
+    "residual_rms_m": (),
+    "kkt_residual": (),
+    "solve_ms": (),
+    "total_ms": (),
+}
+"""Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
+than the one of the same name."""
+
+_NO_NUMBER_WITHOUT_DATA = (
+    "gas_pressure_change_pa",
+    "threshold_pa",
+    "force_n",
+    "center_of_pressure_m",
+    "patch_area_m2",
+    "residual_rms_m",
+    "kkt_residual",
+)
+
+
+def summary_row(result: Result) -> dict[str, Any]:
+    """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell."""
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
+        raise ValueError("the products estimate and patch were not asked for")
+    row: dict[str, Any] = {
+        "frame": result.frame.index,
+        "time_s": result.frame.time_s,
+        "status": estimate.status,
+        "gas_pressure_change_pa": estimate.gas_pressure_change_pa,
+        "threshold_pa": patch.threshold_pa,
+        "force_n": patch.force_n,
+        "center_of_pressure_m": patch.center_of_pressure_m,
+        "patch_area_m2": patch.area_m2,
+        "residual_rms_m": estimate.residual_rms_m,
+        "kkt_residual": estimate.kkt_residual,
+        "solve_ms": estimate.solve_ms,
+        "total_ms": result.times_ms["total"],
+    }
+    if estimate.status == "no_data":
+        for key in _NO_NUMBER_WITHOUT_DATA:
+            row[key] = np.full(np.shape(row[key]), np.nan)
+    return row
+
+
+class ResultWriter:
+    """Writes RESULT.npz while the frames come.
+
+    An hour of masks is 11 GB and of nodal fields 0.6 GB: the masks go straight into the archive,
+    the nodal fields through unnamed files beside it (a system's folder for temporary files may
+    be memory), and only a few numbers a frame are kept.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write; give the temporary path of `whole_file`.
+    mesh : MembraneMesh
+    frames : int
+        F, how many frames will be added.
+    shape : (int, int)
+        H, W of the masks.
+    """
+
+    def __init__(self, path: Path, mesh: MembraneMesh, frames: int, shape: tuple[int, int]) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self._mesh, self._frames, self._shape = mesh, frames, shape
+        self._stack = ExitStack()
+        with ExitStack() as opening:
+            archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
+            self._archive = opening.enter_context(archive)
+            self._spools = [
+                opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in range(2)
+            ]
+            # An archive has one member open at a time: the largest is the one not to spool.
+            self._masks = opening.enter_context(
+                self._member("patch_mask", (frames, *shape), np.dtype(bool))
+            )
+            self._stack = opening.pop_all()
+
+    def __enter__(self) -> ResultWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def add(self, result: Result) -> dict[str, Any]:
+        """Add the next frame, with its estimate, patch and pixel mask; returns its row."""
+        row = summary_row(result)
+        estimate, patch = result.estimate, result.patch
+        if estimate is None or patch is None or patch.pixel_mask is None:
+            raise ValueError("the product pixel_mask was not asked for")
+        if patch.pixel_mask.shape != self._shape or len(self.rows) == self._frames:
+            raise ValueError("another mask size, or more frames, than announced")
+        self.rows.append(row)
+        self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
+        fields = (estimate.displacement_m, estimate.contact_pressure_pa)
+        for spool, field in zip(self._spools, fields, strict=True):
+            known = field if estimate.status != "no_data" else np.full_like(field, np.nan)
+            spool.write(np.ascontiguousarray(known, dtype="<f8").tobytes())
+        return row
+
+    def finish(self, **provenance: str) -> None:
+        """Write everything else, with texts such as the version that made it."""
+        if len(self.rows) != self._frames:
+            raise ValueError(f"{len(self.rows)} frames added, {self._frames} announced")
+        self._masks.close()
+        nodal = (self._frames, len(self._mesh.nodes))
+        for name, spool in zip(
+            ("displacement_m", "contact_pressure_pa"), self._spools, strict=True
+        ):
+            spool.seek(0)
+            with self._member(name, nodal, np.dtype("<f8")) as member:
+                shutil.copyfileobj(spool, member, 1 << 20)
+        for name, array in self._small_arrays(provenance).items():
+            with self._member(name, array.shape, array.dtype) as member:
+                member.write(np.ascontiguousarray(array).tobytes())
+
+    def _small_arrays(self, provenance: dict[str, str]) -> dict[str, np.ndarray]:
+        mesh = self._mesh
+        columns = {key: np.array([row[key] for row in self.rows]) for key in COLUMNS}
+        return {
+            **columns,
+            "nodes_m": mesh.nodes,
+            "normals": mesh.normals,
+            "triangles": mesh.triangles,
+            "rim": mesh.rim,
+            **{key: np.array(text) for key, text in provenance.items()},
+        }
+
+    def _member(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> IO[bytes]:
+        """Open an array of the archive for writing; its header is written."""
+        member = self._archive.open(f"{name}.npy", "w", force_zip64=True)
+        header = {
+            "descr": np.lib.format.dtype_to_descr(dtype),
+            "fortran_order": False,
+            "shape": shape,
+        }
+        np.lib.format.write_array_header_1_0(member, header)
+        return member
+
+
+class CsvWriter:
+    """Writes RESULT.csv: one line a frame, the columns of `COLUMNS`.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w", newline="", encoding="utf-8")
+        self._writer = csv.writer(self._file)
+        self._writer.writerow([name for key, names in COLUMNS.items() for name in names or (key,)])
+
+    def __enter__(self) -> CsvWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Write the line of a frame."""
+        values = [np.atleast_1d(row[key]).tolist() for key in COLUMNS]
+        self._writer.writerow([value for group in values for value in group])
