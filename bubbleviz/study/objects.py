@@ -99,6 +99,22 @@ def hex_nut() -> RigidObject:
     return _prism("hex_nut", hexagon, hole, 0.010, closed=True, axis="z")
 
 
+def cross() -> RigidObject:
+    """Cross of two bars 40 mm × 10 mm, 20 mm tall, flat end down; not shipped, held out."""
+    arm, half, height = 0.020, 0.005, 0.020
+    quarter = np.array([[arm, -half], [arm, half], [half, half]])
+    turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    outline = np.concatenate([quarter @ turn.T for turn in turns])
+    k = len(outline)
+    rings = [np.column_stack([outline, np.full(k, z)]) for z in (0.0, height)]
+    centres = [[0.0, 0.0, 0.0], [0.0, 0.0, height]]
+    triangles = _ring_of_quads(0, k, k, closed=True)
+    for i in range(k):
+        j = (i + 1) % k
+        triangles += [[2 * k, j, i], [2 * k + 1, k + i, k + j]]
+    return _outward("cross", np.concatenate([*rings, centres]), np.array(triangles))
+
+
 GENERATORS: tuple[Callable[[], RigidObject], ...] = (
     frustum, two_legged_toy, bridge, sphere, torus, two_spheres, cylinder, hex_nut,
 )  # fmt: skip

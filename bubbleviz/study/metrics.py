@@ -1,0 +1,92 @@
+"""How far an estimate is from the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.frames.synthetic import Truth
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one frame.
+
+    Attributes
+    ----------
+    iou : float
+        Of the patch's pixels, intersection over union.
+    force_error_relative : float
+        Length of the difference of the force vectors over the length of the true one.
+    cop_error_m : float
+        Between centres of pressure; NaN where no contact was found.
+    displacement_rms_m : float
+        Over the estimator's nodes.
+    gas_error_pa : float
+        Of p_v.
+    """
+
+    iou: float
+    force_error_relative: float
+    cop_error_m: float
+    displacement_rms_m: float
+    gas_error_pa: float
+
+
+class Judge:
+    """Compares estimates on one mesh with truths on another of the same surface.
+
+    Parameters
+    ----------
+    estimator_mesh, truth_mesh : MembraneMesh
+    """
+
+    def __init__(self, estimator_mesh: MembraneMesh, truth_mesh: MembraneMesh) -> None:
+        self._triangle, self._barycentric = _closest(estimator_mesh.nodes, truth_mesh)
+        self._corners = truth_mesh.triangles[self._triangle]
+
+    def displacement_m(self, truth: Truth) -> np.ndarray:
+        """True displacement (n,) at the estimator's nodes, m."""
+        return np.einsum("ij,ij->i", truth.displacement_m[self._corners], self._barycentric)
+
+    def errors(self, result: Result, truth: Truth, stride: int = 1) -> Errors:
+        """Errors of a result with an estimate, a patch and its pixels."""
+        estimate, patch = result.estimate, result.patch
+        if estimate is None or patch is None or patch.pixel_mask is None:
+            raise ValueError("the result lacks the estimate, the patch or its pixels")
+        difference = estimate.displacement_m - self.displacement_m(truth)
+        force = np.linalg.norm(truth.force_n)
+        return Errors(
+            iou=iou(patch.pixel_mask, truth.patch_mask[::stride, ::stride]),
+            force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n) / force),
+            cop_error_m=float(
+                np.linalg.norm(patch.center_of_pressure_m - truth.center_of_pressure_m)
+            ),
+            displacement_rms_m=float(np.sqrt(np.mean(difference**2))),
+            gas_error_pa=abs(estimate.gas_pressure_change_pa - truth.gas_pressure_change_pa),
+        )
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    """Intersection over union of two masks; 1 where both are empty."""
+    union = np.count_nonzero(a | b)
+    return np.count_nonzero(a & b) / union if union else 1.0
+
+
+def _closest(points: np.ndarray, mesh: MembraneMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Triangle and barycentric coordinates of the place on a mesh closest to each point."""
+    from open3d import core
+    from open3d.t.geometry import RaycastingScene
+
+    scene = RaycastingScene()
+    scene.add_triangles(
+        core.Tensor.from_numpy(mesh.nodes.astype(np.float32)),
+        core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, np.uint32)),
+    )
+    found = scene.compute_closest_points(core.Tensor.from_numpy(points.astype(np.float32)))
+    triangle = found["primitive_ids"].numpy().astype(np.int64)
+    uv = found["primitive_uvs"].numpy().astype(np.float64)
+    return triangle, np.column_stack([1.0 - uv.sum(axis=1), uv])

@@ -1,0 +1,91 @@
+"""Presses of the accuracy study: which object, how deep, and where, from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.objects import RigidObject
+from bubbleviz.study import objects
+
+GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
+HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
+"""Objects that nobody looked at while choosing the estimator's settings."""
+
+LARGEST_OFFSET_M = 0.008
+LARGEST_TILT_RAD = 0.14
+
+
+@dataclass(frozen=True)
+class Press:
+    """One object pressed to one depth.
+
+    Attributes
+    ----------
+    object_name : str
+    depth_m : float
+        How far beyond first touch, along −z of B.
+    held_out : bool
+    """
+
+    object_name: str
+    depth_m: float
+    held_out: bool
+
+    def pose(self, mesh: MembraneMesh, seed: int) -> np.ndarray:
+        """T_B_O (4, 4): any turn, up to 8 mm off the axis and 8° of tilt, all from the seed."""
+        from scipy.spatial.transform import Rotation
+
+        text = f"{self.object_name} {round(1e6 * self.depth_m)}"
+        random = np.random.default_rng([seed, *text.encode()])
+        turn, heading, aside = random.uniform(0.0, 2.0 * np.pi, 3)
+        tilt = LARGEST_TILT_RAD * random.random()
+        offset = LARGEST_OFFSET_M * np.sqrt(random.random())
+        axis = np.array([np.cos(heading), np.sin(heading), 0.0])
+        rotation = Rotation.from_rotvec(tilt * axis) * Rotation.from_euler("z", turn)
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.as_matrix()
+        pose[:2, 3] = offset * np.array([np.cos(aside), np.sin(aside)])
+        pose[2, 3] = touching_height(made(self.object_name), pose, mesh) - self.depth_m
+        return pose
+
+
+def made(name: str) -> RigidObject:
+    """Object of a generator's name."""
+    generator = getattr(objects, name)
+    obj: RigidObject = generator()
+    return obj
+
+
+def touching_height(obj: RigidObject, T_B_O: np.ndarray, mesh: MembraneMesh) -> float:
+    """Height z of O at which the object, lowered along −z, first touches the membrane, m."""
+    vertices = obj.vertices @ T_B_O[:3, :3].T + [*T_B_O[:2, 3], 0.0]
+    above_nodes = _vertical_distance(mesh.nodes, 1.0, vertices, obj.triangles)
+    below_vertices = _vertical_distance(vertices, -1.0, mesh.nodes, mesh.triangles)
+    return -float(min(above_nodes.min(), below_vertices.min()))
+
+
+def _vertical_distance(
+    points: np.ndarray, up: float, vertices: np.ndarray, triangles: np.ndarray
+) -> np.ndarray:
+    """Signed way in m from points (k, 3) along ±z to the first of a mesh; inf beside it."""
+    from open3d import core
+    from open3d.t.geometry import RaycastingScene
+
+    scene = RaycastingScene()
+    scene.add_triangles(
+        core.Tensor.from_numpy(vertices.astype(np.float32)),
+        core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
+    )
+    rays = np.zeros((len(points), 6), np.float32)
+    rays[:, :3], rays[:, 5] = points, up
+    rays[:, 2] -= up  # start 1 m away, so that overlapping bodies count too
+    way = scene.cast_rays(core.Tensor.from_numpy(rays))["t_hit"].numpy()
+    return way.astype(np.float64) - 1.0
+
+
+def presses(names: tuple[str, ...], depths_m: tuple[float, ...]) -> list[Press]:
+    """Every object at every depth."""
+    return [Press(n, d, n in HELD_OUT_OBJECTS) for n in names for d in depths_m]
