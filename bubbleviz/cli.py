@@ -114,7 +114,7 @@ def open_recording(
     return 0
 
 
-@main.group()
+@main.group(no_args_is_help=False)
 def bench() -> None:
     """Measure how fast this machine is."""
 
