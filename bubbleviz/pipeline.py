@@ -19,7 +19,7 @@ from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.camera.view import MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.patch import default_threshold, find_patch, mean_pressure
 from bubbleviz.membrane.build import build_mesh
 from bubbleviz.membrane.gas import Gas
@@ -67,9 +67,11 @@ class Pipeline:
         *,
         intrinsics: Intrinsics | None = None,
         kappa: float | None = None,
+        options: EstimatorOptions = EstimatorOptions(),
     ) -> None:
         self.sensor = sensor
         self.kappa = kappa
+        self.options = options
         self.camera = DepthCamera.of(sensor.camera, intrinsics)
         self.mesh = build_mesh(sensor)
         gauge = sensor.pneumatics.gauge_pressure_pa
@@ -90,7 +92,11 @@ class Pipeline:
         )
         gas = Gas.of(self.sensor.pneumatics, self.mesh)
         return Estimator(
-            observer, gas, self.tension_n_per_m, self.sensor.pneumatics.gauge_pressure_pa
+            observer,
+            gas,
+            self.tension_n_per_m,
+            self.sensor.pneumatics.gauge_pressure_pa,
+            self.options,
         )
 
     @cached_property
@@ -175,11 +181,10 @@ class Pipeline:
 
     def _block_size(self) -> int:
         """Side in pixels of half a mesh edge, seen from the camera: averaging loses nothing."""
-        edge = float(np.sqrt(self.mesh.facet_areas.mean() * 4.0 / np.sqrt(3.0)))
         T = self.camera.T_B_C
         depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
         focal = min(self.camera.intrinsics.fx, self.camera.intrinsics.fy)
-        return max(1, int(0.5 * edge * focal / depth))
+        return max(1, int(0.5 * self.mesh.edge_length * focal / depth))
 
     def _check_size(self, frame: Frame) -> None:
         height, width = frame.depth_m.shape

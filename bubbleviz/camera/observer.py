@@ -25,7 +25,7 @@ class Observation:
     residual_m : (B,) array
         Weighted mean of measured minus reference range in each block, m; 0 where no pixel is valid.
     weight : (B,) array
-        Sum of 1/σ² over the valid pixels of each block, 1/m².
+        1/σ² of each block's mean, 1/m²; 0 where no pixel is valid.
     valid_pixels : int
         Pixels that returned something.
     """
@@ -84,6 +84,7 @@ class RangeObserver:
             used, bias, noise = (
                 image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
             )
+            noise = noise * np.sqrt(pixels.correlated_pixels)
         pixel = hits.ray[used]
         order = np.argsort(self._block_of(pixel), kind="stable")
         pixel = pixel[order]
@@ -96,6 +97,7 @@ class RangeObserver:
         self._reference = (hits.range_m + bias)[used][order].astype(np.float32)
         self._scale = camera.range_per_depth.ravel()[pixel]
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
+        self._facet_error_m = facet_error(mesh)
         rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
@@ -123,17 +125,46 @@ class RangeObserver:
         valid = np.isfinite(residual)
         precision = np.where(valid, self._precision, np.float32(0.0))
         residual[~valid] = 0.0
-        weight = np.add.reduceat(precision, self._starts).astype(float)
-        total = np.add.reduceat(precision * residual, self._starts).astype(float)
-        mean = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
-        return Observation(mean, weight, int(np.count_nonzero(valid)))
+        total = np.add.reduceat(precision, self._starts).astype(float)
+        moment = np.add.reduceat(precision * residual, self._starts).astype(float)
+        mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
+        return Observation(mean, self._weight(total), int(np.count_nonzero(valid)))
+
+    def observe_everything(self) -> Observation:
+        """The untouched membrane seen without noise by every pixel in use."""
+        total = np.add.reduceat(self._precision, self._starts).astype(float)
+        return Observation(np.zeros_like(total), self._weight(total), len(self.pixel))
+
+    def _weight(self, precision: np.ndarray) -> np.ndarray:
+        """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
+        return precision / (1.0 + precision * self._facet_error_m**2)
 
     def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
         """Model of the block residuals around a displacement (n,), or the reference."""
-        if displacement_m is None:
+        if displacement_m is None or not displacement_m.any():
             return Linearisation(self._at_rest, np.zeros(len(self._at_rest.ray)))
         hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
         change = hits.range_m - self._rest_range[hits.ray]  # NaN: missed the membrane at rest
         at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
         offset = change - np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
         return Linearisation(hits, offset)
+
+    def misfit_m(
+        self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
+    ) -> float:
+        """Weighted root mean square of measured minus modelled block residuals, m."""
+        hits = linear.hits
+        at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
+        model = linear.offset_m + np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
+        error = observation.residual_m[hits.ray] - model
+        weight = np.where(np.isfinite(error), observation.weight[hits.ray], 0.0)
+        error = np.where(weight > 0.0, error, 0.0)
+        return float(np.sqrt(np.sum(weight * error**2) / max(np.sum(weight), 1e-300)))
+
+
+def facet_error(mesh: MembraneMesh) -> float:
+    """Distance in m between flat facets and the surface they stand for: the median sagitta."""
+    i, j = mesh.triangles, np.roll(mesh.triangles, -1, axis=1)
+    edge = mesh.nodes[j] - mesh.nodes[i]
+    turn = np.einsum("ijk,ijk->ij", mesh.normals[j] - mesh.normals[i], edge)
+    return float(np.median(np.abs(turn)) / 8.0)

@@ -22,11 +22,14 @@ class PixelModel:
         Measured minus modelled range of the untouched sensor, m.
     noise_m : float array
         Standard deviation σ of the range, m.
+    correlated_pixels : float
+        Pixels that are worth one independent sample, because the camera filters (scalar).
     """
 
     mask: np.ndarray
     bias_m: np.ndarray
     noise_m: np.ndarray
+    correlated_pixels: float = 1.0
 
     @classmethod
     def load(cls, path: Path, shape: tuple[int, int]) -> PixelModel:
@@ -40,9 +43,10 @@ class PixelModel:
         try:
             with np.load(path) as data:
                 mask, bias, noise = (data[key] for key in ("mask", "bias_m", "noise_m"))
+                correlated = float(data["correlated_pixels"])
         except (OSError, KeyError, ValueError) as error:
             raise InputError(f"{path}: not a pixels file ({error}); calibrate again") from error
         if mask.shape != shape:
             made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
-        return cls(mask.astype(bool), bias.astype(float), noise.astype(float))
+        return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated)

@@ -35,16 +35,24 @@ class MembraneView:
         return image
 
     def above(self, displacement_m: np.ndarray, field: np.ndarray, level: float) -> np.ndarray:
-        """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level."""
+        """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level.
+
+        Only the triangles that reach the level are cast at: a patch is pushed towards the
+        camera, so that no other part of the membrane stands before it.
+        """
         mask = np.zeros(self.shape, bool)
         reaching = np.any(field[self.mesh.triangles] > level, axis=1)
         if not reaching.any():
             return mask
-        nodes = np.unique(self.mesh.triangles[reaching])
-        hits = self.hits(displacement_m, self._window(self.mesh.deformed(displacement_m)[nodes]))
-        values = field[self.mesh.triangles[hits.triangle]]
+        nodes, corners = np.unique(self.mesh.triangles[reaching], return_inverse=True)
+        points = self.mesh.deformed(displacement_m)[nodes]
+        window = self._window(points)
+        directions = self.camera.directions[window]
+        caster = RayCaster(self.camera.center, directions, corners.reshape(-1, 3))
+        hits = caster.cast(points, self.mesh.normals[nodes])
+        values = field[nodes][caster.triangles[hits.triangle]]
         seen = np.einsum("ij,ij->i", hits.barycentric, values) > level
-        mask.ravel()[hits.ray[seen]] = True
+        mask.ravel()[window[hits.ray[seen]]] = True
         return mask
 
     def _window(self, points: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Solution
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, QPResult
 
 
 class OsqpSolver:
@@ -36,7 +36,7 @@ class OsqpSolver:
         self._scale = 1.0
         self._data = np.zeros(0)
 
-    def solve(self, problem: FrameProblem) -> Solution:
+    def __call__(self, problem: FrameProblem) -> QPResult:
         """Solution of one frame, started from that of the last."""
         if self._solver is None:
             self._set_up(problem)
@@ -45,9 +45,8 @@ class OsqpSolver:
         result = self._solver.solve(raise_error=False)
         n = len(problem.g)
         pressure = np.maximum(result.x[n : 2 * n], 0.0)
-        displacement, gas = self._equilibrium.displacement(pressure, problem.measured_gas)
-        converged = result.info.status_val in (1, 2)  # solved, or solved inaccurately
-        return Solution(displacement, pressure, gas, result.info.iter, converged)
+        pressure[~problem.allowed] = 0.0
+        return QPResult(pressure, result.info.iter, result.info.status_val == 1)
 
     def _set_up(self, problem: FrameProblem) -> None:
         import osqp
@@ -92,9 +91,26 @@ class OsqpSolver:
         law = (0.0, 0.0) if gas is None else (-np.inf, np.inf)
         known = (-np.inf, np.inf) if gas is None else (gas, gas)
         zero = np.zeros(n)
+        highest = np.where(problem.allowed, np.inf, 0.0)
         lower = np.concatenate([zero, [law[0]], zero, [known[0]]])
-        upper = np.concatenate([zero, [law[1]], np.full(n, np.inf), [known[1]]])
+        upper = np.concatenate([zero, [law[1]], highest, [known[1]]])
         return lower, upper
+
+
+class ColdOsqp:
+    """The same, set up afresh for every problem: the baseline to beat.
+
+    Parameters
+    ----------
+    equilibrium : Equilibrium
+    """
+
+    def __init__(self, equilibrium: Equilibrium) -> None:
+        self._equilibrium = equilibrium
+
+    def __call__(self, problem: FrameProblem) -> QPResult:
+        """Set up, factorise and solve one problem."""
+        return OsqpSolver(self._equilibrium)(problem)
 
 
 def _for_osqp(matrix: sparse.sparray) -> sparse.csc_matrix:

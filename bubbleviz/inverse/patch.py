@@ -24,16 +24,20 @@ def default_threshold(gauge_pressure_pa: float) -> float:
 
 
 def find_patch(mesh: MembraneMesh, estimate: Estimate, threshold_pa: float) -> Patch:
-    """Patch of an estimate at a threshold; force and centre are those of the whole p_c."""
+    """Patch of an estimate at a threshold.
+
+    The force is that of the whole contact pressure; the centre of pressure is that of the patch,
+    so that what lies below the threshold does not pull it aside.
+    """
     pressure = estimate.contact_pressure_pa
+    inside = pressure > max(threshold_pa, 0.0)
     load = mesh.areas * pressure
-    total = load.sum()
     center = np.full(3, np.nan)
-    if total > 0.0:
-        center = load @ mesh.deformed(estimate.displacement_m) / total
+    if inside.any():
+        center = load[inside] @ mesh.deformed(estimate.displacement_m)[inside] / load[inside].sum()
     return Patch(
         threshold_pa=threshold_pa,
-        node_mask=pressure > max(threshold_pa, 0.0),
+        node_mask=inside,
         force_n=-load @ mesh.normals,
         center_of_pressure_m=center,
         area_m2=area_above(mesh, pressure, max(threshold_pa, 0.0)),

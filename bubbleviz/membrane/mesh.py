@@ -73,6 +73,11 @@ class MembraneMesh:
         """Smallest interior angle of any triangle, rad: the usual measure of mesh quality."""
         return float(self.angles.min())
 
+    @property
+    def edge_length(self) -> float:
+        """Edge in m of the equilateral triangle of mean area: the resolution of the mesh."""
+        return float(np.sqrt(self.facet_areas.mean() * 4.0 / np.sqrt(3.0)))
+
     def deformed(self, displacement: np.ndarray) -> np.ndarray:
         """Move the nodes to x = x0 + u n̂0 (Eq. 1); shape (n, 3), m."""
         return self.nodes + displacement[:, None] * self.normals

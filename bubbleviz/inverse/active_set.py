@@ -1,0 +1,130 @@
+"""Eq. 24: the problem in p_c alone, solved by an active set that starts from the last frame.
+
+Eliminating u leaves a dense Hessian MᵀQM + λL. It is formed once, for the reference configuration
+with every pixel valid; what a frame changes (missing pixels, robust weights, rays re-cast at the
+current shape) enters through the exact gradient, and a few corrections take the rest out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.inverse.pivoting import nonnegative_qp
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Solution, natural_residual
+
+_SUPPORT_CHANGE = 0.05
+"""Relative change of p_c that no longer moves the support by more than its edge nodes."""
+
+
+class ActiveSetSolver:
+    """Warm-started active set with a dense model Hessian.
+
+    Parameters
+    ----------
+    equilibrium : Equilibrium
+    reference_Q : (n, n) sparse array
+        Q of a frame with every pixel valid in the reference configuration.
+    tolerance : float
+        Relative KKT residual of the debiased problem.
+    corrections : int
+        Most corrections in each of the two stages.
+    """
+
+    def __init__(
+        self,
+        equilibrium: Equilibrium,
+        reference_Q: sparse.csr_array,
+        tolerance: float = 1e-3,
+        corrections: int = 12,
+    ) -> None:
+        self._equilibrium = equilibrium
+        self._reference_Q = reference_Q
+        self._weight = float(reference_Q.diagonal().sum())
+        self._tolerance, self._corrections = tolerance, corrections
+        self._hessians: dict[bool, np.ndarray] = {}
+        self._neighbours = abs(equilibrium.L).tocsr()
+
+    def solve(self, problem: FrameProblem, start: np.ndarray) -> Solution:
+        """Select the support with the L1 term, then solve on it without.
+
+        Parameters
+        ----------
+        problem : FrameProblem
+        start : (n,) array
+            The selecting solution of the last frame.
+        """
+        shrunk, model, pivots = self._select(problem, start)
+        free = problem.debiased(shrunk > 0.0)
+        pressure, residual, more = self._refine(free, shrunk, model - problem.tau)
+        displacement, gas = self._equilibrium.displacement(pressure, problem.measured_gas)
+        return Solution(
+            displacement,
+            pressure,
+            gas,
+            shrunk,
+            pivots + more,
+            residual <= self._tolerance,
+            residual,
+        )
+
+    def _select(
+        self, problem: FrameProblem, pressure: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """Solution with the L1 term, the model's gradient there, pivots."""
+        pivots = 0
+        for _ in range(self._corrections):
+            gradient = self._equilibrium.gradient(problem, pressure)
+            work = np.flatnonzero(self._near((pressure > 0.0) | (gradient < 0.0)))
+            before = pressure
+            pressure, count = self._correct(problem, pressure, gradient, work)
+            pivots += count
+            change = pressure - before
+            if np.max(np.abs(change)) <= _SUPPORT_CHANGE * np.max(pressure, initial=0.0):
+                break
+        model = np.zeros_like(gradient)
+        model[work] = gradient[work] + self._model(problem, work) @ change[work]
+        return pressure, model, pivots
+
+    def _refine(
+        self, problem: FrameProblem, pressure: np.ndarray, gradient: np.ndarray
+    ) -> tuple[np.ndarray, float, int]:
+        """Debiased solution, its KKT residual, pivots; the first `gradient` is the model's."""
+        work = np.flatnonzero(problem.allowed)
+        pivots, residual = 0, np.inf
+        for _ in range(self._corrections):
+            pressure, count = self._correct(problem, pressure, gradient, work)
+            pivots += count
+            gradient = self._equilibrium.gradient(problem, pressure)
+            residual = natural_residual(self._equilibrium.A, problem, pressure, gradient)
+            if residual <= self._tolerance:
+                break
+        return pressure, residual, pivots
+
+    def _correct(
+        self, problem: FrameProblem, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
+    ) -> tuple[np.ndarray, int]:
+        """Minimise over the nodes `work` with the exact gradient and the model Hessian."""
+        H = self._model(problem, work)
+        linear = gradient[work] - H @ pressure[work]
+        x, pivots, _ = nonnegative_qp(H, linear, pressure[work] > 0.0)
+        corrected = np.zeros_like(pressure)
+        corrected[work] = x
+        return corrected, pivots
+
+    def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
+        """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels."""
+        return problem.weight / self._weight * self._hessian(problem)[np.ix_(work, work)]
+
+    def _near(self, mask: np.ndarray) -> np.ndarray:
+        return mask | (self._neighbours @ mask.astype(float) > 0.0)
+
+    def _hessian(self, problem: FrameProblem) -> np.ndarray:
+        """Model Hessian (n, n) for the gas estimated or measured."""
+        gas_measured = problem.measured_gas is not None
+        if gas_measured not in self._hessians:
+            M = self._equilibrium.compliance(gas_measured)
+            hessian = M.T @ (self._reference_Q @ M)
+            hessian += (problem.lambda_ * self._equilibrium.L).toarray()
+            self._hessians[gas_measured] = hessian
+        return self._hessians[gas_measured]
