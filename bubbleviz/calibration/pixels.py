@@ -32,12 +32,15 @@ class PixelStatistics:
         Standard deviation of one frame's range, m; inf outside the mask.
     removed : dict of str to int
         Pixels that each reason removed; the first that applies counts.
+    correlated_pixels : float
+        Pixels that are worth one independent sample.
     """
 
     mask: np.ndarray
     bias_m: np.ndarray
     noise_m: np.ndarray
     removed: dict[str, int]
+    correlated_pixels: float = 1.0
 
     def save(self, path: str | Path) -> None:
         """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images."""
@@ -47,6 +50,7 @@ class PixelStatistics:
                 mask=self.mask,
                 bias_m=_half(self.bias_m),
                 noise_m=_half(self.noise_m),
+                correlated_pixels=np.float32(self.correlated_pixels),
                 removed_reasons=np.array(list(self.removed), dtype=str),
                 removed_pixels=np.array(list(self.removed.values()), dtype=np.int64),
             )
@@ -57,6 +61,7 @@ class PixelStatistics:
         try:
             with np.load(path) as data:
                 mask, bias, noise = (data[name] for name in ("mask", "bias_m", "noise_m"))
+                correlated = float(data["correlated_pixels"])
                 reasons = data.get("removed_reasons", ())
                 counts = data.get("removed_pixels", ())
         except (OSError, ValueError, KeyError, EOFError) as error:
@@ -66,7 +71,13 @@ class PixelStatistics:
         if mask.ndim != 2 or not mask.shape == bias.shape == noise.shape:
             raise InputError(f"{path}: its images differ in size; identify the sensor again")
         removed = {str(name): int(count) for name, count in zip(reasons, counts, strict=True)}
-        return cls(mask.astype(bool), bias.astype(np.float32), noise.astype(np.float32), removed)
+        return cls(
+            mask.astype(bool),
+            bias.astype(np.float32),
+            noise.astype(np.float32),
+            removed,
+            correlated,
+        )
 
 
 def select_pixels(
@@ -121,6 +132,7 @@ def select_pixels(
         bias_m=np.where(mask, residual_m, 0.0).astype(np.float32),
         noise_m=np.where(mask, sigma, np.inf).astype(np.float32),
         removed=removed,
+        correlated_pixels=statistics.correlated_pixels,
     )
 
 

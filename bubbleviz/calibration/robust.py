@@ -34,6 +34,11 @@ def tukey_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
     return np.where(np.abs(scaled) < 1.0, (1.0 - scaled**2) ** 2, 0.0)
 
 
+def cauchy_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
+    """Weights in 0 … 1 of Cauchy's loss, which leads from far away: none are 0."""
+    return 1.0 / (1.0 + (residuals / max(sigma, np.finfo(float).tiny)) ** 2)
+
+
 def upper_fence(values: np.ndarray, deviations: float) -> float:
     """Value that so many robust standard deviations above the median of log(values) give.
 
