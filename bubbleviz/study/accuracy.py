@@ -293,9 +293,7 @@ def _forget(pipeline: Pipeline, frame: Frame) -> None:
     pipeline.process(blank, PRODUCTS)
 
 
-def _kept(
-    parts: Path | None, grid: Grid, setup: Setup, run: Callable[[], list[Row]]
-) -> list[Row]:
+def _kept(parts: Path | None, grid: Grid, setup: Setup, run: Callable[[], list[Row]]) -> list[Row]:
     """Rows from an earlier run of the same grid, or made now and kept."""
     if parts is None:
         return run()

@@ -74,7 +74,9 @@ class TruthBank:
             self._sightings[press] = Sighting(press, self._source.truth(0), self._range())
         return self._sightings[press]
 
-    def frame(self, sighting: Sighting, noise_relative: float, index: int, stride: int = 1) -> Frame:
+    def frame(
+        self, sighting: Sighting, noise_relative: float, index: int, stride: int = 1
+    ) -> Frame:
         """Frame number `index` of a press: new noise for every number; every stride-th pixel."""
         noisy = DepthNoise(relative=noise_relative).apply(sighting.range_m, self.seed, index)
         depth = self.camera.depth_image(noisy)[::stride, ::stride]
