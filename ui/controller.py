@@ -113,12 +113,12 @@ class Controller(QObject):
         self.worker.ask(request)
 
     def open_recording(self, path: Path) -> None:
-        """Open a recording with the present sensor."""
-        from ui.sources import recording
+        """Open a recording with the present sensor, or with the preset that fits its images."""
+        from ui.sources import recording, sensor_for
 
         sensor = self.sensor
         if sensor is not None:
-            self.open(path.name, recording(path), lambda: sensor)
+            self.open(path.name, recording(path), lambda: sensor_for(path, sensor))
 
     def open_sensor(self, path: Path) -> None:
         """Use another sensor with the present source."""

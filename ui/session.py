@@ -30,6 +30,7 @@ class WindowSession:
 
     def __init__(self, sensor: Sensor, recording: Path | None, frame: int | None) -> None:
         from ui.controller import Controller
+        from ui.main_window import MainWindow
         from ui.requests import Failed, Opened
         from ui.sources import recording as recording_opener
         from ui.sources import synthetic
@@ -39,6 +40,9 @@ class WindowSession:
         self.application = application()
         self.state = state = SessionState()
         self.controller = Controller(state, Worker())
+        # The window first: VTK and Open3D share modules, and two threads that import them at the
+        # same time can lock each other out.
+        self.window = MainWindow(state, self.controller)
         answers: list[Opened | Failed] = []
         self.controller.opened.connect(answers.append)
         self.controller.failed.connect(answers.append)
@@ -50,9 +54,6 @@ class WindowSession:
             playing=frame is None,
             live=recording is None,
         )
-        from ui.main_window import MainWindow  # imports VTK while the solver thread opens
-
-        self.window = MainWindow(state, self.controller)
         self.wait_for(lambda: bool(answers), "opening")
         if isinstance(answers[0], Failed):
             self.window.close()

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.source import FrameSource
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, load_sensor
 
 
 def recording(path: Path) -> Callable[[Sensor], FrameSource]:
@@ -15,10 +16,28 @@ def recording(path: Path) -> Callable[[Sensor], FrameSource]:
 
     def open_recording(sensor: Sensor) -> FrameSource:
         from bubbleviz.frames.recording import Recording
+        from bubbleviz.matching import check_fits
 
-        return Recording(path)
+        opened = Recording(path)
+        try:
+            check_fits(opened, sensor, sensor.name)
+        except InputError:
+            opened.close()
+            raise
+        return opened
 
     return open_recording
+
+
+def sensor_for(path: Path, present: Sensor) -> Sensor:
+    """Sensor to open a recording with: the present one if it fits, else the preset that does."""
+    from bubbleviz.frames.recording import Recording
+    from bubbleviz.matching import preset_for
+
+    with Recording(path) as opened:
+        if opened.size == (present.camera.width, present.camera.height):
+            return present
+        return load_sensor(preset_for(opened))
 
 
 def synthetic(sensor: Sensor) -> FrameSource:

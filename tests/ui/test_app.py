@@ -14,6 +14,7 @@ from PySide6.QtGui import QImage
 
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import load_sensor
+from ui.sources import recording
 
 HERE = Path(__file__).parent
 PROGRAM = """
@@ -107,6 +108,18 @@ def test_the_real_press_is_painted_where_the_poker_is(drive, punyo_press: Path) 
     assert len(driver.warm_pixels()) > 50
     driver.seek(10)
     assert len(driver.warm_pixels()) == 0
+
+
+def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press: Path) -> None:  # type: ignore[no-untyped-def]
+    driver: Driver = drive()
+    driver.window.open_file(punyo_press)
+    driver.wait(lambda: driver.state.facts.frames == 90)
+    assert driver.window.controller.sensor.camera.width == 640
+    driver.wait(lambda: driver.window.controller.result.frame.depth_m.shape == (480, 640))
+    preset = load_sensor("pico_flexx_75mm")
+    driver.window.controller.open("press", recording(punyo_press), lambda: preset)
+    driver.wait(driver.window.message.isVisible)
+    assert "640×480" in driver.window.message.label.text()
 
 
 @pytest.mark.parametrize("name", ["DISPLAY"])
