@@ -1,0 +1,138 @@
+"""The pipeline: the products asked for decide which stages run, and nothing else does."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result
+
+sys.path.insert(0, str(Path(__file__).parent / "ui"))
+from fakes import FRAMES, DentSource, small_sensor
+
+FREE, PRESSED = 0, FRAMES - 1
+
+
+@pytest.fixture(scope="module")
+def source() -> DentSource:
+    return DentSource(small_sensor())
+
+
+@pytest.fixture
+def pipeline() -> Pipeline:
+    return Pipeline(small_sensor())
+
+
+def made(result: Result) -> set[str]:
+    """Names of the fields of a result that hold something."""
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    return {name for name, value in values.items() if value is not None} - {"frame", "times_ms"}
+
+
+@pytest.mark.parametrize(
+    ("products", "stages", "holds"),
+    [
+        ((), set(), set()),
+        (("cloud",), {"cloud"}, {"cloud_m", "cloud_pixels"}),
+        (("estimate",), {"estimate"}, {"estimate"}),
+        (("patch",), {"estimate", "patch"}, {"estimate", "patch"}),
+        (("pixel_mask",), {"estimate", "patch", "pixel_mask"}, {"estimate", "patch"}),
+        (
+            ("residual",),
+            {"estimate", "cloud", "residual"},
+            {"estimate", "cloud_m", "cloud_pixels", "cloud_residual_m"},
+        ),
+        (
+            ("patch", "cloud"),
+            {"estimate", "patch", "cloud"},
+            {"estimate", "patch", "cloud_m", "cloud_pixels"},
+        ),
+    ],
+)
+def test_products_run_the_stages_they_need_and_no_other(
+    pipeline: Pipeline,
+    source: DentSource,
+    products: tuple[Product, ...],
+    stages: set[str],
+    holds: set[str],
+) -> None:
+    result = pipeline.process(source[PRESSED], frozenset(products))
+    assert dict(pipeline.counts) == dict.fromkeys(stages | {"total"}, 1)
+    assert set(result.times_ms) == stages | {"total"}
+    assert made(result) == holds
+    if result.patch is not None:
+        assert (result.patch.pixel_mask is not None) == ("pixel_mask" in products)
+
+
+def test_a_pipeline_that_nobody_asks_to_estimate_builds_no_solver(
+    pipeline: Pipeline, source: DentSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bubbleviz.pipeline.Estimator", lambda *_: pytest.fail("built"))
+    result = pipeline.process(source[PRESSED], frozenset({"cloud"}))
+    assert result.cloud_m is not None
+    assert len(result.cloud_m) == np.isfinite(source[PRESSED].depth_m).sum()
+
+
+def test_kappa_thresholds_again_without_solving(pipeline: Pipeline, source: DentSource) -> None:
+    estimate = pipeline.process(source[PRESSED], frozenset({"patch"})).estimate
+    assert estimate is not None
+    areas = []
+    for kappa in (0.5, 5.0, 20.0):
+        pipeline.kappa = kappa
+        areas.append(pipeline.patch(estimate).area_m2)
+    assert areas[0] > areas[1] > areas[2]
+    assert pipeline.counts["estimate"] == 1
+
+
+def test_a_contact_free_frame_solves_no_qp(pipeline: Pipeline, source: DentSource) -> None:
+    """No contact, no QP: its solver is not even called."""
+    calls = []
+    solver = pipeline.estimator._solver
+    solve = solver.solve
+    solver.solve = lambda *given: (calls.append(1), solve(*given))[1]  # type: ignore[method-assign]
+    free = pipeline.process(source[FREE], frozenset({"patch"}))
+    assert free.estimate is not None
+    assert free.estimate.status == "no_contact"
+    assert not calls
+    pressed = pipeline.process(source[PRESSED], frozenset({"patch"}))
+    assert pressed.estimate is not None
+    assert pressed.estimate.contact_pressure_pa.any()
+    assert calls  # else the test looks at the wrong solver
+
+
+def test_the_dent_is_found_where_it_is(pipeline: Pipeline, source: DentSource) -> None:
+    patch = pipeline.process(source[PRESSED], frozenset({"pixel_mask"})).patch
+    assert patch is not None
+    assert np.hypot(*(patch.center_of_pressure_m[:2] - [0.02, 0.0])) < 5e-3
+    assert patch.force_n[2] < 0.0  # into the sensor
+    assert patch.pixel_mask is not None
+    assert patch.pixel_mask.shape == source[PRESSED].depth_m.shape
+    rows, columns = np.nonzero(patch.pixel_mask)
+    assert columns.mean() > 39.5  # towards +x
+    assert abs(rows.mean() - 29.5) < 4.0
+
+
+def test_an_empty_frame_between_presses(pipeline: Pipeline, source: DentSource) -> None:
+    first = pipeline.process(source[PRESSED], frozenset({"patch"}))
+    nothing = Frame(1, 0.0, np.full_like(source[PRESSED].depth_m, np.nan))
+    empty = pipeline.process(nothing, frozenset({"pixel_mask", "residual"}))
+    assert empty.estimate is not None
+    assert empty.estimate.status == "no_data"
+    again = pipeline.process(source[PRESSED], frozenset({"patch"}))
+    assert first.patch is not None
+    assert again.patch is not None
+    np.testing.assert_allclose(again.patch.force_n, first.patch.force_n, rtol=0.02, atol=0.02)
+
+
+def test_another_image_size_is_refused(pipeline: Pipeline) -> None:
+    frame = Frame(3, 0.0, np.full((10, 20), 0.1, np.float32))
+    with pytest.raises(InputError, match=r"frame 3: image is 20×10 pixels .* 80×60"):
+        pipeline.process(frame, frozenset({"estimate"}))
+    assert not pipeline.counts
