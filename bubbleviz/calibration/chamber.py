@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.pixels import PixelStatistics
+from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.robust import robust_sigma, tukey_weights
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.operators import range_jacobian
@@ -128,7 +129,10 @@ class MembraneTracker:
 
 
 def estimate_chamber(
-    tracker: MembraneTracker, frames: list[Frame], rest_pressure_pa: float
+    tracker: MembraneTracker,
+    frames: list[Frame],
+    rest_pressure_pa: float,
+    progress: Progress = quiet,
 ) -> ChamberEstimate:
     """Gas volume V0 from pressed frames: P0 V0 = P (V0 + ΔV), isothermal.
 
@@ -142,7 +146,8 @@ def estimate_chamber(
     """
     rest = tracker.mesh.cap_volume()
     changes, rises = [], []
-    for frame in frames:
+    for k, frame in enumerate(frames):
+        progress("measuring the chamber", 0.5 + 0.5 * k / len(frames))
         if frame.gas_pressure_pa is None:
             continue
         rise = frame.gas_pressure_pa - rest_pressure_pa

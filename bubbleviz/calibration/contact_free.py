@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.calibration.depth_statistics import MIN_FRAMES
+from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.robust import robust_sigma
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
@@ -40,7 +41,7 @@ class ContactFree:
     ended_by: str
 
 
-def find_contact_free(source: FrameSource) -> ContactFree:
+def find_contact_free(source: FrameSource, progress: Progress = quiet) -> ContactFree:
     """Leading frames in which neither the depth nor the gas pressure has left its rest state.
 
     The recording must start without contact: a contact that is there from the first frame and
@@ -51,7 +52,7 @@ def find_contact_free(source: FrameSource) -> ContactFree:
     InputError
         Fewer than 5 frames before something moves.
     """
-    tiles, pressures = _summaries(source)
+    tiles, pressures = _summaries(source, progress)
     depth_score = _score(tiles)
     depth_end = _first_change(depth_score)
     end, ended_by = (depth_end, "depth") if depth_end < len(tiles) else (len(tiles), "recording")
@@ -69,7 +70,7 @@ def find_contact_free(source: FrameSource) -> ContactFree:
     return ContactFree(range(end), depth_score, pressure_score, ended_by)
 
 
-def _summaries(source: FrameSource) -> tuple[np.ndarray, np.ndarray | None]:
+def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.ndarray | None]:
     """Depth of every tile (F, K) in m and gas pressure (F,) in Pa, None if a frame lacks it."""
     if len(source) < MIN_FRAMES:
         raise InputError(f"{source.name}: {len(source)} frames; record at least {MIN_FRAMES}")
@@ -78,6 +79,7 @@ def _summaries(source: FrameSource) -> tuple[np.ndarray, np.ndarray | None]:
         frame = source[k]
         tiles.append(_tile_depths(frame.depth_m))
         pressures.append(frame.gas_pressure_pa)
+        progress("finding contact-free frames", (k + 1) / len(source))
     known = np.array([np.nan if p is None else p for p in pressures])
     return np.array(tiles), known if np.isfinite(known).all() else None
 

@@ -59,6 +59,17 @@ class DepthStatistics:
         return self.frames / mean_inflation(self.temporal_correlation)
 
     @property
+    def regular_validity(self) -> float:
+        """Share of frames with a return below which a pixel is worse than its like.
+
+        Nine tenths of what is usual, less what chance takes from so few frames.
+        """
+        returning = self.validity[self.validity > 0.5]
+        usual = float(np.median(returning)) if returning.size else 1.0
+        chance = np.sqrt(usual * (1.0 - usual) / self.frames)
+        return max(0.9 * usual - 3.0 * chance, 0.5 * usual)
+
+    @property
     def correlation_length_px(self) -> float:
         """Distance at which the spatial correlation has fallen to 1/e, in pixels.
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.robust import robust_sigma, tukey_weights
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.operators import range_jacobian
@@ -25,7 +26,7 @@ from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 
-_FOLDS = 5
+FOLDS = 5
 _DECADES = np.arange(-4.0, 4.5, 0.5)  # of λ around the one at which data and prior weigh alike
 _RELINEARISATIONS = 4
 
@@ -46,6 +47,9 @@ class FreeForm:
         Robust rms error of ranges in tiles left out of the fit, m.
     residual_m : (H, W) array
         Measured minus cast range, m; NaN where there is no return or the ray misses the mesh.
+    left_out_m : (H, W) array
+        Measured minus predicted range of pixels whose tile was left out, m; NaN elsewhere.
+    system : System
     """
 
     mesh: MembraneMesh
@@ -53,6 +57,41 @@ class FreeForm:
     smoothing: float
     left_out_rms_m: float
     residual_m: np.ndarray
+    left_out_m: np.ndarray
+    system: System
+
+    def influence(self, gradients: np.ndarray) -> np.ndarray:
+        """Change of numbers per change of each pixel's range, (P, Q), unit/m.
+
+        Parameters
+        ----------
+        gradients : (n, Q) array
+            Change of each number per motion of each node along its arm, unit/m.
+        """
+        system = self.system
+        adjoint = splu(system.matrix).solve(np.ascontiguousarray(gradients))
+        return system.weights[:, None] * (system.D @ adjoint)
+
+
+@dataclass(frozen=True)
+class System:
+    """The fit's last linear system, in the pixels that took part.
+
+    Attributes
+    ----------
+    pixels : (P,) int array
+        Flat indices.
+    D : (P, n) sparse array
+        Derivative of their ranges for motion of the nodes along the arms.
+    weights : (P,) array
+    matrix : (n, n) sparse array
+        Normal matrix with the prior.
+    """
+
+    pixels: np.ndarray
+    D: sparse.csr_array
+    weights: np.ndarray
+    matrix: sparse.csc_array
 
 
 @dataclass(frozen=True)
@@ -70,6 +109,7 @@ def fit_free_form(
     use: np.ndarray,
     scale_m: float,
     tile_px: int,
+    progress: Progress = quiet,
 ) -> FreeForm:
     """Correct a cap's mesh until its cast ranges explain the measured ones.
 
@@ -92,9 +132,10 @@ def fit_free_form(
     caster = RayCaster(camera.center, camera.directions, start.triangles)
     pixels = np.flatnonzero((use & np.isfinite(range_m)).ravel())
     prior = _prior(start, scale_m)
-    fold = _fold_of(pixels, use.shape[1], tile_px)
+    fold = fold_of(pixels, use.shape[1], tile_px)
     correction = np.zeros(len(start.nodes))
     smoothing = left_out = float("nan")
+    left_out_image = np.full(range_m.size, np.nan)
     for k in range(_RELINEARISATIONS):
         nodes = start.nodes + correction[:, None] * arms
         hits = caster.cast(nodes, arms, pixels)
@@ -105,10 +146,22 @@ def fit_free_form(
         weights = tukey_weights(residual - np.median(residual), robust_sigma(residual))
         unit = _balance(D, weights, prior)
         if k < 2:  # later rounds move by micrometres: the choice stands
-            smoothing, left_out = _choose(D, target, weights, fold[hit], prior, unit)
-        correction = _solve(_normal(D, target, weights), prior * (smoothing * unit))
+            smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit)
+            left_out_image[hits.ray] = missed
+        normal = _normal(D, target, weights)
+        matrix = (normal.matrix + prior * (smoothing * unit)).tocsc()
+        correction = splu(matrix).solve(normal.right)
+        progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
-    return FreeForm(mesh, correction, smoothing, left_out, range_residual(mesh, camera, range_m))
+    return FreeForm(
+        mesh=mesh,
+        correction_m=correction,
+        smoothing=smoothing,
+        left_out_rms_m=left_out,
+        residual_m=range_residual(mesh, camera, range_m),
+        left_out_m=left_out_image.reshape(range_m.shape),
+        system=System(hits.ray, D, weights, matrix),
+    )
 
 
 def range_residual(mesh: MembraneMesh, camera: DepthCamera, range_m: np.ndarray) -> np.ndarray:
@@ -127,10 +180,10 @@ def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:
     return (operator @ sparse.diags_array(1.0 / mesh.areas) @ operator).tocsc()
 
 
-def _fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
+def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
     """Fold 0 … 4 of each pixel: whole tiles, spread like the knights of a chess board."""
     row, column = np.divmod(pixels, width)
-    return (row // tile_px * 2 + column // tile_px) % _FOLDS
+    return (row // tile_px * 2 + column // tile_px) % FOLDS
 
 
 def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> _Normal:
@@ -154,17 +207,19 @@ def _choose(
     fold: np.ndarray,
     prior: sparse.csc_array,
     unit: float,
-) -> tuple[float, float]:
-    """λ / unit that predicts the tiles left out best, and the rms error of that prediction, m."""
-    parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(_FOLDS)]
+) -> tuple[float, float, np.ndarray]:
+    """λ / unit that predicts the tiles left out best, its rms error and errors (k,), m."""
+    parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(FOLDS)]
     whole = _normal(D, target, weights)
     errors = np.zeros(len(_DECADES))
+    missed = np.empty((len(_DECADES), len(target)), np.float32)
     for k, part in enumerate(parts):
         rest = _Normal(whole.matrix - part.matrix, whole.right - part.right)
         rows, wanted, weight = D[fold == k], target[fold == k], weights[fold == k]
         for j, decade in enumerate(_DECADES):
-            missed = wanted - rows @ _solve(rest, prior * (10.0**decade * unit))
-            errors[j] += float(np.sum(weight * missed**2))
+            error = wanted - rows @ _solve(rest, prior * (10.0**decade * unit))
+            errors[j] += float(np.sum(weight * error**2))
+            missed[j, fold == k] = error
     errors /= float(weights.sum())
     best = int(np.argmin(errors))
-    return float(10.0 ** _DECADES[best]), float(np.sqrt(errors[best]))
+    return float(10.0 ** _DECADES[best]), float(np.sqrt(errors[best])), missed[best]

@@ -1,56 +1,38 @@
-"""From contact-free frames to a sensor: surface, pixels, tension, chamber.
+"""From contact-free frames to a sensor: the steps in their order.
 
-The rim belongs to the housing: its plane is the one of the given sensor's camera pose (from the
-drawing), in which only the centre is moved to the fitted dome's. What the cloud's edge says
-about its height is reported beside it.
+Each step is a call of its own, with frozen results: `find_contact_free`, `collect`,
+`fit_surfaces`, `rest_gauge_pressure`, `estimate_tension`, `select_pixels`, `measure_chamber`,
+`assemble`. A window runs them one by one, and any of them again with another choice; `identify`
+runs them all. A `Progress` sees how far each is, and stops it by raising `Cancelled`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from bubbleviz.calibration.chamber import ChamberEstimate, MembraneTracker, estimate_chamber
+from bubbleviz.calibration.checks import check_no_dent, check_seen, seen_share
 from bubbleviz.calibration.contact_free import find_contact_free
-from bubbleviz.calibration.depth_statistics import DepthStatistics, measure_depth
-from bubbleviz.calibration.free_form import FreeForm, fit_free_form
+from bubbleviz.calibration.depth_statistics import DepthStatistics
+from bubbleviz.calibration.free_form import FreeForm
 from bubbleviz.calibration.pixels import PixelStatistics, select_pixels
-from bubbleviz.calibration.rim import rim_height
-from bubbleviz.calibration.segment import away_from_edges, membrane_pixels, outer_edge
-from bubbleviz.calibration.surface_fit import SurfaceFit, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.tension import balance_tension
+from bubbleviz.calibration.progress import Progress, quiet
+from bubbleviz.calibration.robust import robust_sigma
+from bubbleviz.calibration.samples import Samples, collect
+from bubbleviz.calibration.surfaces import Fits, Name, Surfaces, cap_over_rim, fit_surfaces
+from bubbleviz.calibration.uncertainty import TensionEstimate, estimate_tension
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap
-from bubbleviz.sensor import Camera, Sensor
+from bubbleviz.membrane.surface import mesh_cap
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
-_TILE_LENGTHS = 10  # correlation lengths to a tile's side: its middle is news to its neighbours
-_SCALE = 0.5  # of the rim's smaller semi-axis: what is broader is the cap's business
 _PRESSED_FRAMES = 10  # for the chamber
-
-
-@dataclass(frozen=True)
-class Fits:
-    """The analytic surfaces, in the frame B of the identified sensor.
-
-    Attributes
-    ----------
-    sphere, cap, ellipsoid : SurfaceFit
-        Sphere; ellipsoid with semi-axes along B; ellipsoid with its tilt free.
-    rim_height_m, rim_height_sigma_m : float
-        Height of the rim above z = 0 by the cloud's edge, and its uncertainty, m.
-    """
-
-    sphere: SurfaceFit
-    cap: SurfaceFit
-    ellipsoid: SurfaceFit
-    rim_height_m: float
-    rim_height_sigma_m: float
+_SEEN_NODES = 2_000
 
 
 @dataclass(frozen=True)
@@ -60,32 +42,58 @@ class Identification:
     Attributes
     ----------
     sensor : Sensor
-        With shape "mesh"; its files do not exist before `write_sensor`.
-    mesh : MembraneMesh
-        Free-form reference surface in B.
+        Of shape "spherical_cap" where the sphere was chosen, else "mesh", whose files do not
+        exist before `write_sensor`.
+    given : Sensor
+        The sensor file it started from.
+    samples : Samples
+    surfaces : Surfaces
     pixels : PixelStatistics
-    statistics : DepthStatistics
-    contact_free : range
-        Frames used.
-    fits : Fits
-    surface : FreeForm
-    tension_n_per_m : float
-        γ0 by Young–Laplace over the free-form surface.
+    tension : TensionEstimate
     chamber : ChamberEstimate or None
         None where the source has no press with gas pressure.
-    source_name : str
+    seen : float
+        Share of the dome's area that the camera sees.
     """
 
     sensor: Sensor
-    mesh: MembraneMesh
+    given: Sensor
+    samples: Samples
+    surfaces: Surfaces
     pixels: PixelStatistics
-    statistics: DepthStatistics
-    contact_free: range
-    fits: Fits
-    surface: FreeForm
-    tension_n_per_m: float
+    tension: TensionEstimate
     chamber: ChamberEstimate | None
-    source_name: str
+    seen: float
+
+    @property
+    def mesh(self) -> MembraneMesh:
+        """Reference surface in B."""
+        return self.surfaces.mesh
+
+    @property
+    def fits(self) -> Fits:
+        """The analytic surfaces."""
+        return self.surfaces.fits
+
+    @property
+    def surface(self) -> FreeForm:
+        """The free-form surface."""
+        return self.surfaces.free_form
+
+    @property
+    def statistics(self) -> DepthStatistics:
+        """Of every pixel."""
+        return self.samples.statistics
+
+    @property
+    def tension_n_per_m(self) -> float:
+        """γ0, N/m."""
+        return self.tension.tension.value
+
+    @property
+    def source_name(self) -> str:
+        """Name of the recording."""
+        return self.samples.source_name
 
     @property
     def camera(self) -> DepthCamera:
@@ -95,15 +103,17 @@ class Identification:
     @property
     def modelled_range_m(self) -> np.ndarray:
         """Range of the rays cast on the reference surface, (H, W), m; NaN where they miss."""
-        return self.statistics.range_m - self.surface.residual_m
+        return self.statistics.range_m - self.surfaces.residual_m
 
 
 def identify(
     source: FrameSource,
     sensor: Sensor,
-    contact_free: range | None = None,
+    contact_free: Sequence[int] | None = None,
     *,
     nodes: int = 1000,
+    surface: Name | None = None,
+    progress: Progress = quiet,
 ) -> Identification:
     """Identify a sensor from contact-free frames.
 
@@ -115,157 +125,150 @@ def identify(
     sensor : Sensor
         Name, camera pose (its rim plane and axes are kept), gauge pressure, chamber volume; what
         the recording tells better (intrinsics, gas pressure) is taken from there.
-    contact_free : range, optional
+    contact_free : sequence of int, optional
         Frames to use; found by themselves where not given.
     nodes : int
         Target number of nodes of the mesh.
+    surface : {"sphere", "ellipsoid", "free-form"}, optional
+        The operator's choice, in place of the data's.
+    progress : Progress
 
     Raises
     ------
     InputError
-        Too few contact-free frames, frames of another camera, or no dome in them.
+        Whatever makes the answer worthless: too few contact-free frames, frames of another
+        camera or in another unit, no gauge pressure, no dome, half of it unseen, a moving
+        camera, contact all along.
     """
-    chosen = find_contact_free(source).frames if contact_free is None else contact_free
-    if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
-        raise InputError(
-            f"{source.name}: contact-free frames {chosen.start}:{chosen.stop} are outside its"
-            f" {len(source)} frames; name others"
-        )
-    frames = [source[k] for k in chosen]
-    if not frames:
-        raise InputError(f"{source.name}: no contact-free frames; name at least 5")
-    camera = DepthCamera.of(sensor.camera, frames[0].intrinsics)
-    statistics = measure_depth(frames, camera.range_per_depth)
-    membrane, usable = _membrane(statistics, camera)
-    fits, camera = _fit_surfaces(statistics, camera, membrane, usable)
-    start = mesh_cap(_cap_over_rim(fits.cap), nodes)
-    surface = fit_free_form(
-        start,
-        camera,
-        statistics.range_m,
-        usable,
-        scale_m=_SCALE * float(np.abs(start.nodes[start.rim, :2]).max(axis=0).min()),
-        tile_px=max(2, round(_TILE_LENGTHS * statistics.correlation_length_px)),
-    )
-    pixels = select_pixels(statistics, membrane, surface.residual_m)
+    chosen = contact_free
+    if chosen is None:
+        chosen = find_contact_free(source, progress).frames
+    samples = collect(source, sensor, chosen, progress)
+    gauge = rest_gauge_pressure(samples, sensor)
+    surfaces = fit_surfaces(samples, nodes, surface, progress)
+    seen = check_dome(samples, surfaces)
+    tension = estimate_tension(samples, surfaces, gauge, progress=progress)
+    pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
+    chamber = measure_chamber(source, samples, surfaces, pixels, tension, progress)
+    progress("done", 1.0)
+    return assemble(sensor, samples, surfaces, pixels, tension, chamber, seen)
+
+
+def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:
+    """Gauge pressure of the contact-free frames, Pa: measured, or the sensor file's."""
     pneumatics = sensor.pneumatics
-    rest = _rest_pressure(frames)
-    if rest is not None:
-        gauge = rest - pneumatics.atmospheric_pressure_pa
-        if gauge <= 0.0:
-            raise InputError(
-                f"{source.name}: gas pressure {rest:.0f} Pa is not above the atmospheric"
-                f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the latter, or inflate"
-            )
-        pneumatics = pneumatics.model_copy(update={"gauge_pressure_pa": round(gauge, 1)})
-    tension = balance_tension(surface.mesh, pneumatics.gauge_pressure_pa)
-    tracker = MembraneTracker(surface.mesh, camera, pixels, tension, surface.smoothing)
-    chamber = _chamber(source, chosen, tracker, rest)
-    measured = chamber.chamber_volume_m3(surface.mesh.cap_volume()) if chamber else None
-    volume = pneumatics.chamber_volume_m3 if measured is None else measured
-    pneumatics = pneumatics.model_copy(
-        update={"chamber_volume_m3": float(f"{volume:.3g}"), "tension_n_per_m": round(tension, 2)}
-    )
-    return Identification(
-        sensor=sensor.model_copy(
-            update={
-                "membrane": sensor.membrane.model_copy(
-                    update={"shape": "mesh", "mesh_file": "membrane.ply", "height_m": None}
-                    | {"rim_radius_m": None, "rim_semi_axes_m": None, "nodes": len(start.nodes)}
-                ),
-                "pneumatics": pneumatics,
-                "camera": _camera_section(sensor.camera, camera, statistics, pixels),
-                "calibration": None,
-            }
-        ),
-        mesh=surface.mesh,
-        pixels=pixels,
-        statistics=statistics,
-        contact_free=chosen,
-        fits=fits,
-        surface=surface,
-        tension_n_per_m=tension,
-        chamber=chamber,
-        source_name=source.name,
-    )
-
-
-def _points(statistics: DepthStatistics, camera: DepthCamera, use: np.ndarray) -> np.ndarray:
-    """Points in B of the pixels in use (H, W), shape (k, 3), m."""
-    pixels = np.flatnonzero(use)
-    return camera.center + statistics.range_m.ravel()[pixels, None] * camera.directions[pixels]
-
-
-def _membrane(
-    statistics: DepthStatistics, camera: DepthCamera, min_validity: float = 0.9
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels that see the membrane, and those of them far enough from its edges, (H, W) bool."""
-    known = statistics.validity >= min_validity
-    points = _points(statistics, camera, known)
-    rough = fit_ellipsoid(points, np.eye(3)).ellipsoid
-    distance = np.full(known.shape, np.nan)
-    distance[known] = rough.distance(points)
-    membrane = membrane_pixels(distance, known)
-    return membrane, away_from_edges(membrane, statistics.correlation_length_px)
-
-
-def _fit_surfaces(
-    statistics: DepthStatistics, camera: DepthCamera, membrane: np.ndarray, usable: np.ndarray
-) -> tuple[Fits, DepthCamera]:
-    """Analytic surfaces, and the camera in B with its origin below the fitted dome's centre."""
-    cap = fit_ellipsoid(_points(statistics, camera, usable), np.eye(3))
-    T_B_C = camera.T_B_C.copy()
-    T_B_C[:2, 3] -= cap.ellipsoid.centre_m[:2]
-    moved = DepthCamera(camera.intrinsics, T_B_C)
-    points = _points(statistics, moved, usable)
-    centre = cap.ellipsoid.centre_m * (0.0, 0.0, 1.0)
-    edge = _points(statistics, moved, outer_edge(membrane))
-    height, sigma = rim_height(edge[:, 2])
-    fits = Fits(
-        sphere=fit_sphere(points),
-        cap=replace(cap, ellipsoid=replace(cap.ellipsoid, centre_m=centre)),
-        ellipsoid=fit_ellipsoid(points),
-        rim_height_m=height,
-        rim_height_sigma_m=sigma,
-    )
-    return fits, moved
-
-
-def _cap_over_rim(fit: SurfaceFit) -> EllipsoidalCap:
-    """The part of the fitted ellipsoid above the rim plane z = 0."""
-    ax, ay, c = (float(x) for x in fit.ellipsoid.semi_axes_m)
-    sunk = float(fit.ellipsoid.centre_m[2]) / c
-    if not -1.0 < sunk < 1.0:
+    if samples.gas_pressure_pa is None:
+        return pneumatics.gauge_pressure_pa
+    rest = float(np.median(samples.gas_pressure_pa))
+    gauge = rest - pneumatics.atmospheric_pressure_pa
+    if gauge <= 0.0:
         raise InputError(
-            "contact-free cloud: the fitted dome does not reach the rim plane z = 0; correct"
-            " camera.position_m in the sensor file"
+            f"{samples.source_name}: gas pressure {rest:.0f} Pa is not above the atmospheric"
+            f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the latter, or inflate"
         )
-    at_rim = float(np.sqrt(1.0 - sunk**2))
-    return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + sunk), c)
+    return gauge
 
 
-def _rest_pressure(frames: Iterable[Frame]) -> float | None:
-    """Median absolute gas pressure in Pa; None where frames lack it."""
-    values = [f.gas_pressure_pa for f in frames if f.gas_pressure_pa is not None]
-    return float(np.median(values)) if values else None
+def check_dome(samples: Samples, surfaces: Surfaces) -> float:
+    """Refuse a dome pressed in or half unseen; share of it that is seen."""
+    name, cap, camera = samples.source_name, surfaces.fits.cap.ellipsoid, surfaces.camera
+    mesh = mesh_cap(cap_over_rim(cap), _SEEN_NODES)
+    mesh = MembraneMesh(mesh.nodes + cap.centre_m * (1.0, 1.0, 0.0), mesh.triangles, mesh.rim)
+    seen = seen_share(mesh, camera, surfaces.membrane)
+    check_seen(name, seen)
+    ranges = samples.statistics.range_m
+    points = camera.center + ranges[..., None] * camera.directions.reshape(*ranges.shape, 3)
+    residual = cap.distance(points.reshape(-1, 3)).reshape(ranges.shape)
+    pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)
+    check_no_dent(name, residual, surfaces.usable, pixel_m, cap)
+    return seen
 
 
-def _chamber(
-    source: FrameSource, free: range, tracker: MembraneTracker, rest: float | None
+def measure_chamber(
+    source: FrameSource,
+    samples: Samples,
+    surfaces: Surfaces,
+    pixels: PixelStatistics,
+    tension: TensionEstimate,
+    progress: Progress = quiet,
 ) -> ChamberEstimate | None:
-    """Chamber from the frames after `free` in which the gas pressure holds near its largest."""
-    later = [source[k] for k in range(max(free) + 1, len(source))]
-    rises = np.array([np.nan if f.gas_pressure_pa is None else f.gas_pressure_pa for f in later])
-    if rest is None or not len(later) or not np.isfinite(rises).any():
+    """Chamber from later frames in which the gas pressure holds near its largest.
+
+    None where there is no gas pressure, or no press that moves it ten times its noise.
+    """
+    free = samples.gas_pressure_pa
+    if free is None:
         return None
-    noise = np.std([source[k].gas_pressure_pa or rest for k in free])
-    rises = rises - rest
-    top = float(np.nanmax(rises))
-    if top < 10.0 * noise:  # no press, or one too light to measure a tenth of
+    rest = float(np.median(free))
+    later = range(max(samples.frames) + 1, len(source))
+    rises = []
+    for k in later:
+        value = source[k].gas_pressure_pa
+        rises.append(np.nan if value is None else value - rest)
+        progress("measuring the chamber", 0.5 * (k - later.start) / len(later))
+    rise = np.array(rises)
+    if not np.isfinite(rise).any() or np.nanmax(rise) < 10.0 * max(robust_sigma(free), 1e-9):
         return None
-    held = np.flatnonzero(rises > 0.9 * top)
+    held = np.flatnonzero(rise > 0.9 * np.nanmax(rise))
     picked = held[np.unique(np.linspace(0, len(held) - 1, _PRESSED_FRAMES).astype(int))]
-    return estimate_chamber(tracker, [later[k] for k in picked], rest)
+    tracker = MembraneTracker(
+        surfaces.mesh,
+        surfaces.camera,
+        pixels,
+        tension.tension.value,
+        surfaces.free_form.smoothing,
+    )
+    return estimate_chamber(tracker, [source[later[k]] for k in picked], rest, progress)
+
+
+def assemble(
+    sensor: Sensor,
+    samples: Samples,
+    surfaces: Surfaces,
+    pixels: PixelStatistics,
+    tension: TensionEstimate,
+    chamber: ChamberEstimate | None,
+    seen: float,
+) -> Identification:
+    """Put what the steps found into a sensor."""
+    measured = chamber.chamber_volume_m3(surfaces.mesh.cap_volume()) if chamber else None
+    volume = sensor.pneumatics.chamber_volume_m3 if measured is None else measured
+    pneumatics = sensor.pneumatics.model_copy(
+        update={
+            "gauge_pressure_pa": round(tension.gauge_pressure_pa, 1),
+            "chamber_volume_m3": float(f"{volume:.3g}"),
+            "tension_n_per_m": round(tension.tension.value, 3),
+        }
+    )
+    update = {
+        "membrane": _membrane_section(surfaces),
+        "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
+        "camera": _camera_section(sensor.camera, surfaces.camera, samples.statistics, pixels),
+        "calibration": None,
+    }
+    return Identification(
+        sensor=sensor.model_copy(update=update),
+        given=sensor,
+        samples=samples,
+        surfaces=surfaces,
+        pixels=pixels,
+        tension=tension,
+        chamber=chamber,
+        seen=seen,
+    )
+
+
+def _membrane_section(surfaces: Surfaces) -> Membrane:
+    if surfaces.chosen != "sphere":
+        nodes = len(surfaces.mesh.nodes)
+        return Membrane(shape="mesh", mesh_file="membrane.ply", nodes=nodes)
+    cap = cap_over_rim(surfaces.fits.sphere.ellipsoid)
+    return Membrane(
+        shape="spherical_cap",
+        rim_radius_m=round(cap.rim_semi_axes_m[0], 7),
+        height_m=round(cap.height_m, 7),
+        nodes=len(surfaces.mesh.nodes),
+    )
 
 
 def _camera_section(
@@ -284,6 +287,6 @@ def _camera_section(
             "distortion_model": own.distortion_model,
             "distortion": tuple(own.distortion),
             "position_m": tuple(round(float(x), 6) for x in camera.T_B_C[:3, 3]),
-            "noise_relative": float(f"{relative:.3g}"),
+            "noise_relative": max(float(f"{relative:.3g}"), 1e-6),
         }
     )

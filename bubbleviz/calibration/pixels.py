@@ -84,7 +84,8 @@ def select_pixels(
     statistics: DepthStatistics,
     membrane: np.ndarray,
     residual_m: np.ndarray,
-    min_validity: float = 0.9,
+    min_validity: float | None = None,
+    deviations: float = _SAMPLE_SCALE,
 ) -> PixelStatistics:
     """Decide which pixels to use, and what each is off by.
 
@@ -102,13 +103,17 @@ def select_pixels(
         Pixels that see the membrane (`segment.membrane_pixels`).
     residual_m : (H, W) array
         Measured minus modelled range, m; NaN where the ray misses the model.
-    min_validity : float
-        Share of the frames in which a pixel must have a return.
+    min_validity : float, optional
+        Share of the frames in which a pixel must have a return; nine tenths of what is usual.
+    deviations : float
+        Robust standard deviations beyond which a pixel is `unstable` or `biased`.
     """
+    if min_validity is None:
+        min_validity = statistics.regular_validity
     validity, sigma = statistics.validity, statistics.noise_m
     inner = away_from_edges(membrane, 0.5 * statistics.correlation_length_px)
     typical = membrane & np.isfinite(residual_m)
-    fence = upper_fence(sigma[typical], _SAMPLE_SCALE)
+    fence = upper_fence(sigma[typical], deviations)
     middle = float(np.median(residual_m[typical])) if typical.any() else 0.0
     spread = robust_sigma(residual_m[typical])
     # NaN compares false: what has no residual was taken out by an earlier reason.
@@ -120,7 +125,7 @@ def select_pixels(
             "outside_rim": ~np.isfinite(residual_m),
             "edge": ~inner,
             "unstable": ~(sigma <= fence),
-            "biased": np.abs(residual_m - middle) > _SAMPLE_SCALE * spread,
+            "biased": np.abs(residual_m - middle) > deviations * spread,
         }
     mask = np.ones(validity.shape, bool)
     removed = {}

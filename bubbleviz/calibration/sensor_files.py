@@ -65,12 +65,12 @@ def _described(identification: Identification, path: Path) -> Sensor:
 
 def _comment(identification: Identification) -> str:
     """Where the numbers come from, as comment lines."""
-    fits, surface, free = identification.fits, identification.surface, identification.contact_free
-    seen = surface.residual_m[identification.pixels.mask]
+    fits, surfaces = identification.fits, identification.surfaces
+    free = identification.samples.frames
+    seen = surfaces.residual_m[identification.pixels.mask]
     axes = "/".join(f"{1e3 * x:.1f}" for x in fits.cap.ellipsoid.semi_axes_m)
     lines = [
-        f"Identified from {identification.source_name}, contact-free frames"
-        f" {free.start}–{free.stop - 1}.",
+        f"Identified from {identification.source_name}, contact-free frames {free[0]}–{free[-1]}.",
         "B: origin at the centre of the rim plane; the rim plane and the axes are the drawing's.",
         f"Cloud minus surface, rms over the used pixels: sphere"
         f" {1e3 * fits.sphere.rms_m:.2f} mm, ellipsoid of semi-axes {axes} mm"
