@@ -76,7 +76,7 @@ def summary_row(result: Result) -> dict[str, Any]:
 class ResultWriter:
     """Writes RESULT.npz while the frames come.
 
-    An hour of masks is 11 GB and of nodal fields 0.6 GB: the masks go straight into the archive,
+    The masks of 36,000 frames are 11 GB, the nodal fields 0.6 GB: the masks go into the archive,
     the nodal fields through unnamed files beside it (a system's folder for temporary files may
     be memory), and only a few numbers a frame are kept.
 

@@ -16,6 +16,7 @@ from bubbleviz.cli import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.writer import RecordingWriter
+from bubbleviz.sensor import Sensor
 
 HEAVY = (
     "numpy",
@@ -54,6 +55,16 @@ def test_every_command_has_help() -> None:
         done = CliRunner().invoke(main, [name, "--help"])
         assert done.exit_code == 0
         assert "Usage:" in done.stdout
+
+
+def test_the_window_is_not_imported_by_commands_without_one() -> None:
+    code = (
+        "import sys; from bubbleviz.cli import main\n"
+        "for name in main.commands: main([name, '--help'], standalone_mode=False)\n"
+        f"print('LOADED', [m for m in {(*HEAVY, 'ui')!r} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.rstrip().endswith("LOADED []")
 
 
 def test_info(recording: Path) -> None:
@@ -115,3 +126,117 @@ def test_errors_of_commands(error: BaseException, code: int, line: str) -> None:
     assert done.exit_code == code
     assert line in done.stderr
     assert "Traceback" not in done.output
+
+
+# -- the window's commands, without the window --------------------------------------------------
+
+PICO_SIZE = (171, 224)
+
+
+@pytest.fixture
+def pico_recording(tmp_path: Path) -> Path:
+    """Recording with images of the size that one preset's camera has."""
+    path = tmp_path / "pico.mcap"
+    with RecordingWriter(path) as writer:
+        writer.write(Frame(0, 0.0, np.full(PICO_SIZE, 0.1, dtype=np.float32)))
+    return path
+
+
+@pytest.fixture
+def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ...]]]:
+    """What the commands ask of ui.app and ui.benchmark, in place of doing it."""
+    import ui.app
+    import ui.benchmark
+
+    asked: list[tuple[str, tuple[object, ...]]] = []
+
+    def record(name: str, answer: object) -> object:
+        def asking(sensor: Sensor, *rest: object) -> object:
+            asked.append((name, (sensor.name, *rest)))
+            return answer
+
+        return asking
+
+    monkeypatch.setattr(ui.app, "run_window", record("window", 0))
+    monkeypatch.setattr(ui.app, "screenshot", record("screenshot", None))
+    measured = {"median_fps": 31.25, "solve_ms": float("nan")}
+    monkeypatch.setattr(ui.benchmark, "replay_fps", record("bench", measured))
+    return asked
+
+
+Asked = list[tuple[str, tuple[object, ...]]]
+
+
+def test_without_a_command_the_synthetic_sensor(windows: Asked) -> None:
+    assert CliRunner().invoke(main, []).exit_code == 0
+    assert windows == [("window", ("soft-bubble pico flexx",))]
+
+
+def test_the_windows_exit_code_is_the_commands(
+    windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
+) -> None:
+    monkeypatch.setattr("ui.app.run_window", lambda *_: 3)
+    assert CliRunner().invoke(main, []).exit_code == 3
+    assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
+
+
+def test_open_chooses_the_preset_that_fits_and_says_so(
+    windows: Asked, pico_recording: Path
+) -> None:
+    done = CliRunner().invoke(main, ["open", str(pico_recording)])
+    assert done.exit_code == 0
+    assert "pico_flexx_75mm" in done.stdout
+    assert windows == [("window", ("soft-bubble pico flexx", pico_recording, None))]
+
+
+def test_open_at_a_frame_and_screenshot(
+    windows: Asked, pico_recording: Path, tmp_path: Path
+) -> None:
+    words = ["open", str(pico_recording), "--sensor", "pico_flexx_75mm", "--frame", "7"]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    out = tmp_path / "out.png"
+    done = CliRunner().invoke(main, [*words, "--screenshot", str(out)])
+    assert done.stdout == f"wrote {out}\n"
+    name = "soft-bubble pico flexx"
+    assert windows == [
+        ("window", (name, pico_recording, 7)),
+        ("screenshot", (name, pico_recording, 7, out)),
+    ]
+
+
+def test_screenshot_onto_an_existing_file_is_refused_at_once(
+    windows: Asked, pico_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.png"
+    out.write_text("precious")
+    done = CliRunner().invoke(main, ["open", str(pico_recording), "--screenshot", str(out)])
+    assert done.exit_code == 2
+    assert "out.png: exists already" in done.stderr
+    assert not windows
+
+
+def test_bench_window(windows: Asked, pico_recording: Path) -> None:
+    words = ["bench", "window", str(pico_recording), "--seconds", "2", "--json"]
+    done = CliRunner().invoke(main, words)
+    assert json.loads(done.stdout) == {"median_fps": 31.25, "solve_ms": None}
+    done = CliRunner().invoke(main, ["bench", "window", "--synthetic"])
+    assert "31.25" in done.stdout
+    name = "soft-bubble pico flexx"
+    assert windows == [("bench", (name, pico_recording, 2.0)), ("bench", (name, None, 8.0))]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["bench"], "Missing command; see bubbleviz bench --help"),
+        (["bench", "window"], "either REC or --synthetic"),
+        (["bench", "window", "x.mcap", "--synthetic"], "either REC or --synthetic"),
+        (["bench", "window", "--synthetic", "--seconds", "0"], "--seconds"),
+        (["open", "x.mcap", "--frame", "-1"], "--frame"),
+    ],
+)
+def test_wrong_usage_of_the_windows_commands(windows: Asked, words: list[str], told: str) -> None:
+    done = CliRunner().invoke(main, words, prog_name="bubbleviz")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert told in done.stderr
+    assert not windows
