@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -114,6 +116,7 @@ class Row:
     relinearisations: int
     status: str
     iou: float = np.nan
+    iou_best_threshold: float = np.nan
     force_error_relative: float = np.nan
     cop_error_m: float = np.nan
     displacement_rms_m: float = np.nan
@@ -206,7 +209,7 @@ def run_accuracy(
     rows: list[Row] = []
     for setup in grid.setups:
         try:
-            rows += _kept(parts, grid, setup, lambda s=setup: _run(bank, sightings, grid, s))
+            rows += _kept(parts, grid, setup, partial(_run, bank, sightings, grid, setup))
         except Exception as error:  # a study reports a solver that breaks, and goes on
             omitted.append(f"{setup.label}: {type(error).__name__}: {error}")
         tick(setup.label)
@@ -241,7 +244,7 @@ def is_deep(press: Press | Row) -> bool:
 
 def _run(bank: TruthBank, sightings: list[Sighting], grid: Grid, setup: Setup) -> list[Row]:
     pipeline = setup.pipeline(bank.sensor)
-    judge = Judge(pipeline.mesh, bank.mesh)
+    judge = Judge(pipeline, bank.mesh)
     return [
         _row(bank, sighting, noise, setup, pipeline, judge, grid.repeats)
         for noise in grid.noises_relative
@@ -262,10 +265,14 @@ def _row(
     _forget(pipeline, frames[0])
     cold, *warm = (pipeline.process(frame, PRODUCTS) for frame in frames)
     errors = [judge.errors(result, sighting.truth, setup.stride) for result in warm]
+    means: dict[str, Any] = {
+        f.name: float(np.mean([getattr(e, f.name) for e in errors])) for f in fields(Errors)
+    }
     estimates = [result.estimate for result in warm if result.estimate is not None]
     bad = [estimate.status for estimate in estimates if estimate.status != "ok"]
     options = pipeline.options
     return Row(
+        **means,
         object_name=sighting.press.object_name,
         held_out=sighting.press.held_out,
         depth_m=sighting.press.depth_m,
@@ -276,7 +283,6 @@ def _row(
         pixel_stride=setup.stride,
         relinearisations=options.relinearisations,
         status=bad[0] if bad else "ok",
-        **{f.name: float(np.mean([getattr(e, f.name) for e in errors])) for f in fields(Errors)},
         kkt_residual=max(estimate.kkt_residual for estimate in estimates),
         cold_ms=cold.times_ms["total"],
         warm_ms=_median_ms(warm),
@@ -303,7 +309,12 @@ def _kept(parts: Path | None, grid: Grid, setup: Setup, run: Callable[[], list[R
         kept = json.loads(path.read_text(encoding="utf-8"))
         if kept["grid"] != own:
             raise InputError(f"{path}: is of another grid; choose another folder or delete it")
-        return [Row(**{k: np.nan if v is None else v for k, v in r.items()}) for r in kept["rows"]]
+        return [_row_of(record) for record in kept["rows"]]
     rows = run()
     write_json(path, {"grid": own, "rows": [asdict(row) for row in rows]})
     return rows
+
+
+def _row_of(record: dict[str, Any]) -> Row:
+    numbers: dict[str, Any] = {k: np.nan if v is None else v for k, v in record.items()}
+    return Row(**numbers)

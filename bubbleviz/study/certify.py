@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ def _fields(pipeline: Pipeline, result: Result) -> list[str]:
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return ["no estimate or no patch"]
-    numbers = [
+    numbers: list[Any] = [
         estimate.displacement_m,
         estimate.contact_pressure_pa,
         estimate.gas_pressure_change_pa,

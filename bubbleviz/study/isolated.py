@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Literal
 
+Kind = Literal["returned", "raised", "hung", "died"]
 MEMORY_LIMIT_BYTES = 8 * 2**30
 
 
@@ -29,7 +30,7 @@ class Outcome:
         Wall time.
     """
 
-    kind: Literal["returned", "raised", "hung", "died"]
+    kind: Kind
     value: Any
     detail: str
     ms: float
@@ -61,6 +62,7 @@ class Worker:
         self._start()
         start = time.perf_counter()
         self._pipe.send((function, args))
+        kind: Kind
         try:
             answered = self._pipe.poll(limit_s)
             kind, value, detail = self._pipe.recv() if answered else ("hung", None, "")

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.camera.view import MembraneView
 from bubbleviz.frames.synthetic import Truth
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.result import Result
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Estimate, Result
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,9 @@ class Errors:
     ----------
     iou : float
         Of the patch's pixels, intersection over union.
+    iou_best_threshold : float
+        With the pressure threshold that an oracle picks for this very frame: what a better rule
+        for the patch could gain.
     force_error_relative : float
         Length of the difference of the force vectors over the length of the true one.
     cop_error_m : float
@@ -30,6 +35,7 @@ class Errors:
     """
 
     iou: float
+    iou_best_threshold: float
     force_error_relative: float
     cop_error_m: float
     displacement_rms_m: float
@@ -41,12 +47,15 @@ class Judge:
 
     Parameters
     ----------
-    estimator_mesh, truth_mesh : MembraneMesh
+    pipeline : Pipeline
+        Whose results are judged.
+    truth_mesh : MembraneMesh
     """
 
-    def __init__(self, estimator_mesh: MembraneMesh, truth_mesh: MembraneMesh) -> None:
-        self._triangle, self._barycentric = _closest(estimator_mesh.nodes, truth_mesh)
-        self._corners = truth_mesh.triangles[self._triangle]
+    def __init__(self, pipeline: Pipeline, truth_mesh: MembraneMesh) -> None:
+        self._view = MembraneView(pipeline.camera, pipeline.mesh)
+        triangle, self._barycentric = _closest(pipeline.mesh.nodes, truth_mesh)
+        self._corners = truth_mesh.triangles[triangle]
 
     def displacement_m(self, truth: Truth) -> np.ndarray:
         """True displacement (n,) at the estimator's nodes, m."""
@@ -59,8 +68,10 @@ class Judge:
             raise ValueError("the result lacks the estimate, the patch or its pixels")
         difference = estimate.displacement_m - self.displacement_m(truth)
         force = np.linalg.norm(truth.force_n)
+        seen = truth.patch_mask[::stride, ::stride]
         return Errors(
-            iou=iou(patch.pixel_mask, truth.patch_mask[::stride, ::stride]),
+            iou=iou(patch.pixel_mask, seen),
+            iou_best_threshold=self._best_iou(estimate, seen),
             force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n) / force),
             cop_error_m=float(
                 np.linalg.norm(patch.center_of_pressure_m - truth.center_of_pressure_m)
@@ -68,6 +79,16 @@ class Judge:
             displacement_rms_m=float(np.sqrt(np.mean(difference**2))),
             gas_error_pa=abs(estimate.gas_pressure_change_pa - truth.gas_pressure_change_pa),
         )
+
+    def _best_iou(self, estimate: Estimate, seen: np.ndarray) -> float:
+        """Largest IoU over all thresholds of the contact pressure."""
+        hits = self._view.hits(estimate.displacement_m)
+        pressure = estimate.contact_pressure_pa[self._view.mesh.triangles[hits.triangle]]
+        values = np.einsum("ij,ij->i", hits.barycentric, pressure)
+        order = np.argsort(-values)
+        right = np.cumsum(seen.ravel()[hits.ray[order]])
+        wrong = np.arange(1, len(order) + 1) - right
+        return float(np.max(right / (np.count_nonzero(seen) + wrong), initial=0.0))
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:

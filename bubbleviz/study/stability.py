@@ -28,8 +28,8 @@ class Case:
     ----------
     name : str
     run : callable
-        Returns what was found in words; raises `RefusedError` or `FailedError`, InputError or SolveError
-        where the program refuses.
+        Returns what was found in words. Raises `FailedError` for a wrong answer; `RefusedError`,
+        InputError or SolveError where the program refuses.
     must : {"solve", "refuse", "either"}
         What is right: an ordinary problem may not be refused, nor nonsense be answered.
     limit_s : float
@@ -41,7 +41,7 @@ class Case:
     name: str
     run: Callable[[], str]
     must: Literal["solve", "refuse", "either"] = "either"
-    limit_s: float = 60.0
+    limit_s: float = 120.0
     quick: bool = False
 
 

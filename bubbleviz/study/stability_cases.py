@@ -73,7 +73,7 @@ def _chamber() -> Iterator[Case]:
 def _meshes() -> Iterator[Case]:
     for nodes in (30, 100, 5_000, 10_000, 50_000):
         trial = Trial({"membrane": {"nodes": nodes}})
-        limit = 60.0 if nodes < 10_000 else 240.0
+        limit = 120.0 if nodes < 5_000 else 300.0
         yield Case(f"{nodes} nodes", trial, limit_s=limit, quick=nodes == 30)
 
 

@@ -1,0 +1,139 @@
+"""The commands `bubbleviz study …`: one thin function each, heavy imports inside."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+SENSOR = "pico_flexx_75mm"
+
+
+@click.group()
+def study() -> None:
+    """Measure error against run time, speed and stability."""
+
+
+def _common(function: Callable[..., None]) -> Callable[..., None]:
+    """Options of every study."""
+    options = [
+        click.option("--out", type=click.Path(path_type=Path), help="Folder for the report."),
+        click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units."),
+        click.option("--quick", is_flag=True, help="A few cases, about a minute."),
+    ]
+    return functools.reduce(lambda f, option: option(f), reversed(options), function)
+
+
+@study.command()
+@_common
+@click.option("--sensor", default=SENSOR, show_default=True, help="Sensor file or preset.")
+@click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
+@click.option("--shipped-only", is_flag=True, help="The whole grid, with the shipped default only.")
+def accuracy(
+    out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int, shipped_only: bool
+) -> None:
+    """Error of patch, force and shape against run time; the linear model against the exact one.
+
+    With --out a stopped study goes on where it was.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz.study import accuracy_report, linear_model
+    from bubbleviz.study.accuracy import full_grid, quick_grid, run_accuracy
+    from bubbleviz.study.report import out_folder, to_json
+
+    own = load_sensor(sensor)
+    grid = replace(quick_grid() if quick else full_grid(), seed=seed)
+    if shipped_only:
+        grid = replace(grid, setups=grid.setups[:1])
+    parts = None
+    if out is not None:
+        out_folder(out)
+        accuracy_report.check_free(out)
+        linear_model.check_free(out)
+        parts = out_folder(out / "accuracy_parts")
+    with _progress(len(grid.setups), "setup") as bar:
+        found = run_accuracy(own, grid, parts, lambda _: bar.update())
+    click.echo(
+        to_json(accuracy_report.as_dict(found)) if as_json else accuracy_report.to_text(found)
+    )
+    if out is not None:
+        written = accuracy_report.write(found, out)
+        bubble = linear_model.bubble_of(own)
+        if bubble is not None:
+            depths = np.linspace(0.04, 0.6, 4 if quick else 15) * bubble.height_m
+            compared = linear_model.compare(bubble, depths, 1_500 if quick else 6_000)
+            written += linear_model.write(compared, out)
+        _name(written, as_json)
+
+
+@study.command()
+@_common
+@click.option("--sensor", default=SENSOR, show_default=True, help="Sensor file or preset.")
+def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
+    """Time by stage, growth with nodes and pixels, memory, and the moving press."""
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz.study import speed_report
+    from bubbleviz.study.report import out_folder, to_json
+    from bubbleviz.study.speed import full_runs, quick_runs, read_ms, run_speed
+
+    own = load_sensor(sensor)
+    if out is not None:
+        speed_report.check_free(out_folder(out))
+    runs = quick_runs() if quick else full_runs()
+    with _progress(len(runs), "run") as bar:
+        rows = run_speed(own, runs, lambda _: bar.update())
+    found = speed_report.Speed(rows, read_ms(own))
+    click.echo(to_json(speed_report.as_dict(found)) if as_json else speed_report.to_text(found))
+    if out is not None:
+        _name(speed_report.write(found, out), as_json)
+
+
+@study.command()
+@_common
+@click.option("--case", "pattern", default="", help="Only cases whose name has this in it.")
+def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> None:
+    """Stiff and extreme cases: each solved within its tolerance, or refused with a reason."""
+    from bubbleviz.errors import InputError
+    from bubbleviz.outputs import refuse_existing
+    from bubbleviz.study.report import out_folder, to_json, write_csv, write_json
+    from bubbleviz.study.stability import run_stability, summary
+    from bubbleviz.study.stability_cases import all_cases, quick_cases
+
+    cases = [case for case in (quick_cases() if quick else all_cases()) if pattern in case.name]
+    if not cases:
+        raise InputError(f"--case {pattern}: no case has this in its name; leave it out")
+    if out is not None:
+        for name in ("stability.json", "stability.csv"):
+            refuse_existing(out_folder(out) / name)
+    with _progress(len(cases), "case") as bar:
+        results = run_stability(cases, lambda _: bar.update())
+    found = summary(results)
+    if as_json:
+        click.echo(to_json(found))
+    else:
+        for result in results:
+            click.echo(f"{result.verdict:8} {result.name:44} {result.ms:8.0f} ms  {result.detail}")
+        counts = ", ".join(f"{found[key]} {key}" for key in ("passed", "refused", "failed"))
+        click.echo(f"{found['cases']} cases: {counts}")
+    if out is not None:
+        write_json(out / "stability.json", found)
+        write_csv(out / "stability.csv", results)
+        _name([out / "stability.json", out / "stability.csv"], as_json)
+
+
+def _progress(total: int, unit: str) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=total, unit=unit, disable=None)  # only on a terminal
+
+
+def _name(paths: list[Path], quiet: bool) -> None:
+    if not quiet:
+        click.echo("wrote " + ", ".join(map(str, paths)))
