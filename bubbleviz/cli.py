@@ -11,6 +11,7 @@ import click
 
 import bubbleviz
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.study.command import study
 
 SYNTHETIC_SENSOR = "pico_flexx_75mm"
 """Preset of the built-in live sensor."""
@@ -36,12 +37,19 @@ class OneLineErrors(click.Group):
             _fail(str(error), 1)
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else "bubbleviz"
-            _fail(f"{error.format_message().rstrip('.')}; see {command} --help", 2)
+            _fail(f"{_in_one_line(error)}; see {command} --help", 2)
         except click.ClickException as error:
             _fail(error.format_message(), error.exit_code)
         except click.Abort:
             _fail("stopped", 130)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _in_one_line(error: click.UsageError) -> str:
+    """What was wrong; click's own text for a group without a command is its whole help."""
+    if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+        return "Missing command"
+    return error.format_message().rstrip(".")
 
 
 def _fail(message: str, code: int) -> NoReturn:
@@ -114,7 +122,7 @@ def open_recording(
     return 0
 
 
-@main.group(no_args_is_help=False)
+@main.group()
 def bench() -> None:
     """Measure how fast this machine is."""
 
@@ -240,3 +248,8 @@ def estimate(
         recording, sensor, out, csv_file, kappa=kappa, solver=solver, frames=frames
     )
     click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+# -- studies ------------------------------------------------------------------------------------
+
+main.add_command(study)

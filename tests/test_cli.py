@@ -229,6 +229,7 @@ def test_bench_window(windows: Asked, pico_recording: Path) -> None:
     ("words", "told"),
     [
         (["bench"], "Missing command; see bubbleviz bench --help"),
+        (["study"], "Missing command; see bubbleviz study --help"),
         (["bench", "window"], "either REC or --synthetic"),
         (["bench", "window", "x.mcap", "--synthetic"], "either REC or --synthetic"),
         (["bench", "window", "--synthetic", "--seconds", "0"], "--seconds"),
