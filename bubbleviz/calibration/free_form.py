@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.progress import Progress, quiet
-from bubbleviz.calibration.robust import robust_sigma, tukey_weights
+from bubbleviz.calibration.robust import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.camera.raycast import RayCaster
@@ -70,7 +70,7 @@ class FreeForm:
         """
         system = self.system
         adjoint = splu(system.matrix).solve(np.ascontiguousarray(gradients))
-        return system.weights[:, None] * (system.D @ adjoint)
+        return system.efficiency * system.weights[:, None] * (system.D @ adjoint)
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,16 @@ class System:
     weights : (P,) array
     matrix : (n, n) sparse array
         Normal matrix with the prior.
+    efficiency : float
+        Mean weight over mean slope of the robust loss: by how much the matrix overstates what
+        it takes to move the fit.
     """
 
     pixels: np.ndarray
     D: sparse.csr_array
     weights: np.ndarray
     matrix: sparse.csc_array
+    efficiency: float
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,9 @@ def fit_free_form(
         D = range_jacobian(hits, start.triangles, len(nodes))
         target = range_m.ravel()[hits.ray] - hits.range_m + D @ correction
         residual = target - D @ correction
-        weights = tukey_weights(residual - np.median(residual), robust_sigma(residual))
+        about = residual - np.median(residual)
+        sigma = robust_sigma(residual)
+        weights = tukey_weights(about, sigma)
         unit = _balance(D, weights, prior)
         if k < 2:  # later rounds move by micrometres: the choice stands
             smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit)
@@ -160,8 +166,13 @@ def fit_free_form(
         left_out_rms_m=left_out,
         residual_m=range_residual(mesh, camera, range_m),
         left_out_m=left_out_image.reshape(range_m.shape),
-        system=System(hits.ray, D, weights, matrix),
+        system=System(hits.ray, D, weights, matrix, _efficiency(about, sigma)),
     )
+
+
+def _efficiency(residuals: np.ndarray, sigma: float) -> float:
+    slope = float(tukey_slopes(residuals, sigma).mean())
+    return float(tukey_weights(residuals, sigma).mean()) / slope if slope > 0.0 else 1.0
 
 
 def range_residual(mesh: MembraneMesh, camera: DepthCamera, range_m: np.ndarray) -> np.ndarray:

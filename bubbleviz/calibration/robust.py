@@ -34,6 +34,12 @@ def tukey_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
     return np.where(np.abs(scaled) < 1.0, (1.0 - scaled**2) ** 2, 0.0)
 
 
+def tukey_slopes(residuals: np.ndarray, sigma: float) -> np.ndarray:
+    """Derivative of residual × weight of Tukey's biweight: what a sample's shift moves it by."""
+    square = (residuals / max(TUKEY_TUNING * sigma, np.finfo(float).tiny)) ** 2
+    return np.where(square < 1.0, (1.0 - square) * (1.0 - 5.0 * square), 0.0)
+
+
 def cauchy_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
     """Weights in 0 … 1 of Cauchy's loss, which leads from far away: none are 0."""
     return 1.0 / (1.0 + (residuals / max(sigma, np.finfo(float).tiny)) ** 2)

@@ -5,7 +5,7 @@ drawing), in which only the centre is moved to the fitted dome's. What the cloud
 about its height is reported beside it.
 
 A surface is better than a simpler one when it predicts tiles of pixels that took no part in its
-fit better: by more than two standard errors of the difference over the tiles, and by more than
+fit better: by more than three standard errors of the difference over the tiles, and by more than
 the flat facets of a membrane mesh miss any curved surface by.
 """
 
@@ -47,7 +47,7 @@ NAMES: tuple[Name, ...] = ("sphere", "ellipsoid", "free-form")
 """From the simplest to the one that can be anything."""
 
 _SCALE = 0.5  # of the rim's smaller semi-axis: what is broader is the cap's business
-_STANDARD_ERRORS = 2.0  # 95 %
+_STANDARD_ERRORS = 3.0  # a needless freedom costs more than a missed one
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from bubbleviz.calibration.bootstrap import (
 from bubbleviz.calibration.checks import check_still
 from bubbleviz.calibration.correlation import mean_inflation
 from bubbleviz.calibration.progress import Progress, quiet
-from bubbleviz.calibration.robust import robust_sigma, tukey_weights
+from bubbleviz.calibration.robust import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.calibration.samples import Samples
 from bubbleviz.calibration.surface_fit import Ellipsoid, Freedom
 from bubbleviz.calibration.surfaces import Name, Surfaces, cap_over_rim, mean_points
@@ -204,6 +204,7 @@ def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: f
         samples, surfaces, surfaces.fits.sphere.ellipsoid, "sphere", pixels
     )
     influence = np.concatenate([free_form.influence(gradients), centre[:, :3]], axis=1)
+    influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
     values = [balance_tension(mesh, gauge_pressure_pa), float(mesh.nodes[apex, 2])]
     residual = np.nan_to_num(free_form.residual_m.ravel()[pixels])
     return ["tension_n_per_m", "height_m"], values, pixels, influence, residual, 2
@@ -215,10 +216,11 @@ def _parameter_influence(
     """Change of the parameters per change of range (P, p); cosine of ray on normal; distance."""
     points = mean_points(samples, surfaces.camera, pixels)
     distance, J = surface.distance(points), surface.derivatives(points, freedom)
-    weights = tukey_weights(distance, robust_sigma(distance, center=0.0))
-    weighted = J * weights[:, None]
+    sigma = robust_sigma(distance, center=0.0)
+    weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
+    slope = J.T @ (J * slopes[:, None])
     facing = np.einsum("ij,ij->i", surface.normals(points), surfaces.camera.directions[pixels])
-    rows = -np.linalg.lstsq(weighted.T @ J, weighted.T, rcond=1e-14)[0].T * facing[:, None]
+    rows = -np.linalg.solve(slope, J.T).T * (weights * facing)[:, None]
     return rows, facing, distance
 
 
