@@ -83,11 +83,21 @@ def _brown_conrady(
 
 
 def _undistort(
-    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], iterations: int = 20
+    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], iterations: int = 10
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse of `_brown_conrady` by fixed-point iteration (a contraction for real lenses)."""
+    """Inverse of `_brown_conrady` by Newton's method, from the distorted point itself."""
+    k1, k2, p1, p2, k3 = coefficients
     x0, y0 = x, y
     for _ in range(iterations):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))
+        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        yy = radial + slope * y * y + 2.0 * p2 * x + 6.0 * p1 * y
+        xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         xd, yd = _brown_conrady(x, y, coefficients)
-        x, y = x + (x0 - xd), y + (y0 - yd)
+        ex, ey = x0 - xd, y0 - yd
+        determinant = xx * yy - xy * xy
+        x = x + (yy * ex - xy * ey) / determinant
+        y = y + (xx * ey - xy * ex) / determinant
     return x, y

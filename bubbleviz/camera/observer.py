@@ -15,6 +15,12 @@ from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
 from bubbleviz.membrane.mesh import MembraneMesh
 
+_HUBER = 1.345
+"""Residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise."""
+
+_FAR, _FAR_SHARE = 4.0, 1e-3
+"""Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -45,10 +51,13 @@ class Linearisation:
         Where the block rays meet the membrane.
     offset_m : (k,) array
         Constant part for each hit, m; 0 around u = 0.
+    here_m : (B,) array
+        Model of every block at the displacement itself, m; 0 where nothing is hit.
     """
 
     hits: Hits
     offset_m: np.ndarray
+    here_m: np.ndarray
 
 
 class RangeObserver:
@@ -119,12 +128,24 @@ class RangeObserver:
         """Measured minus reference range of the pixels in use, (k,), m; NaN: no return."""
         return depth_m.ravel()[self.pixel] * self._scale - self._reference
 
-    def observe(self, depth_m: np.ndarray) -> Observation:
-        """Block residuals of a z-depth image (H, W) in m with NaN for no return."""
+    def observe(self, depth_m: np.ndarray, expected_m: np.ndarray | None = None) -> Observation:
+        """Block residuals of a z-depth image.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+            z-depth in m, NaN for no return.
+        expected_m : (B,) array, optional
+            Model of the block residuals; pixels far from it count less (Huber 1964), where there
+            are more of them than noise has.
+        """
         residual = self.pixel_residuals(depth_m)
         valid = np.isfinite(residual)
         precision = np.where(valid, self._precision, np.float32(0.0))
         residual[~valid] = 0.0
+        if expected_m is not None:
+            expected = expected_m.astype(np.float32)[self.block_of_pixel]
+            precision *= _huber_weights((residual - expected) ** 2 * precision)
         total = np.add.reduceat(precision, self._starts).astype(float)
         moment = np.add.reduceat(precision * residual, self._starts).astype(float)
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
@@ -142,12 +163,15 @@ class RangeObserver:
     def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
         """Model of the block residuals around a displacement (n,), or the reference."""
         if displacement_m is None or not displacement_m.any():
-            return Linearisation(self._at_rest, np.zeros(len(self._at_rest.ray)))
+            offset = np.zeros(len(self._at_rest.ray))
+            return Linearisation(self._at_rest, offset, np.zeros(self.blocks))
         hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
         change = hits.range_m - self._rest_range[hits.ray]  # NaN: missed the membrane at rest
         at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
         offset = change - np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
-        return Linearisation(hits, offset)
+        here = np.zeros(self.blocks)
+        here[hits.ray] = np.nan_to_num(change)
+        return Linearisation(hits, offset, here)
 
     def misfit_m(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
@@ -160,6 +184,14 @@ class RangeObserver:
         weight = np.where(np.isfinite(error), observation.weight[hits.ray], 0.0)
         error = np.where(weight > 0.0, error, 0.0)
         return float(np.sqrt(np.sum(weight * error**2) / max(np.sum(weight), 1e-300)))
+
+
+def _huber_weights(squares: np.ndarray) -> np.ndarray | np.float32:
+    """Weights of pixels by their squared residual in σ²; 1 for all that Gaussian noise explains."""
+    outlying = np.count_nonzero(squares > _FAR**2)
+    if outlying <= _FAR_SHARE * np.count_nonzero(squares):
+        return np.float32(1.0)
+    return np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squares, 1e-12))).astype(np.float32)
 
 
 def facet_error(mesh: MembraneMesh) -> float:

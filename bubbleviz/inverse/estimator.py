@@ -53,6 +53,9 @@ class Estimator:
     options : EstimatorOptions
     """
 
+    MINIMUM_BLOCKS = 3
+    """A plane's worth of blocks: with fewer no dent can be told from a shift of the sensor."""
+
     def __init__(
         self,
         observer: RangeObserver,
@@ -89,33 +92,38 @@ class Estimator:
         gas_pressure_pa : float, optional
             Measured absolute gas pressure.
         """
-        observation = self.observer.observe(depth_m)
-        if not np.any(observation.weight > 0.0):
-            self._last = None
-            return self._untouched("no_data", np.nan, np.nan)
         gas = None
         if gas_pressure_pa is not None:
             gas = (gas_pressure_pa - self.gas.P0) / self.scales.pressure_pa
         start = time.perf_counter()
-        solution, linear = self._solve(observation, gas)
+        observation, linear, solution = self._solve(depth_m, gas)
         elapsed = 1e3 * (time.perf_counter() - start)
+        if solution is None:
+            self._last = None
+            return self._untouched("no_data", np.nan, np.nan)
         self._last = solution if solution.pressure.any() else None
         return self._report(observation, linear, solution, elapsed)
 
-    def _solve(self, observation: Observation, gas: float | None) -> tuple[Solution, Linearisation]:
+    def _solve(
+        self, depth_m: np.ndarray, gas: float | None
+    ) -> tuple[Observation, Linearisation, Solution | None]:
         """Linearise where the last frame ended, and again where this one does."""
         around = np.zeros(len(self.mesh.nodes))
         if self._last is not None and self.options.relinearisations > 0:
             around = self._displacement_m(self._last)
-        linear = self.observer.linearise(around)
-        solution = self._solve_linear(observation, linear, gas, self._last)
-        for _ in range(self.options.relinearisations):
-            displacement = self._displacement_m(solution)
-            if np.max(np.abs(displacement - around)) <= self._step_m:
-                break
-            around, linear = displacement, self.observer.linearise(displacement)
+        solution = self._last
+        for _ in range(1 + self.options.relinearisations):
+            linear = self.observer.linearise(around)
+            observation = self.observer.observe(depth_m, linear.here_m)
+            if np.count_nonzero(observation.weight) < self.MINIMUM_BLOCKS:
+                return observation, linear, None
             solution = self._solve_linear(observation, linear, gas, solution)
-        return solution, linear
+            displacement = self._displacement_m(solution)
+            moved = np.max(np.abs(displacement - around))
+            around = displacement
+            if moved <= self._step_m:
+                break
+        return observation, linear, solution
 
     def _solve_linear(
         self,

@@ -22,7 +22,7 @@ class OsqpSolver:
     """
 
     def __init__(
-        self, equilibrium: Equilibrium, tolerance: float = 1e-4, max_iterations: int = 4000
+        self, equilibrium: Equilibrium, tolerance: float = 1e-5, max_iterations: int = 10_000
     ) -> None:
         self._equilibrium = equilibrium
         self._settings = {

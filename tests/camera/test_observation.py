@@ -1,0 +1,148 @@
+"""Ray casting, the operators S and D, and block residuals, against geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.observer import RangeObserver, facet_error
+from bubbleviz.camera.operators import interpolation_matrix, range_jacobian
+from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.camera.view import MembraneView
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.build import build_mesh
+from bubbleviz.sensor import load_sensor
+
+SENSOR = load_sensor("pico_flexx_75mm")
+MESH = build_mesh(SENSOR, 600)
+CAMERA = DepthCamera.of(SENSOR.camera)
+
+
+def smooth_dent(amplitude_m: float) -> np.ndarray:
+    """Displacement of a smooth dent off the apex, 0 on the rim."""
+    x, y, _ = MESH.nodes.T
+    bump = np.exp(-((x - 0.012) ** 2 + (y + 0.006) ** 2) / 0.02**2)
+    return np.where(MESH.rim, 0.0, -amplitude_m * bump)
+
+
+def cast(displacement):
+    caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
+    return caster.cast(MESH.deformed(displacement), MESH.normals)
+
+
+def test_rays_meet_the_sphere_where_geometry_says():
+    radius = (0.075**2 + 0.05**2) / (2 * 0.05)
+    hits = cast(np.zeros(len(MESH.nodes)))
+    assert len(hits.ray) > 0.99 * 224 * 171
+    points = CAMERA.center + hits.range_m[:, None] * CAMERA.directions[hits.ray]
+    distance = np.linalg.norm(points - [0, 0, 0.05 - radius], axis=1)
+    sagitta = MESH.edge_length**2 / (3 * radius)  # facets lie inside the sphere by no more
+    assert np.all(distance <= radius + 1e-6)
+    assert np.all(distance >= radius - 1.5 * sagitta)
+    assert facet_error(MESH) == pytest.approx(MESH.edge_length**2 / (8 * radius), rel=0.3)
+
+
+def test_the_operators_reproduce_points_and_differences():
+    base = smooth_dent(0.01)
+    hits = cast(base)
+    S = interpolation_matrix(hits, MESH.triangles, len(MESH.nodes))
+    points = CAMERA.center + hits.range_m[:, None] * CAMERA.directions[hits.ray]
+    assert S @ MESH.deformed(base) == pytest.approx(points, abs=1e-6)
+    D = range_jacobian(hits, MESH.triangles, len(MESH.nodes))
+    rng = np.random.default_rng(0)
+    step = np.where(MESH.rim, 0.0, 1e-7 * rng.standard_normal(len(MESH.nodes)))
+    there, back = cast(base + step), cast(base - step)
+    common = (there.triangle == hits.triangle) & (back.triangle == hits.triangle)
+    difference = 0.5 * (there.range_m - back.range_m)
+    assert (D @ step)[common] == pytest.approx(difference[common], abs=2e-12)
+    paper = S @ step * np.einsum("ij,ij->i", CAMERA.directions[hits.ray], S @ MESH.normals)
+    wrong = np.linalg.norm((paper - difference)[common]) / np.linalg.norm(difference[common])
+    assert wrong > 0.05, "Eq. 19's coefficient should not be the derivative on a dented surface"
+
+
+def test_linearisation_is_exact_to_second_order():
+    observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
+    base, change = smooth_dent(0.01), smooth_dent(0.001)
+
+    def error(fraction: float) -> float:
+        linear = observer.linearise(base)
+        target = base + fraction * change
+        at_nodes = target[MESH.triangles[linear.hits.triangle]]
+        model = linear.offset_m + np.einsum("ij,ij->i", linear.hits.sensitivity, at_nodes)
+        return float(np.sqrt(np.mean((model - observer.linearise(target).here_m) ** 2)))
+
+    assert error(0.25) < error(1.0) / 8
+
+
+@pytest.mark.parametrize("block", [1, 2, 5])
+def test_blocks_see_a_deformation_through_noise_holes_and_bias(block):
+    displacement = smooth_dent(0.008)
+    ranges = MembraneView(CAMERA, MESH).range_image(displacement)
+    rng = np.random.default_rng(1)
+    shape = ranges.shape
+    bias = 0.002 * rng.standard_normal(shape)
+    pixels = PixelModel(rng.random(shape) < 0.9, bias, np.full(shape, 1e-4))
+    noisy = ranges + bias + 1e-4 * rng.standard_normal(shape)
+    depth = CAMERA.depth_image(noisy).astype(np.float32)
+    depth[rng.random(shape) < 0.1] = np.nan
+    observer = RangeObserver(CAMERA, MESH, 0.01, pixels, block)
+    seen = observer.observe(depth)
+    used = seen.weight > 0
+    error = (seen.residual_m - observer.linearise(displacement).here_m)[used]
+    # White noise averages out; what is left is the curvature of the range within a block.
+    assert np.sqrt(np.mean(error**2)) < 1.5e-4 / block + 2e-5 * block**2
+    assert seen.valid_pixels == pytest.approx(0.81 * shape[0] * shape[1], rel=0.02)
+
+
+def test_outliers_count_little_once_the_model_is_known():
+    displacement = smooth_dent(0.008)
+    ranges = MembraneView(CAMERA, MESH).range_image(displacement)
+    rng = np.random.default_rng(2)
+    noisy = ranges * (1 + 0.002 * rng.standard_normal(ranges.shape))
+    wild = rng.random(ranges.shape) < 0.2
+    noisy[wild] += 0.02
+    observer = RangeObserver(CAMERA, MESH, 0.002, block=4)
+    depth = CAMERA.depth_image(noisy).astype(np.float32)
+    truth = observer.linearise(displacement).here_m
+
+    def bias(seen) -> float:
+        return float(np.median((seen.residual_m - truth)[seen.weight > 0]))
+
+    assert bias(observer.observe(depth)) > 0.003
+    assert bias(observer.observe(depth, truth)) < 0.0005
+
+
+def test_clean_pixels_keep_their_full_weight():
+    observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
+    ranges = MembraneView(CAMERA, MESH).range_image(np.zeros(len(MESH.nodes)))
+    rng = np.random.default_rng(3)
+    noisy = ranges * (1 + 0.01 * rng.standard_normal(ranges.shape))
+    depth = CAMERA.depth_image(noisy).astype(np.float32)
+    with_model = observer.observe(depth, np.zeros(observer.blocks))
+    assert with_model.weight == pytest.approx(observer.observe(depth).weight)
+
+
+def test_a_field_seen_by_the_camera_is_cast_on_the_deformed_membrane():
+    displacement = smooth_dent(0.012)
+    field = np.exp(-((MESH.nodes[:, 0] - 0.012) ** 2 + MESH.nodes[:, 1] ** 2) / 0.015**2)
+    view = MembraneView(CAMERA, MESH)
+    hits = view.hits(displacement)
+    whole = np.zeros(view.shape, bool)
+    values = np.einsum("ij,ij->i", hits.barycentric, field[MESH.triangles[hits.triangle]])
+    whole.ravel()[hits.ray[values > 0.4]] = True
+    assert whole.sum() > 500
+    assert np.array_equal(view.above(displacement, field, 0.4), whole)
+    assert not view.above(displacement, field, 2.0).any()
+
+
+def test_a_pixels_file_of_another_camera_is_refused(tmp_path):
+    path = tmp_path / "pixels.npz"
+    np.savez(path, mask=np.ones((4, 4), bool), bias_m=np.zeros((4, 4)), noise_m=np.ones((4, 4)),
+             correlated_pixels=1.0)  # fmt: skip
+    with pytest.raises(InputError, match="4×4 pixels"):
+        PixelModel.load(path, (171, 224))
+    path.write_bytes(b"not an archive")
+    with pytest.raises(InputError, match=r"pixels\.npz"):
+        PixelModel.load(path, (171, 224))

@@ -1,0 +1,68 @@
+"""A small press whose truth was made on another, finer mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.observer import RangeObserver
+from bubbleviz.camera.view import MembraneView
+from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
+from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.forward import Contact, ForwardModel
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.objects import load_object
+from bubbleviz.sensor import load_sensor
+
+SENSOR = load_sensor("pico_flexx_75mm")
+CAMERA = DepthCamera.of(SENSOR.camera)
+GAUGE = SENSOR.pneumatics.gauge_pressure_pa
+TENSION = GAUGE * (0.075**2 + 0.05**2) / (2 * 0.05) / 2  # Young–Laplace of the exact cap
+
+
+@dataclass(frozen=True)
+class Press:
+    """A pressed membrane and what the camera would see of it."""
+
+    mesh: MembraneMesh
+    contact: Contact
+    range_m: np.ndarray
+
+    @property
+    def force(self) -> np.ndarray:
+        return -(self.mesh.areas * self.contact.contact_pressure_pa) @ self.mesh.normals
+
+    def depth(self, noise: float, seed: int = 0) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        noisy = self.range_m * (1 + noise * rng.standard_normal(self.range_m.shape))
+        return CAMERA.depth_image(noisy).astype(np.float32)
+
+
+def press(name: str, depth_m: float) -> Press:
+    mesh = build_mesh(SENSOR, 6000)
+    T_B_O = np.eye(4)
+    T_B_O[:3, 3] = [0.006, -0.004, 0.05 - depth_m]
+    model = ForwardModel(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
+    contact = model.press(load_object(name), T_B_O)
+    return Press(mesh, contact, MembraneView(CAMERA, mesh).range_image(contact.displacement_m))
+
+
+@pytest.fixture(scope="session")
+def sphere() -> Press:
+    return press("sphere", 0.012)
+
+
+@pytest.fixture(scope="session")
+def untouched() -> Press:
+    return press("sphere", -0.01)
+
+
+def estimator(nodes: int = 500, solver: str | None = None, relinearisations: int = 2) -> Estimator:
+    mesh = build_mesh(SENSOR, nodes)
+    observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
+    options = EstimatorOptions(solver, relinearisations)
+    return Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, GAUGE, options)

@@ -1,0 +1,77 @@
+"""Pieces of the inverse problem against independent answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from bubbleviz.camera.observer import RangeObserver
+from bubbleviz.camera.operators import range_jacobian
+from bubbleviz.inverse.normal import NormalEquations
+from bubbleviz.inverse.patch import area_above
+from bubbleviz.inverse.pivoting import nonnegative_qp
+from bubbleviz.inverse.problem import Equilibrium
+from bubbleviz.inverse.scales import Scales
+from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from tests.inverse.conftest import CAMERA, SENSOR, TENSION
+
+MESH = build_mesh(SENSOR, 200)
+
+
+@given(st.integers(1, 40), st.integers(0, 10_000), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
+    rng = np.random.default_rng(seed)
+    B, b = rng.standard_normal((n + 5, n)), rng.standard_normal(n + 5)
+    start = rng.random(n) < 0.5 if warm else np.zeros(n, bool)
+    x, _, converged = nonnegative_qp(B.T @ B, -B.T @ b, start)
+    assert converged
+    assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
+
+
+def test_normal_equations_equal_the_sparse_product():
+    observer = RangeObserver(CAMERA, MESH, 0.01, block=4)
+    rng = np.random.default_rng(0)
+    base = np.where(MESH.rim, 0.0, -0.005 * rng.random(len(MESH.nodes)))
+    linear = observer.linearise(base)
+    depth = CAMERA.depth_image(rng.uniform(0.14, 0.16, (171, 224))).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.5] = np.nan
+    seen = observer.observe(depth)
+    Q, g = NormalEquations(MESH).assemble(seen, linear)
+    D = range_jacobian(linear.hits, MESH.triangles, len(MESH.nodes))[:, MESH.free]
+    W = seen.weight[linear.hits.ray]
+    e = seen.residual_m[linear.hits.ray] - linear.offset_m
+    expected = (D.T * W) @ D
+    assert Q.toarray() == pytest.approx(expected.toarray(), rel=1e-9, abs=1e-9 * expected.max())
+    assert g == pytest.approx(D.T @ (W * e), rel=1e-9, abs=1e-9 * np.max(np.abs(g)))
+
+
+@pytest.mark.parametrize("chamber", [1e-7, 2e-3, 10.0])
+def test_equilibrium_and_its_adjoint(chamber):
+    pneumatics = SENSOR.pneumatics.model_copy(update={"chamber_volume_m3": chamber})
+    eq = Equilibrium(MESH, Gas.of(pneumatics, MESH), Scales.of(MESH, TENSION))
+    rng = np.random.default_rng(1)
+    p, force = rng.random(len(eq.A)), rng.standard_normal(len(eq.A))
+    u, gas = eq.displacement(p)
+    assert eq.L @ u == pytest.approx(eq.A * (gas - p), abs=1e-10)
+    assert gas == pytest.approx(-eq.beta @ u, rel=1e-6)
+    assert eq.compliance(gas_measured=False) @ p == pytest.approx(-u, rel=1e-5, abs=1e-12)
+    assert eq.adjoint(force, gas_measured=False) @ p == pytest.approx(-force @ u, rel=1e-6)
+    fixed, _ = eq.displacement(p, 0.0)
+    assert eq.adjoint(force, gas_measured=True) @ p == pytest.approx(-force @ fixed, rel=1e-6)
+
+
+@given(st.lists(st.floats(0, 1), min_size=3, max_size=3), st.floats(0.01, 0.99))
+def test_area_above_a_level_of_one_triangle(values, level):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    mesh = MembraneMesh(corners, np.array([[0, 1, 2]]), np.ones(3, bool))
+    u, v = np.meshgrid(*2 * [(np.arange(800) + 0.5) / 800])
+    inside = u + v < 1
+    field = values[0] + (values[1] - values[0]) * u + (values[2] - values[0]) * v
+    expected = np.count_nonzero((field > level) & inside) / 800**2
+    assert area_above(mesh, np.array(values), level) == pytest.approx(expected, abs=3e-3)
