@@ -54,9 +54,9 @@ class ActiveSetSolver:
         start : (n,) array
             The selecting solution of the last frame.
         """
-        shrunk, model, pivots = self._select(problem, start)
+        shrunk, gradient, H, pivots = self._select(problem, start)
         free = problem.debiased(shrunk > 0.0)
-        pressure, residual, more = self._refine(free, shrunk, model - problem.tau)
+        pressure, residual, more = self._refine(free, shrunk, gradient - problem.tau, H)
         displacement, gas = self._equilibrium.displacement(pressure, problem.measured_gas)
         return Solution(
             displacement,
@@ -70,47 +70,37 @@ class ActiveSetSolver:
 
     def _select(
         self, problem: FrameProblem, pressure: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """Solution with the L1 term, the model's gradient there, pivots."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Solution with the L1 term, model gradient and model Hessian on its support, pivots."""
         pivots = 0
         for _ in range(self._corrections):
             gradient = self._equilibrium.gradient(problem, pressure)
             work = np.flatnonzero(self._near((pressure > 0.0) | (gradient < 0.0)))
+            H = self._model(problem, work)
             before = pressure
-            pressure, count = self._correct(problem, pressure, gradient, work)
+            pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
-            change = pressure - before
+            change = (pressure - before)[work]
             if np.max(np.abs(change)) <= _SUPPORT_CHANGE * np.max(pressure, initial=0.0):
                 break
-        model = np.zeros_like(gradient)
-        model[work] = gradient[work] + self._model(problem, work) @ change[work]
-        return pressure, model, pivots
+        gradient[work] += H @ change
+        inside = np.flatnonzero(pressure[work] > 0.0)
+        return pressure, gradient, H[np.ix_(inside, inside)], pivots
 
     def _refine(
-        self, problem: FrameProblem, pressure: np.ndarray, gradient: np.ndarray
+        self, problem: FrameProblem, pressure: np.ndarray, gradient: np.ndarray, H: np.ndarray
     ) -> tuple[np.ndarray, float, int]:
         """Debiased solution, its KKT residual, pivots; the first `gradient` is the model's."""
         work = np.flatnonzero(problem.allowed)
         pivots, residual = 0, np.inf
         for _ in range(self._corrections):
-            pressure, count = self._correct(problem, pressure, gradient, work)
+            pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
             gradient = self._equilibrium.gradient(problem, pressure)
             residual = natural_residual(self._equilibrium.A, problem, pressure, gradient)
             if residual <= self._tolerance:
                 break
         return pressure, residual, pivots
-
-    def _correct(
-        self, problem: FrameProblem, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
-    ) -> tuple[np.ndarray, int]:
-        """Minimise over the nodes `work` with the exact gradient and the model Hessian."""
-        H = self._model(problem, work)
-        linear = gradient[work] - H @ pressure[work]
-        x, pivots, _ = nonnegative_qp(H, linear, pressure[work] > 0.0)
-        corrected = np.zeros_like(pressure)
-        corrected[work] = x
-        return corrected, pivots
 
     def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
         """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels."""
@@ -128,3 +118,14 @@ class ActiveSetSolver:
             hessian += (problem.lambda_ * self._equilibrium.L).toarray()
             self._hessians[gas_measured] = hessian
         return self._hessians[gas_measured]
+
+
+def _correct(
+    H: np.ndarray, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Minimise over the nodes `work` with the gradient at `pressure` and the model Hessian H."""
+    here = pressure[work]
+    x, pivots, _ = nonnegative_qp(H, gradient[work] - H @ here, here > 0.0)
+    corrected = np.zeros_like(pressure)
+    corrected[work] = x
+    return corrected, pivots
