@@ -42,11 +42,11 @@ class EstimateSummary:
     median_total_ms, p95_total_ms, median_solve_ms : float or None
         Depth image in → patch out, and the solver alone, over all frames after the first, ms.
     median_contact_total_ms : float or None
-        The same over those of them that are in contact: the others need no QP.
+        The same over those of them with a contact patch: most of the others need no QP.
     rms_force_n : float or None
         Root mean square of |force| over all frames with data, N.
     median_contact_force_n, max_force_n : float or None
-        |force| over the frames in contact, N.
+        |force| over the frames with a contact patch, and the highest of all, N.
     median_residual_rms_m, max_kkt_residual : float or None
     """
 
@@ -81,12 +81,12 @@ class EstimateSummary:
                 f"{self.max_force_n:.3g} N highest"
             )
         if self.median_total_ms is not None:
-            contact = self.median_contact_total_ms
-            lines.append(
-                f"time    {self.median_total_ms:.1f} ms median, {self.p95_total_ms:.1f} ms p95, "
-                "depth image in → patch out, first frame left out"
-                + (f"; {contact:.1f} ms median in contact" if contact is not None else "")
-            )
+            lines += [
+                "time    depth image in → patch out, first frame left out: "
+                f"{self.median_total_ms:.1f} ms median, {self.p95_total_ms:.1f} ms p95"
+            ]
+        if self.median_contact_total_ms is not None:
+            lines.append(f"        {self.median_contact_total_ms:.1f} ms median in contact")
         return "\n".join(lines)
 
 
@@ -232,23 +232,26 @@ def _check_any_data(rows: list[dict[str, Any]], path: Path, seen: bool) -> None:
 def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Values of the summary that come from the frames."""
     known = [row for row in rows if row["status"] != "no_data"]
-    force = [float(np.linalg.norm(row["force_n"])) for row in known]
-    touching = [f for f in force if f > 0.0]
+    touching = [row for row in known if row["patch_area_m2"] > 0.0]
     warm = rows[1:]
-    in_contact = [row for row in warm if np.any(np.abs(row["force_n"]) > 0.0)]
+    warm_touching = [row["total_ms"] for row in warm if row["patch_area_m2"] > 0.0]
     return {
         "frames": len(rows),
         "status": dict(Counter(row["status"] for row in rows)),
         "median_total_ms": _over(np.median, [row["total_ms"] for row in warm]),
         "p95_total_ms": _over(_p95, [row["total_ms"] for row in warm]),
-        "median_contact_total_ms": _over(np.median, [row["total_ms"] for row in in_contact]),
+        "median_contact_total_ms": _over(np.median, warm_touching),
         "median_solve_ms": _over(np.median, [row["solve_ms"] for row in warm]),
-        "rms_force_n": _over(_rms, force),
-        "median_contact_force_n": _over(np.median, touching),
-        "max_force_n": _over(np.max, force),
+        "rms_force_n": _over(_rms, _forces(known)),
+        "median_contact_force_n": _over(np.median, _forces(touching)),
+        "max_force_n": _over(np.max, _forces(known)),
         "median_residual_rms_m": _over(np.median, [row["residual_rms_m"] for row in known]),
         "max_kkt_residual": _over(np.max, [row["kkt_residual"] for row in known]),
     }
+
+
+def _forces(rows: list[dict[str, Any]]) -> list[float]:
+    return [float(np.linalg.norm(row["force_n"])) for row in rows]
 
 
 def _over(statistic: Any, values: list[float]) -> float | None:
