@@ -100,6 +100,16 @@ class Calibration(_Section):
 
     pixels_file: str
     """NPZ with `mask` (H×W bool, pixels to use), `bias_m` and `noise_m` (H×W, of range)."""
+    recording: str | None = None
+    """Name of the recording it was made from."""
+    recording_sha256: str | None = None
+    """Of its file, or of its files one after the other in the order of their names."""
+    report: str | None = None
+    """Path of the report that says how, as given when it was made."""
+    date: str | None = None
+    """ISO 8601, UTC."""
+    tension_interval_n_per_m: tuple[float, float] | None = None
+    """95 % interval of γ0."""
 
 
 class Sensor(_Section):

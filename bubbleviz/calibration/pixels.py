@@ -10,7 +10,6 @@ import numpy as np
 from bubbleviz.calibration.depth_statistics import DepthStatistics
 from bubbleviz.calibration.robust import robust_sigma, upper_fence
 from bubbleviz.calibration.segment import away_from_edges
-from bubbleviz.errors import InputError
 
 _MICROMETRE = 1e-6
 """Step of the stored images: far below the noise, and it makes them compress to a third."""
@@ -43,7 +42,10 @@ class PixelStatistics:
     correlated_pixels: float = 1.0
 
     def save(self, path: str | Path) -> None:
-        """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images."""
+        """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images.
+
+        `bubbleviz.camera.pixels.PixelModel` reads it.
+        """
         with Path(path).open("wb") as file:
             np.savez_compressed(
                 file,
@@ -54,30 +56,6 @@ class PixelStatistics:
                 removed_reasons=np.array(list(self.removed), dtype=str),
                 removed_pixels=np.array(list(self.removed.values()), dtype=np.int64),
             )
-
-    @classmethod
-    def load(cls, path: str | Path) -> PixelStatistics:
-        """Read a `pixels_file`; InputError where it is not one."""
-        try:
-            with np.load(path) as data:
-                mask, bias, noise = (data[name] for name in ("mask", "bias_m", "noise_m"))
-                correlated = float(data["correlated_pixels"])
-                reasons = data.get("removed_reasons", ())
-                counts = data.get("removed_pixels", ())
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InputError(
-                f"{path}: not a pixels file ({error}); identify the sensor again"
-            ) from error
-        if mask.ndim != 2 or not mask.shape == bias.shape == noise.shape:
-            raise InputError(f"{path}: its images differ in size; identify the sensor again")
-        removed = {str(name): int(count) for name, count in zip(reasons, counts, strict=True)}
-        return cls(
-            mask.astype(bool),
-            bias.astype(np.float32),
-            noise.astype(np.float32),
-            removed,
-            correlated,
-        )
 
 
 def select_pixels(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,50 +16,94 @@ from bubbleviz.outputs import refuse_existing, whole_file
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
 
 
-def write_sensor(identification: Identification, out_toml: str | Path) -> Sensor:
-    """Write `X.toml`, `X.ply` and `X.npz`, all of them or none, and return the sensor.
+@dataclass(frozen=True)
+class Origin:
+    """Where an identification comes from.
+
+    Attributes
+    ----------
+    recording : str
+        Name of the recording.
+    recording_sha256 : str or None
+    sensor_file : str
+    date : str
+        ISO 8601, UTC.
+    report : str or None
+        Path of the report, as given.
+    """
+
+    recording: str
+    recording_sha256: str | None
+    sensor_file: str
+    date: str
+    report: str | None = None
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, or of the files in a folder one after the other by name."""
+    path = Path(path)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for each in files:
+        with each.open("rb") as stream:
+            while chunk := stream.read(1 << 20):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+def output_files(out_toml: str | Path) -> tuple[Path, Path, Path]:
+    """Paths of the sensor file, its mesh and its pixel images; InputError where one is taken."""
+    path = Path(out_toml)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
+    paths = path, path.with_suffix(".ply"), path.with_suffix(".npz")
+    for each in paths:
+        refuse_existing(each)
+    return paths
+
+
+def write_sensor(
+    identification: Identification, out_toml: str | Path, origin: Origin | None = None
+) -> Sensor:
+    r"""Write `X.toml`, `X.npz` and, where it has one, `X.ply`, all or none; return the sensor.
 
     The shipped Punyo preset is made by (move the old files away first)::
 
-        from bubbleviz.calibration.identify import identify
-        from bubbleviz.calibration.sensor_files import write_sensor
-        from bubbleviz.frames.recording import Recording
-        from bubbleviz.sensor import load_sensor
+        bubbleviz identify punyo_press_a --sensor OLD/punyo_oval_d405.toml \
+            --out presets/sensors/punyo_oval_d405.toml
 
-        write_sensor(
-            identify(Recording("punyo_press_a"), load_sensor("punyo_oval_d405")),
-            "punyo_oval_d405.toml",
-        )
-
-    which keeps the preset's rim plane, camera axes and name.
+    which keeps the rim plane, camera axes and name of the old one.
 
     Raises
     ------
     InputError
         A file exists, or cannot be written; nothing is written then.
     """
-    path = Path(out_toml)
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
-    mesh_path, pixels_path = path.with_suffix(".ply"), path.with_suffix(".npz")
-    sensor = _described(identification, path)
-    for each in (path, mesh_path, pixels_path):
-        refuse_existing(each)
+    path, mesh_path, pixels_path = output_files(out_toml)
+    sensor = _described(identification, path, origin)
     with ExitStack() as files:
         # Published last to first: the sensor file comes last, when what it names is there.
         toml = files.enter_context(whole_file(path))
-        mesh = files.enter_context(whole_file(mesh_path))
-        pixels = files.enter_context(whole_file(pixels_path))
-        identification.pixels.save(pixels)
-        _write_ply(identification.mesh, mesh)
+        if sensor.membrane.mesh_file is not None:
+            _write_ply(identification.mesh, files.enter_context(whole_file(mesh_path)))
+        identification.pixels.save(files.enter_context(whole_file(pixels_path)))
         toml.write_text(_comment(identification) + sensor_to_toml(sensor), encoding="utf-8")
     return sensor
 
 
-def _described(identification: Identification, path: Path) -> Sensor:
-    sensor = identification.sensor
-    membrane = sensor.membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
-    calibration = Calibration(pixels_file=path.with_suffix(".npz").name)
+def _described(identification: Identification, path: Path, origin: Origin | None) -> Sensor:
+    sensor, tension = identification.sensor, identification.tension.tension
+    membrane = sensor.membrane
+    if membrane.mesh_file is not None:
+        membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
+    calibration = Calibration(
+        pixels_file=path.with_suffix(".npz").name,
+        recording=origin.recording if origin else identification.source_name,
+        recording_sha256=origin.recording_sha256 if origin else None,
+        report=origin.report if origin else None,
+        date=origin.date if origin else None,
+        tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
+    )
     return sensor.model_copy(
         update={"membrane": membrane, "calibration": calibration, "folder": path.parent}
     )
@@ -65,17 +111,26 @@ def _described(identification: Identification, path: Path) -> Sensor:
 
 def _comment(identification: Identification) -> str:
     """Where the numbers come from, as comment lines."""
-    fits, surfaces = identification.fits, identification.surfaces
+    fits, surfaces, tension = (
+        identification.fits,
+        identification.surfaces,
+        identification.tension,
+    )
     free = identification.samples.frames
-    seen = surfaces.residual_m[identification.pixels.mask]
     axes = "/".join(f"{1e3 * x:.1f}" for x in fits.cap.ellipsoid.semi_axes_m)
+    misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
+    value = tension.tension
     lines = [
         f"Identified from {identification.source_name}, contact-free frames {free[0]}–{free[-1]}.",
         "B: origin at the centre of the rim plane; the rim plane and the axes are the drawing's.",
-        f"Cloud minus surface, rms over the used pixels: sphere"
-        f" {1e3 * fits.sphere.rms_m:.2f} mm, ellipsoid of semi-axes {axes} mm"
-        f" {1e3 * fits.cap.rms_m:.2f} mm, the mesh {1e3 * np.sqrt(np.mean(seen**2)):.3f} mm.",
-        "tension_n_per_m: Young–Laplace, summed over the mesh so that its bumps do not bias it.",
+        "Rms by which parts of the cloud that a fit had not seen are missed: sphere"
+        f" {misses['sphere']},",
+        f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"
+        f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
+        "tension_n_per_m: Young–Laplace, summed over the surface so that its bumps do not bias"
+        f" it; 95 % within {value.low:.2f}…{value.high:.2f}",
+        f"while the gauge pressure is right; 100 Pa more of it would make it"
+        f" {100 * tension.per_pascal:.2f} N/m larger.",
     ]
     lines += _chamber_lines(identification)
     return "".join(f"# {line}\n" for line in lines) + "\n"

@@ -157,7 +157,8 @@ def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
             "contact-free cloud: no dome fits it (flat, or hollow); check that the"
             " membrane is inflated and the depth is in metres"
         )
-    surface = _descend(points, surface, freedom, tukey_weights)
+    if len(points) > len(few):
+        surface = _descend(points, surface, freedom, tukey_weights, rounds=2)
     now = surface.distance(points)
     sigma = robust_sigma(now, center=0.0)
     kept = tukey_weights(now, sigma) > 0.0

@@ -59,7 +59,8 @@ class TensionEstimate:
     parts : dict of str to float
         Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
         pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
-        zero), `facets` (of the mesh that γ0 is used on) and `surface` (free form against cap).
+        zero), `facets` (of the mesh that γ0 is used on) and `surface` (of a free form: shape that
+        was not seen or is finer than the fit, and all of what it moved γ0 by against the cap).
     by_surface : dict of str to float
         γ0 of every surface, N/m.
     least_squares_n_per_m : float
@@ -128,13 +129,16 @@ def estimate_tension(
     draws = draw_errors(table, block, seed)
     rng = np.random.default_rng([seed, 1])
     facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
-    spread = abs(by_surface["free-form"] - by_surface["ellipsoid"])
+    shape = 0.0
+    if surfaces.chosen == "free-form":
+        unseen = _shape_error(samples, surfaces, gauge_pressure_pa)
+        shape = float(np.hypot(unseen, by_surface["free-form"] - by_surface["ellipsoid"]))
     parts = {
         "pixels": draws.tiles[:, 0],
         "frames": draws.frames[:, 0],
         "gas_pressure": values[0] * _pressure_error(samples, gauge_pressure_pa) * _normal(rng),
         "facets": 0.5 * gauge_pressure_pa * facets,
-        "surface": float(surfaces.chosen == "free-form") * spread * rng.uniform(-1, 1, DRAWS),
+        "surface": shape * _normal(rng),
     }
     total = draws.total[:, : len(names)] + facets[:, None]
     total[:, 0] = sum(parts.values())
@@ -208,6 +212,24 @@ def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: f
     values = [balance_tension(mesh, gauge_pressure_pa), float(mesh.nodes[apex, 2])]
     residual = np.nan_to_num(free_form.residual_m.ravel()[pixels])
     return ["tension_n_per_m", "height_m"], values, pixels, influence, residual, 2
+
+
+def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
+    """Standard deviation of γ0, N/m, from the free form's own prior and noise.
+
+    Wahba's (1983) Bayesian interval of a smoothing spline, whose λ predicts what it has not
+    seen: it covers the rim and the unseen part, where only the prior speaks. Correlated pixels
+    count as fewer.
+    """
+    from scipy.sparse.linalg import splu
+
+    free_form = surfaces.free_form
+    mesh = free_form.mesh
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    gradient = balance_gradient(mesh, gauge_pressure_pa, arms)
+    variance = float(gradient @ splu(free_form.system.matrix).solve(gradient))
+    together = max(1.0, samples.statistics.correlated_pixels)
+    return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
 
 
 def _parameter_influence(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -32,8 +33,8 @@ class PixelModel:
     correlated_pixels: float = 1.0
 
     @classmethod
-    def load(cls, path: Path, shape: tuple[int, int]) -> PixelModel:
-        """Read a pixels file (NPZ) and check that it is for images of `shape`.
+    def load(cls, path: Path, shape: tuple[int, int] | None = None) -> PixelModel:
+        """Read a pixels file (NPZ) and check that it is for images of `shape`, where given.
 
         Raises
         ------
@@ -44,9 +45,11 @@ class PixelModel:
             with np.load(path) as data:
                 mask, bias, noise = (data[key] for key in ("mask", "bias_m", "noise_m"))
                 correlated = float(data["correlated_pixels"])
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
             raise InputError(f"{path}: not a pixels file ({error}); calibrate again") from error
-        if mask.shape != shape:
+        if mask.ndim != 2 or not mask.shape == bias.shape == noise.shape:
+            raise InputError(f"{path}: its images differ in size; calibrate again")
+        if shape is not None and mask.shape != shape:
             made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
         return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated)

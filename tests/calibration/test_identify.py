@@ -7,10 +7,10 @@ import pytest
 
 from bubbleviz.calibration.contact_free import find_contact_free
 from bubbleviz.calibration.identify import identify
-from bubbleviz.calibration.pixels import PixelStatistics
 from bubbleviz.calibration.residuals import measure_residuals
 from bubbleviz.calibration.sensor_files import write_sensor
 from bubbleviz.calibration.tension import balance_tension
+from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.build import build_mesh
 from bubbleviz.membrane.surface import mesh_cap, spherical_cap
@@ -102,7 +102,7 @@ def test_written_sensor_reads_back(found, tmp_path):
     np.testing.assert_allclose(mesh.nodes[mesh.rim, 2], 0.0, atol=1e-9)
     assert mesh.cap_volume() == pytest.approx(found.mesh.cap_volume(), rel=1e-9)
     assert sensor.calibration is not None
-    pixels = PixelStatistics.load(sensor.resolve(sensor.calibration.pixels_file))
+    pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file))
     np.testing.assert_array_equal(pixels.mask, found.pixels.mask)
     before = sorted(tmp_path.iterdir())
     with pytest.raises(InputError, match="exists already"):

@@ -7,8 +7,8 @@ import pytest
 
 from bubbleviz.calibration.contact_free import find_contact_free
 from bubbleviz.calibration.identify import identify
-from bubbleviz.calibration.pixels import PixelStatistics
 from bubbleviz.calibration.residuals import measure_residuals
+from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.frames.recording import Recording
 from bubbleviz.membrane.build import build_mesh
 from bubbleviz.sensor import load_sensor
@@ -53,7 +53,7 @@ def test_preset_is_whole_and_small():
     np.testing.assert_allclose(mesh.nodes[mesh.rim, 2], 0.0, atol=1e-9)
     assert sensor.calibration is not None
     path = sensor.resolve(sensor.calibration.pixels_file)
-    pixels = PixelStatistics.load(path)
+    pixels = PixelModel.load(path)
     assert pixels.mask.shape == (480, 640)
     assert np.isfinite(pixels.noise_m[pixels.mask]).all() and (pixels.noise_m >= 0).all()
     assert path.stat().st_size < 600_000

@@ -8,6 +8,7 @@ from bubbleviz.calibration.depth_statistics import measure_depth
 from bubbleviz.calibration.pixels import PixelStatistics
 from bubbleviz.calibration.rim import rim_height
 from bubbleviz.calibration.robust import robust_sigma, tukey_weights
+from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.errors import InputError
 
 
@@ -101,12 +102,12 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
     mask[1:3, 2:5] = True
     bias = np.where(mask, 1.23e-4, 0.0).astype(np.float32)
     noise = np.where(mask, 4.5e-5, np.inf).astype(np.float32)
-    PixelStatistics(mask, bias, noise, {"never_valid": 18}).save(tmp_path / "p.npz")
-    back = PixelStatistics.load(tmp_path / "p.npz")
+    PixelStatistics(mask, bias, noise, {"never_valid": 18}, 7.5).save(tmp_path / "p.npz")
+    back = PixelModel.load(tmp_path / "p.npz")
     np.testing.assert_array_equal(back.mask, mask)
     np.testing.assert_allclose(back.bias_m, bias, atol=1e-6)
     np.testing.assert_allclose(back.noise_m, noise, atol=1e-6)
-    assert back.removed == {"never_valid": 18}
+    assert back.correlated_pixels == pytest.approx(7.5)
     (tmp_path / "bad.npz").write_bytes(b"nonsense")
     with pytest.raises(InputError, match=r"bad\.npz: not a pixels file"):
-        PixelStatistics.load(tmp_path / "bad.npz")
+        PixelModel.load(tmp_path / "bad.npz")
