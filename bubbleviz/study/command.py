@@ -60,9 +60,7 @@ def accuracy(
         parts = out_folder(out / "accuracy_parts")
     with _progress(len(grid.setups), "setup") as bar:
         found = run_accuracy(own, grid, parts, lambda _: bar.update())
-    click.echo(
-        to_json(accuracy_report.as_dict(found)) if as_json else accuracy_report.to_text(found)
-    )
+    written: list[Path] = []
     if out is not None:
         written = accuracy_report.write(found, out)
         bubble = linear_model.bubble_of(own)
@@ -70,7 +68,10 @@ def accuracy(
             depths = np.linspace(0.04, 0.6, 4 if quick else 15) * bubble.height_m
             compared = linear_model.compare(bubble, depths, 1_500 if quick else 6_000)
             written += linear_model.write(compared, out)
-        _name(written, as_json)
+    click.echo(
+        to_json(accuracy_report.as_dict(found)) if as_json else accuracy_report.to_text(found)
+    )
+    _name(written, as_json)
 
 
 @study.command()
@@ -90,9 +91,9 @@ def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
     with _progress(len(runs), "run") as bar:
         rows = run_speed(own, runs, lambda _: bar.update())
     found = speed_report.Speed(rows, read_ms(own))
+    written = speed_report.write(found, out) if out is not None else []
     click.echo(to_json(speed_report.as_dict(found)) if as_json else speed_report.to_text(found))
-    if out is not None:
-        _name(speed_report.write(found, out), as_json)
+    _name(written, as_json)
 
 
 @study.command()
@@ -115,6 +116,9 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
     with _progress(len(cases), "case") as bar:
         results = run_stability(cases, lambda _: bar.update())
     found = summary(results)
+    if out is not None:
+        write_json(out / "stability.json", found)
+        write_csv(out / "stability.csv", results)
     if as_json:
         click.echo(to_json(found))
     else:
@@ -123,8 +127,6 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
         counts = ", ".join(f"{found[key]} {key}" for key in ("passed", "refused", "failed"))
         click.echo(f"{found['cases']} cases: {counts}")
     if out is not None:
-        write_json(out / "stability.json", found)
-        write_csv(out / "stability.csv", results)
         _name([out / "stability.json", out / "stability.csv"], as_json)
 
 
@@ -135,5 +137,5 @@ def _progress(total: int, unit: str) -> Any:
 
 
 def _name(paths: list[Path], quiet: bool) -> None:
-    if not quiet:
+    if paths and not quiet:
         click.echo("wrote " + ", ".join(map(str, paths)))

@@ -104,9 +104,8 @@ def quick_runs() -> list[Run]:
     return [
         Run("stream", Setup(), frames=40),
         Run("stream", Setup("osqp-cold"), frames=6),
-        *(Run("nodes", Setup(None, n), frames=5) for n in (200, 800)),
-        *(Run("nodes", Setup("osqp", n), frames=5) for n in (200, 800, 3_000)),
-        *(Run("pixels", Setup(), p, frames=5) for p in (5_000, 38_304, 300_000)),
+        *(Run("nodes", Setup("osqp", n), frames=4) for n in (800, 2_000)),
+        *(Run("pixels", Setup(), p, frames=4) for p in (38_304, 300_000)),
     ]
 
 

@@ -127,6 +127,7 @@ def to_text(speed: Speed) -> str:
         [
             f"reading a frame: {speed.read_ms:.2f} ms",
             table(header, lines),
+            *(f"{r.sweep} {r.setup}: {r.error}" for r in speed.rows if r.error),
             "",
             table(("growth", "exponent", "of memory", "sizes"), fits),
             "",
@@ -138,7 +139,7 @@ def to_text(speed: Speed) -> str:
 def _line(row: SpeedRow) -> tuple[str, ...]:
     head = (f"{row.sweep} {row.setup}", str(row.nodes), str(row.pixels))
     if row.error:
-        return (*head, row.error[:40], *[""] * 13)
+        return (*head, "error", *[""] * (len(STAGES) + 6))
     times = [row.build_ms, row.cold_ms, row.total_ms, row.total_p95_ms]
     times += [getattr(row, f"{stage}_ms") for stage in STAGES]
     memory, force = row.memory_peak_bytes / 2**20, 100 * row.force_error_relative_median
