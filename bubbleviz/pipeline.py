@@ -67,7 +67,7 @@ class Pipeline:
         *,
         intrinsics: Intrinsics | None = None,
         kappa: float | None = None,
-        options: EstimatorOptions = EstimatorOptions(),
+        options: EstimatorOptions | None = None,
     ) -> None:
         self.sensor = sensor
         self.kappa = kappa

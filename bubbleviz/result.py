@@ -9,7 +9,8 @@ import numpy as np
 
 from bubbleviz.frames.frame import Frame
 
-Status = Literal["ok", "no_contact", "no_data", "not_converged"]
+Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
+"""`implausible`: no membrane of this sensor looks like the depth image."""
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,8 @@ class Estimate:
 
     Attributes
     ----------
-    status : {"ok", "no_contact", "no_data", "not_converged"}
-        Only `ok` has a contact pressure above zero.
+    status : Status
+        Only the numbers of `ok` and `no_contact` are to be trusted.
     displacement_m : (n,) array
         u along the reference normals, m.
     contact_pressure_pa : (n,) array

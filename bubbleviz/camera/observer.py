@@ -18,6 +18,9 @@ from bubbleviz.membrane.mesh import MembraneMesh
 _HUBER = 1.345
 """Residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise."""
 
+_MAD = 0.6745
+"""Median of |z| of a standard normal z."""
+
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
@@ -32,12 +35,15 @@ class Observation:
         Weighted mean of measured minus reference range in each block, m; 0 where no pixel is valid.
     weight : (B,) array
         1/σ² of each block's mean, 1/m²; 0 where no pixel is valid.
+    trusted : float
+        Share of the weight that robust weighting left: 1 where noise explains every pixel.
     valid_pixels : int
         Pixels that returned something.
     """
 
     residual_m: np.ndarray
     weight: np.ndarray
+    trusted: float
     valid_pixels: int
 
 
@@ -107,6 +113,9 @@ class RangeObserver:
         self._scale = camera.range_per_depth.ravel()[pixel]
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
+        self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
+        gaussian = np.random.default_rng(0).standard_normal((20_000, block**2))
+        self._gaussian_scatter = _scatter(gaussian)
         rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
@@ -118,6 +127,12 @@ class RangeObserver:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
         columns = -(-self.camera.intrinsics.width // self.block)
         return (row // self.block) * columns + column // self.block
+
+    def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
+        """Positions of the pixels of some thousand whole blocks, one block a row."""
+        whole = self._starts[sizes == self.block**2] if self.block > 1 else self._starts[:0]
+        whole = whole[:: max(1, len(whole) // 1000)]
+        return whole[:, None] + np.arange(self.block**2)
 
     @property
     def blocks(self) -> int:
@@ -143,18 +158,36 @@ class RangeObserver:
         valid = np.isfinite(residual)
         precision = np.where(valid, self._precision, np.float32(0.0))
         residual[~valid] = 0.0
+        precision /= np.float32(self._noise_scale(precision, residual) ** 2)
         if expected_m is not None:
             expected = expected_m.astype(np.float32)[self.block_of_pixel]
-            precision *= _huber_weights((residual - expected) ** 2 * precision)
-        total = np.add.reduceat(precision, self._starts).astype(float)
-        moment = np.add.reduceat(precision * residual, self._starts).astype(float)
+            robust = _huber_weights((residual - expected) ** 2 * precision)
+        else:
+            robust = np.float32(1.0)
+        trusted = precision * robust
+        total = np.add.reduceat(trusted, self._starts).astype(float)
+        moment = np.add.reduceat(trusted * residual, self._starts).astype(float)
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
-        return Observation(mean, self._weight(total), int(np.count_nonzero(valid)))
+        share = float(np.sum(total) / max(np.sum(precision, dtype=float), 1e-300))
+        return Observation(mean, self._weight(total), share, int(np.count_nonzero(valid)))
+
+    def _noise_scale(self, precision: np.ndarray, residual: np.ndarray) -> float:
+        """How many times noisier than expected this frame is, at least 1.
+
+        From the scatter of pixels about their block's median. Pixels that a filter has made
+        alike scatter less than their σ says, and are not taken for better.
+        """
+        if not len(self._sample):
+            return 1.0
+        z = residual[self._sample] * np.sqrt(precision[self._sample])
+        whole = np.all(precision[self._sample] > 0.0, axis=1)
+        scatter = _scatter(z[whole]) if whole.any() else 0.0
+        return max(1.0, scatter / self._gaussian_scatter)
 
     def observe_everything(self) -> Observation:
         """The untouched membrane seen without noise by every pixel in use."""
         total = np.add.reduceat(self._precision, self._starts).astype(float)
-        return Observation(np.zeros_like(total), self._weight(total), len(self.pixel))
+        return Observation(np.zeros_like(total), self._weight(total), 1.0, len(self.pixel))
 
     def _weight(self, precision: np.ndarray) -> np.ndarray:
         """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
@@ -173,17 +206,26 @@ class RangeObserver:
         here[hits.ray] = np.nan_to_num(change)
         return Linearisation(hits, offset, here)
 
-    def misfit_m(
+    def misfit(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
-    ) -> float:
-        """Weighted root mean square of measured minus modelled block residuals, m."""
+    ) -> tuple[float, float]:
+        """Misfit of a displacement (n,): root mean square in m, and typical one in σ."""
         hits = linear.hits
         at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
         model = linear.offset_m + np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
         error = observation.residual_m[hits.ray] - model
         weight = np.where(np.isfinite(error), observation.weight[hits.ray], 0.0)
-        error = np.where(weight > 0.0, error, 0.0)
-        return float(np.sqrt(np.sum(weight * error**2) / max(np.sum(weight), 1e-300)))
+        seen = weight > 0.0
+        error, weight = error[seen], weight[seen] / observation.trusted
+        if not len(error):
+            return np.nan, np.inf
+        rms = float(np.sqrt(weight @ error**2 / weight.sum()))
+        return rms, float(np.median(np.abs(error) * np.sqrt(weight)) / _MAD)
+
+
+def _scatter(values: np.ndarray) -> float:
+    """Median distance from the median of the row; half of the values may be outliers."""
+    return float(np.median(np.abs(values - np.median(values, axis=1, keepdims=True))))
 
 
 def _huber_weights(squares: np.ndarray) -> np.ndarray | np.float32:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.inverse.pivoting import nonnegative_qp
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Solution, natural_residual
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
@@ -45,34 +45,16 @@ class ActiveSetSolver:
         self._hessians: dict[bool, np.ndarray] = {}
         self._neighbours = abs(equilibrium.L).tocsr()
 
-    def solve(self, problem: FrameProblem, start: np.ndarray) -> Solution:
-        """Select the support with the L1 term, then solve on it without.
+    def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
+        """Solve with the L1 term, until the support stands.
 
         Parameters
         ----------
         problem : FrameProblem
         start : (n,) array
-            The selecting solution of the last frame.
+            The selection of the last frame.
         """
-        shrunk, gradient, H, pivots = self._select(problem, start)
-        free = problem.debiased(shrunk > 0.0)
-        pressure, residual, more = self._refine(free, shrunk, gradient - problem.tau, H)
-        displacement, gas = self._equilibrium.displacement(pressure, problem.measured_gas)
-        return Solution(
-            displacement,
-            pressure,
-            gas,
-            shrunk,
-            pivots + more,
-            residual <= self._tolerance,
-            residual,
-        )
-
-    def _select(
-        self, problem: FrameProblem, pressure: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Solution with the L1 term, model gradient and model Hessian on its support, pivots."""
-        pivots = 0
+        pressure, pivots = start, 0
         for _ in range(self._corrections):
             gradient = self._equilibrium.gradient(problem, pressure)
             work = np.flatnonzero(self._near((pressure > 0.0) | (gradient < 0.0)))
@@ -81,26 +63,27 @@ class ActiveSetSolver:
             pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
             change = (pressure - before)[work]
-            if np.max(np.abs(change)) <= _SUPPORT_CHANGE * np.max(pressure, initial=0.0):
+            if np.max(np.abs(change), initial=0.0) <= _SUPPORT_CHANGE * np.max(pressure):
                 break
         gradient[work] += H @ change
-        inside = np.flatnonzero(pressure[work] > 0.0)
-        return pressure, gradient, H[np.ix_(inside, inside)], pivots
+        return Pressure(pressure, pivots, True, gradient - problem.tau)
 
-    def _refine(
-        self, problem: FrameProblem, pressure: np.ndarray, gradient: np.ndarray, H: np.ndarray
-    ) -> tuple[np.ndarray, float, int]:
-        """Debiased solution, its KKT residual, pivots; the first `gradient` is the model's."""
+    def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
+        """Solve on a support without the L1 term, to the tolerance of the KKT conditions."""
         work = np.flatnonzero(problem.allowed)
-        pivots, residual = 0, np.inf
+        H = self._model(problem, work)
+        pressure, gradient = start.values, start.gradient
+        if gradient is None:
+            gradient = self._equilibrium.gradient(problem, pressure)
+        pivots = 0
         for _ in range(self._corrections):
             pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
             gradient = self._equilibrium.gradient(problem, pressure)
             residual = natural_residual(self._equilibrium.A, problem, pressure, gradient)
             if residual <= self._tolerance:
-                break
-        return pressure, residual, pivots
+                return Pressure(pressure, pivots, True, gradient)
+        return Pressure(pressure, pivots, False, gradient)
 
     def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
         """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels."""

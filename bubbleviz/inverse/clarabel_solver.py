@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, QPResult
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
 
 class ClarabelSolver:
@@ -21,7 +21,7 @@ class ClarabelSolver:
     def __init__(self, equilibrium: Equilibrium) -> None:
         self._equilibrium = equilibrium
 
-    def __call__(self, problem: FrameProblem) -> QPResult:
+    def __call__(self, problem: FrameProblem) -> Pressure:
         """Solve one problem; every call starts cold."""
         import clarabel
 
@@ -55,4 +55,4 @@ class ClarabelSolver:
         pressure = np.zeros(n)
         pressure[allowed] = np.maximum(np.asarray(result.x)[n : n + k], 0.0)
         solved = result.status == clarabel.SolverStatus.Solved
-        return QPResult(pressure, result.iterations, solved)
+        return Pressure(pressure, result.iterations, solved)

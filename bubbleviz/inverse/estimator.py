@@ -7,18 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.camera.observer import Linearisation, Observation, RangeObserver
 from bubbleviz.inverse.normal import NormalEquations
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Solution
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solver import make_solver
+from bubbleviz.inverse.solver import default_solver, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.result import Estimate, Status
 
 PRESSURE_SCALE = 3.0
 """Contact pressure in gauge pressures that the prior expects: P (1 + R/r) on an object with a
 radius of curvature r half that of the bubble, R (Young–Laplace on both sides)."""
+
+IMPLAUSIBLE_MISFIT = 5.0
+"""Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
+
+MINIMUM_BLOCKS = 3
+"""A plane's worth of blocks: with fewer, no dent can be told from a shift of the sensor."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +44,33 @@ class EstimatorOptions:
     relinearisations: int = 2
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """Where the solution of one linearised problem is.
+
+    Attributes
+    ----------
+    displacement_m : (n,) array
+    gas : float
+    selected, pressure : (n_free,) array
+        With the L1 term, and debiased; dimensionless.
+    """
+
+    displacement_m: np.ndarray
+    gas: float
+    selected: np.ndarray
+    pressure: np.ndarray
+    iterations: int
+    status: Status
+    kkt_residual: float
+
+
 class Estimator:
     """Solves the inverse problem frame by frame, each started from the last.
 
     A first solve with an L1 term finds where there is contact, a second one on that support alone
-    takes the bias of the L1 term out again.
+    takes the bias of the L1 term out again. What nowhere reaches the gas pressure is not contact
+    (`_contacts`) and is left out of a third.
 
     Parameters
     ----------
@@ -50,11 +79,12 @@ class Estimator:
     tension_n_per_m : float
         γ0, N/m.
     gauge_pressure_pa : float
-    options : EstimatorOptions
-    """
+    options : EstimatorOptions, optional
 
-    MINIMUM_BLOCKS = 3
-    """A plane's worth of blocks: with fewer no dent can be told from a shift of the sensor."""
+    Attributes
+    ----------
+    solver_name : str
+    """
 
     def __init__(
         self,
@@ -62,25 +92,25 @@ class Estimator:
         gas: Gas,
         tension_n_per_m: float,
         gauge_pressure_pa: float,
-        options: EstimatorOptions = EstimatorOptions(),
+        options: EstimatorOptions | None = None,
     ) -> None:
         self.mesh = observer.mesh
         self.observer = observer
         self.gas = gas
-        self.options = options
+        self.options = options or EstimatorOptions()
         self.scales = Scales.of(self.mesh, tension_n_per_m)
+        self._gauge = gauge_pressure_pa / self.scales.pressure_pa
         self._equilibrium = Equilibrium(self.mesh, gas, self.scales)
         self._normal = NormalEquations(self.mesh)
-        at_rest = observer.observe_everything()
-        Q, _ = self._normal.assemble(at_rest, observer.linearise())
+        Q, _ = self._normal.assemble(observer.observe_everything(), observer.linearise())
         reference_Q = Q * self.scales.length_m**2
-        self._solver = make_solver(options.solver, self._equilibrium, reference_Q)
+        self.solver_name = self.options.solver or default_solver(len(self.mesh.free))
+        self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q)
         self._weight = float(reference_Q.diagonal().sum())
+        self._tau = detection_threshold(self._equilibrium, reference_Q)
         # Moved by less than half an edge, a ray meets much the same facet at much the same slope.
         self._step_m = 0.5 * self.mesh.edge_length
-        self._lambda = (self.scales.pressure_pa / (PRESSURE_SCALE * gauge_pressure_pa)) ** 2
-        self._tau = detection_threshold(self._equilibrium, reference_Q)
-        self._last: Solution | None = None
+        self._last: _Answer | None = None
 
     def estimate(self, depth_m: np.ndarray, gas_pressure_pa: float | None = None) -> Estimate:
         """Solve one frame.
@@ -96,58 +126,109 @@ class Estimator:
         if gas_pressure_pa is not None:
             gas = (gas_pressure_pa - self.gas.P0) / self.scales.pressure_pa
         start = time.perf_counter()
-        observation, linear, solution = self._solve(depth_m, gas)
+        observation, linear, answer = self._solve(depth_m, gas)
         elapsed = 1e3 * (time.perf_counter() - start)
-        if solution is None:
+        if answer is None or answer.status not in ("ok", "no_contact", "not_converged"):
             self._last = None
-            return self._untouched("no_data", np.nan, np.nan)
-        self._last = solution if solution.pressure.any() else None
-        return self._report(observation, linear, solution, elapsed)
+            return self._nothing("no_data" if answer is None else answer.status)
+        self._last = answer if answer.pressure.any() else None
+        return self._report(observation, linear, answer, elapsed)
 
     def _solve(
         self, depth_m: np.ndarray, gas: float | None
-    ) -> tuple[Observation, Linearisation, Solution | None]:
+    ) -> tuple[Observation, Linearisation, _Answer | None]:
         """Linearise where the last frame ended, and again where this one does."""
+        answer = self._last
         around = np.zeros(len(self.mesh.nodes))
-        if self._last is not None and self.options.relinearisations > 0:
-            around = self._displacement_m(self._last)
-        solution = self._last
+        if answer is not None and self.options.relinearisations > 0:
+            around = answer.displacement_m
         for _ in range(1 + self.options.relinearisations):
             linear = self.observer.linearise(around)
             observation = self.observer.observe(depth_m, linear.here_m)
-            if np.count_nonzero(observation.weight) < self.MINIMUM_BLOCKS:
+            if np.count_nonzero(observation.weight) < MINIMUM_BLOCKS:
                 return observation, linear, None
-            solution = self._solve_linear(observation, linear, gas, solution)
-            displacement = self._displacement_m(solution)
-            moved = np.max(np.abs(displacement - around))
-            around = displacement
-            if moved <= self._step_m:
+            answer = self._solve_linear(observation, linear, gas, answer)
+            moved = np.max(np.abs(answer.displacement_m - around))
+            around = answer.displacement_m
+            if moved <= self._step_m or answer.status == "implausible":
                 break
-        return observation, linear, solution
+        return observation, linear, answer
 
     def _solve_linear(
         self,
         observation: Observation,
         linear: Linearisation,
         gas: float | None,
-        start: Solution | None,
-    ) -> Solution:
-        a, eq = self.scales.length_m, self._equilibrium
+        start: _Answer | None,
+    ) -> _Answer:
+        problem = self._problem(observation, linear, gas)
+        nothing = Pressure(np.zeros(len(problem.g)), 0, True)
+        if np.all(problem.at_zero + problem.tau >= 0.0):
+            # The KKT conditions hold at p_c = 0: no contact, and no QP to solve.
+            return self._answer(problem, nothing, nothing)
+        first = start.selected if start is not None else nothing.values
+        selected = self._solver.select(problem, first)
+        free = problem.debiased(selected.values > 0.0)
+        refined = self._solver.refine(free, selected)
+        contacts = self._contacts(refined.values, problem.measured_gas or 0.0)
+        if not contacts.any():
+            return self._answer(problem, selected, nothing)
+        if np.any(refined.values[~contacts] > 0.0):
+            free = problem.debiased(contacts)
+            rest = Pressure(np.where(contacts, refined.values, 0.0), 0, True)
+            refined = self._solver.refine(free, rest)
+        return self._answer(free, selected, refined)
+
+    def _problem(
+        self, observation: Observation, linear: Linearisation, gas: float | None
+    ) -> FrameProblem:
+        a = self.scales.length_m
         Q, g = self._normal.assemble(observation, linear)
         Q, g = Q * a**2, g * a
         tau = self._tau * np.sqrt(Q.diagonal().sum() / self._weight)
-        everywhere = np.ones(len(g), bool)
-        at_zero = eq.gradient_at_zero(Q, g, gas)
-        problem = FrameProblem(Q, g, self._lambda, tau, at_zero, everywhere, gas)
-        nothing = np.zeros(len(g))
-        if np.all(at_zero + tau >= 0.0):
-            # The KKT conditions hold at p_c = 0: no contact, and no QP to solve.
-            displacement, p_v = eq.displacement(nothing, gas)
-            return Solution(displacement, nothing, p_v, nothing, 0, True, 0.0)
-        return self._solver.solve(problem, nothing if start is None else start.shrunk)
+        at_zero = self._equilibrium.gradient_at_zero(Q, g, gas)
+        lambda_ = 1.0 / (PRESSURE_SCALE * self._gauge) ** 2
+        return FrameProblem(Q, g, lambda_, tau, at_zero, np.ones(len(g), bool), gas)
 
-    def _displacement_m(self, solution: Solution) -> np.ndarray:
-        return self._on_nodes(self.scales.length_m * solution.displacement)
+    def _contacts(self, pressure: np.ndarray, gas: float) -> np.ndarray:
+        """Nodes (n_free,) of the connected parts of the support that are contact.
+
+        A membrane that lies on something flat or convex bulges no more, so that the contact there
+        carries at least the gas pressure (Young–Laplace); what stays below it everywhere is noise,
+        or what the linear model cannot explain.
+        """
+        support = np.flatnonzero(pressure > 0.0)
+        _, part = connected_components(self._equilibrium.L[support][:, support])
+        highest = np.zeros(part.max(initial=-1) + 1)
+        np.maximum.at(highest, part, pressure[support])
+        contact = np.zeros(len(pressure), bool)
+        contact[support] = (highest >= self._gauge + gas)[part]
+        return contact
+
+    def _answer(self, problem: FrameProblem, selected: Pressure, refined: Pressure) -> _Answer:
+        eq = self._equilibrium
+        displacement, gas = eq.displacement(refined.values, problem.measured_gas)
+        converged = selected.converged and refined.converged
+        status: Status = "ok" if refined.values.any() else "no_contact"
+        if not np.max(np.abs(displacement)) < 1.0:  # in units of the membrane's size; or NaN
+            status = "implausible"
+        elif not converged:
+            status = "not_converged"
+        residual = 0.0
+        if refined.values.any():
+            gradient = refined.gradient
+            if gradient is None:
+                gradient = eq.gradient(problem, refined.values)
+            residual = natural_residual(eq.A, problem, refined.values, gradient)
+        return _Answer(
+            self._on_nodes(self.scales.length_m * displacement),
+            gas,
+            selected.values,
+            refined.values,
+            selected.iterations + refined.iterations,
+            status,
+            residual,
+        )
 
     def _on_nodes(self, values: np.ndarray) -> np.ndarray:
         field = np.zeros(len(self.mesh.nodes))
@@ -158,25 +239,28 @@ class Estimator:
         self,
         observation: Observation,
         linear: Linearisation,
-        solution: Solution,
+        answer: _Answer,
         elapsed_ms: float,
     ) -> Estimate:
-        status: Status = "ok" if solution.pressure.any() else "no_contact"
-        displacement = self._displacement_m(solution)
+        rms, deviations = self.observer.misfit(observation, linear, answer.displacement_m)
+        if deviations > IMPLAUSIBLE_MISFIT:
+            self._last = None
+            return self._nothing("implausible", rms)
         return Estimate(
-            status=status if solution.converged else "not_converged",
-            displacement_m=displacement,
-            contact_pressure_pa=self._on_nodes(self.scales.pressure_pa * solution.pressure),
-            gas_pressure_change_pa=self.scales.pressure_pa * solution.gas,
-            residual_rms_m=self.observer.misfit_m(observation, linear, displacement),
-            kkt_residual=solution.kkt_residual,
-            iterations=solution.iterations,
+            status=answer.status,
+            displacement_m=answer.displacement_m,
+            contact_pressure_pa=self._on_nodes(self.scales.pressure_pa * answer.pressure),
+            gas_pressure_change_pa=self.scales.pressure_pa * answer.gas,
+            residual_rms_m=rms,
+            kkt_residual=answer.kkt_residual,
+            iterations=answer.iterations,
             solve_ms=elapsed_ms,
         )
 
-    def _untouched(self, status: Status, gas_pressure_change_pa: float, misfit: float) -> Estimate:
+    def _nothing(self, status: Status, misfit_m: float = np.nan) -> Estimate:
+        """A frame about which nothing is known."""
         zero = np.zeros(len(self.mesh.nodes))
-        return Estimate(status, zero, zero, gas_pressure_change_pa, misfit, 0.0)
+        return Estimate(status, zero, zero, np.nan, misfit_m, np.nan)
 
 
 def detection_threshold(equilibrium: Equilibrium, Q: sparse.csr_array) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, QPResult
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
 
 class OsqpSolver:
@@ -36,7 +36,7 @@ class OsqpSolver:
         self._scale = 1.0
         self._data = np.zeros(0)
 
-    def __call__(self, problem: FrameProblem) -> QPResult:
+    def __call__(self, problem: FrameProblem) -> Pressure:
         """Solution of one frame, started from that of the last."""
         if self._solver is None:
             self._set_up(problem)
@@ -46,7 +46,7 @@ class OsqpSolver:
         n = len(problem.g)
         pressure = np.maximum(result.x[n : 2 * n], 0.0)
         pressure[~problem.allowed] = 0.0
-        return QPResult(pressure, result.info.iter, result.info.status_val == 1)
+        return Pressure(pressure, result.info.iter, result.info.status_val == 1)
 
     def _set_up(self, problem: FrameProblem) -> None:
         import osqp
@@ -108,7 +108,7 @@ class ColdOsqp:
     def __init__(self, equilibrium: Equilibrium) -> None:
         self._equilibrium = equilibrium
 
-    def __call__(self, problem: FrameProblem) -> QPResult:
+    def __call__(self, problem: FrameProblem) -> Pressure:
         """Set up, factorise and solve one problem."""
         return OsqpSolver(self._equilibrium)(problem)
 

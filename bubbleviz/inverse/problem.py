@@ -139,44 +139,23 @@ class FrameProblem:
 
 
 @dataclass(frozen=True)
-class QPResult:
-    """What a QP solver makes of one `FrameProblem`.
+class Pressure:
+    """A contact pressure that solves a `FrameProblem`, dimensionless.
 
     Attributes
     ----------
-    pressure : (n,) array
+    values : (n,) array
     iterations : int
+        Iterations or pivots it took.
     converged : bool
+    gradient : (n,) array or None
+        Gradient of the problem there without its L1 term, where the solver has one at hand.
     """
 
-    pressure: np.ndarray
+    values: np.ndarray
     iterations: int
     converged: bool
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Dimensionless solution of a frame.
-
-    Attributes
-    ----------
-    displacement, pressure : (n,) array
-    gas : float
-    shrunk : (n,) array
-        The solution with the L1 term, whose support carries `pressure`.
-    iterations : int
-    converged : bool
-    kkt_residual : float
-        `natural_residual` of the problem debiased on that support.
-    """
-
-    displacement: np.ndarray
-    pressure: np.ndarray
-    gas: float
-    shrunk: np.ndarray
-    iterations: int
-    converged: bool
-    kkt_residual: float
+    gradient: np.ndarray | None = None
 
 
 def natural_residual(

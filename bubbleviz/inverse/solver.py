@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Solution
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 from bubbleviz.inverse.two_stage import TwoStage
 
 DENSE_LIMIT = 5_000
@@ -19,8 +19,11 @@ DENSE_LIMIT = 5_000
 class InverseSolver(Protocol):
     """Solves the problem of one frame after another."""
 
-    def solve(self, problem: FrameProblem, start: np.ndarray) -> Solution:
-        """Solution of one frame, started from a contact pressure (n,)."""
+    def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
+        """Solve with the L1 term, from a contact pressure (n,); exactly 0 off the support."""
+
+    def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
+        """Solve on the problem's support without the L1 term, from a selection."""
 
 
 def _active_set(equilibrium: Equilibrium, reference_Q: sparse.csr_array) -> InverseSolver:
@@ -55,18 +58,21 @@ SOLVERS: dict[str, Callable[[Equilibrium, sparse.csr_array], InverseSolver]] = {
 }
 
 
+def default_solver(nodes: int) -> str:
+    """Name of the fastest solver that suits a mesh of so many free nodes."""
+    return "active-set" if nodes <= DENSE_LIMIT else "osqp"
+
+
 def make_solver(
-    name: str | None, equilibrium: Equilibrium, reference_Q: sparse.csr_array
+    name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array
 ) -> InverseSolver:
-    """Solver of the given name; by default the fastest that suits the mesh.
+    """Solver of the given name.
 
     Raises
     ------
     InputError
         No solver has that name.
     """
-    if name is None:
-        name = "active-set" if len(equilibrium.A) <= DENSE_LIMIT else "osqp"
     if name not in SOLVERS:
         raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVERS)}")
     return SOLVERS[name](equilibrium, reference_Q)

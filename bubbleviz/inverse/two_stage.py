@@ -6,15 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bubbleviz.inverse.problem import (
-    Equilibrium,
-    FrameProblem,
-    QPResult,
-    Solution,
-    natural_residual,
-)
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
-QPSolve = Callable[[FrameProblem], QPResult]
+QPSolve = Callable[[FrameProblem], Pressure]
 """Solves one problem; may start from its own last solution."""
 
 
@@ -32,23 +26,15 @@ class TwoStage:
         self._equilibrium = equilibrium
         self._selecting, self._debiasing = make(equilibrium), make(equilibrium)
 
-    def solve(self, problem: FrameProblem, start: np.ndarray) -> Solution:
-        """Solution of one frame; `start` is not used, the QP solvers keep their own."""
-        eq = self._equilibrium
-        first = self._selecting(problem)
-        free = problem.debiased(self._support(problem, first.pressure))
-        second = self._debiasing(free)
-        displacement, gas = eq.displacement(second.pressure, problem.measured_gas)
-        gradient = eq.gradient(free, second.pressure)
-        return Solution(
-            displacement,
-            second.pressure,
-            gas,
-            np.where(free.allowed, first.pressure, 0.0),
-            first.iterations + second.iterations,
-            first.converged and second.converged,
-            natural_residual(eq.A, free, second.pressure, gradient),
-        )
+    def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
+        """Solve with the L1 term; `start` is not used, the QP solvers keep their own."""
+        found = self._selecting(problem)
+        support = self._support(problem, found.values)
+        return Pressure(np.where(support, found.values, 0.0), found.iterations, found.converged)
+
+    def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
+        """Solve on a support without the L1 term."""
+        return self._debiasing(problem)
 
     def _support(self, problem: FrameProblem, pressure: np.ndarray) -> np.ndarray:
         """Nodes nearer to carrying pressure than to having a multiplier.

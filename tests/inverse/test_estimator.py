@@ -114,3 +114,20 @@ def test_too_few_pixels_are_no_data(sphere):
 def test_an_unknown_solver_is_refused_by_name():
     with pytest.raises(InputError, match="no such solver; choose one of active-set"):
         estimator(solver="gurobi")
+
+
+@pytest.mark.parametrize("noise", [0.03, 0.08])
+def test_more_noise_than_the_sensor_file_says_is_noticed(sphere, untouched, noise):
+    """The file says 1 %; a noisier camera must not see contact where there is none."""
+    solver = estimator()
+    results = [solver.estimate(untouched.depth(noise, seed)) for seed in range(5)]
+    assert {r.status for r in results} == {"no_contact"}
+    error = np.linalg.norm(force_of(solver, solver.estimate(sphere.depth(noise))) - sphere.force)
+    assert error < 0.15 * np.linalg.norm(sphere.force)
+
+
+@pytest.mark.parametrize(
+    "spoil", [lambda d: np.full_like(d, 0.15), lambda d: 1000 * d, lambda d: d + 0.05]
+)
+def test_what_no_membrane_explains_is_not_called_ok(sphere, spoil):
+    assert estimator().estimate(spoil(sphere.depth(0.01))).status in ("implausible", "no_data")
