@@ -270,7 +270,7 @@ def _row(
     }
     estimates = [result.estimate for result in warm if result.estimate is not None]
     bad = [estimate.status for estimate in estimates if estimate.status != "ok"]
-    options = pipeline.options
+    estimator = pipeline.estimator
     return Row(
         **means,
         object_name=sighting.press.object_name,
@@ -278,10 +278,10 @@ def _row(
         depth_m=sighting.press.depth_m,
         noise_relative=noise,
         setup=setup.label,
-        solver=options.solver or "default",
+        solver=estimator.solver_name,
         nodes=len(pipeline.mesh.nodes),
         pixel_stride=setup.stride,
-        relinearisations=options.relinearisations,
+        relinearisations=estimator.options.relinearisations,
         status=bad[0] if bad else "ok",
         kkt_residual=max(estimate.kkt_residual for estimate in estimates),
         cold_ms=cold.times_ms["total"],

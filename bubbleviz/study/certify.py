@@ -109,7 +109,7 @@ def _status(pipeline: Pipeline, result: Result, band: Band) -> list[str]:
     touched = bool(np.any(estimate.contact_pressure_pa > 0.0))
     if touched != (estimate.status == "ok"):
         return [f"status {estimate.status} with{'' if touched else 'out'} contact pressure"]
-    limit = KKT.get(pipeline.options.solver or "", 1e-3 if _dense(pipeline) else 5e-2)
+    limit = KKT.get(pipeline.estimator.solver_name, 1e-3)
     if estimate.kkt_residual > limit:
         return [f"KKT residual {estimate.kkt_residual:.2g} above {limit:g}"]
     explained = MISFIT * max(band.noise_m, 1e-3)
@@ -117,11 +117,6 @@ def _status(pipeline: Pipeline, result: Result, band: Band) -> list[str]:
         misfit = 1e3 * estimate.residual_rms_m
         return [f"called {estimate.status} with a misfit of {misfit:.2g} mm"]
     return []
-
-
-def _dense(pipeline: Pipeline) -> bool:
-    """Whether the default solver is the exact one at this size."""
-    return pipeline.options.solver is not None or len(pipeline.mesh.nodes) <= 5_000
 
 
 def _equations(pipeline: Pipeline, result: Result, measured_gas: bool) -> list[str]:

@@ -148,7 +148,7 @@ def measure(sensor: Sensor, run: Run) -> SpeedRow:
         **_quality(results, source, order),
         sweep=run.sweep,
         setup=run.setup.label,
-        solver=pipeline.options.solver or "default",
+        solver=pipeline.estimator.solver_name,
         nodes=len(pipeline.mesh.nodes),
         pixels=scaled.camera.width * scaled.camera.height,
         frames=len(frames),

@@ -27,7 +27,7 @@ def test_stages_add_up_to_the_total(measured):
     stages = [getattr(measured, f"{name}_ms") for name in speed_report.STAGES]
     assert all(np.isfinite(stages))
     assert min(stages[:4]) > 0.0
-    assert measured.solver == "default"
+    assert measured.solver == "active-set"
     assert measured.frames == 3
     assert measured.memory_peak_bytes > 0
     assert 0.0 < measured.iou_mean <= 1.0
