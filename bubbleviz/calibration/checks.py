@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from bubbleviz.calibration.robust import robust_sigma
+from bubbleviz.calibration.segment import away_from_edges
 from bubbleviz.calibration.surface_fit import Ellipsoid
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.errors import InputError
@@ -13,8 +14,8 @@ from bubbleviz.membrane.mesh import MembraneMesh
 
 _LEAST_SEEN = 0.5
 _SIGNIFICANT = 6.0  # standard deviations of a tile
-_LOUD = 4.0  # standard deviations that noise does not reach in some hundred frames
-_WANDER = 5e-3  # of the dome's radius: the error it would put on γ0
+_LEAST_PIXELS = 20
+_DEEP = 1e-2  # of the dome's radius: what is shallower is the dome's own shape
 
 
 def seen_share(mesh: MembraneMesh, camera: DepthCamera, membrane: np.ndarray) -> float:
@@ -33,7 +34,7 @@ def seen_share(mesh: MembraneMesh, camera: DepthCamera, membrane: np.ndarray) ->
     uv = np.rint(camera.intrinsics.project((centres - T[:3, 3]) @ T[:3, :3])).astype(int)
     height, width = membrane.shape
     inside = ((uv >= 0) & (uv < (width, height))).all(axis=1)
-    filled = ndimage.binary_fill_holes(ndimage.binary_closing(membrane, iterations=2))
+    filled = ndimage.binary_fill_holes(_closed(membrane))
     seen = np.zeros(len(uv), bool)
     seen[inside] = filled[uv[inside, 1], uv[inside, 0]]
     return float(mesh.facet_areas[seen].sum() / mesh.facet_areas.sum())
@@ -49,38 +50,13 @@ def check_seen(name: str, share: float) -> None:
         )
 
 
-def check_still(
-    name: str,
-    frames: tuple[int, ...],
-    centres_m: np.ndarray,
-    noise_m: np.ndarray,
-    radius_m: float,
-) -> float:
-    """Refuse frames between which the dome moves as a whole; return how far it does, m.
-
-    Parameters
-    ----------
-    frames : tuple of int
-    centres_m : (F, 3) array
-        Centre of the dome in every frame, about the mean, m.
-    noise_m : (3,) array
-        Standard deviation of each coordinate that the depth noise alone makes, m.
-    radius_m : float
-    """
-    beyond = np.maximum(np.abs(centres_m) - _LOUD * noise_m, 0.0)
-    wander = np.linalg.norm(beyond, axis=1)
-    worst = int(np.argmax(wander))
-    if wander[worst] > _WANDER * radius_m:
-        raise InputError(
-            f"{name}: the dome moves by {1e3 * wander[worst]:.2g} mm against the camera in the"
-            f" contact-free frames (most in frame {frames[worst]}): fix the camera, let the gas"
-            " settle, or name frames without contact"
-        )
-    return float(wander[worst])
-
-
 def check_no_dent(
-    name: str, residual_m: np.ndarray, use: np.ndarray, pixel_m: np.ndarray, dome: Ellipsoid
+    name: str,
+    residual_m: np.ndarray,
+    membrane: np.ndarray,
+    edge_px: float,
+    pixel_m: np.ndarray,
+    dome: Ellipsoid,
 ) -> None:
     """Refuse a dome that is pressed in: contact in every frame, as far as it can be told.
 
@@ -91,27 +67,44 @@ def check_no_dent(
     Parameters
     ----------
     residual_m : (H, W) array
-        Measured minus fitted range, m, negative inside; NaN: none.
-    use : (H, W) bool array
+        Distance of the measured from the fitted surface, m, negative inside; NaN: none.
+    membrane : (H, W) bool array
+    edge_px : float
+        How far from the membrane's outer edge, in pixels, a measurement can be trusted.
     pixel_m : (H, W) array
         Side of a pixel on the membrane, m.
     dome : Ellipsoid
     """
-    known = use & np.isfinite(residual_m)
+    inner = away_from_edges(ndimage.binary_fill_holes(_closed(membrane)), edge_px + 1.0)
+    known = inner & membrane & np.isfinite(residual_m)
     spread = robust_sigma(residual_m[known])
     radius = float(np.prod(dome.semi_axes_m) ** (1.0 / 3.0))
     deep = known & (np.nan_to_num(residual_m) < -_SIGNIFICANT * spread)
-    deep = ndimage.binary_opening(deep, iterations=1)
+    # Most of a pixel's neighbours: single pixels err, and holes must not tear a patch apart.
+    share = ndimage.uniform_filter(deep.astype(float), 5)
+    deep = share > 0.5 * np.maximum(ndimage.uniform_filter(known.astype(float), 5), 1e-9)
     labels, count = ndimage.label(deep)
     for k in range(1, count + 1):
-        patch = labels == k
-        area = float(np.sum(pixel_m[patch] ** 2))
+        whole = labels == k
+        patch = whole & known
+        if np.count_nonzero(patch) < _LEAST_PIXELS:
+            continue
+        area = (
+            float(np.sum(pixel_m[patch] ** 2)) * np.count_nonzero(whole) / np.count_nonzero(patch)
+        )
         depth = float(np.quantile(-residual_m[patch], 0.95))
         flattened = area / np.pi / (4.0 * radius)  # r²/(4 R): half of the curvature is gone
-        if depth > flattened and np.count_nonzero(patch) > 20 and depth > 1e-2 * radius:
+        if depth > max(flattened, _DEEP * radius):
             row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
             raise InputError(
                 f"{name}: the membrane is pressed in by {1e3 * depth:.1f} mm around pixel"
                 f" ({column}, {row}) in all of the frames; take the object away, or name"
                 " contact-free frames"
             )
+
+
+def _closed(region: np.ndarray) -> np.ndarray:
+    """Region without gaps of a few pixels; the image's border counts as its like."""
+    padded = np.pad(region, 3, mode="edge")
+    closed: np.ndarray = ndimage.binary_closing(padded, iterations=2)[3:-3, 3:-3]
+    return closed

@@ -1,8 +1,8 @@
 """From contact-free frames to a sensor: the steps in their order.
 
 Each step is a call of its own, with frozen results: `find_contact_free`, `collect`,
-`fit_surfaces`, `rest_gauge_pressure`, `estimate_tension`, `select_pixels`, `measure_chamber`,
-`assemble`. A window runs them one by one, and any of them again with another choice; `identify`
+`rest_gauge_pressure`, `check_still`, `fit_surfaces`, `check_dome`, `estimate_tension`,
+`select_pixels`, `measure_chamber`, `assemble`. A window runs them one by one, and any of them again with another choice; `identify`
 runs them all. A `Progress` sees how far each is, and stops it by raising `Cancelled`.
 """
 
@@ -18,6 +18,7 @@ from bubbleviz.calibration.checks import check_no_dent, check_seen, seen_share
 from bubbleviz.calibration.contact_free import find_contact_free
 from bubbleviz.calibration.depth_statistics import DepthStatistics
 from bubbleviz.calibration.free_form import FreeForm
+from bubbleviz.calibration.motion import check_still
 from bubbleviz.calibration.pixels import PixelStatistics, select_pixels
 from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.robust import robust_sigma
@@ -54,6 +55,8 @@ class Identification:
         None where the source has no press with gas pressure.
     seen : float
         Share of the dome's area that the camera sees.
+    wander_m : float
+        How far the dome moves over the frames beyond noise, m.
     """
 
     sensor: Sensor
@@ -64,6 +67,7 @@ class Identification:
     tension: TensionEstimate
     chamber: ChamberEstimate | None
     seen: float
+    wander_m: float
 
     @property
     def mesh(self) -> MembraneMesh:
@@ -145,13 +149,14 @@ def identify(
         chosen = find_contact_free(source, progress).frames
     samples = collect(source, sensor, chosen, progress)
     gauge = rest_gauge_pressure(samples, sensor)
+    wander = check_still(samples)
     surfaces = fit_surfaces(samples, nodes, surface, progress)
     seen = check_dome(samples, surfaces)
     tension = estimate_tension(samples, surfaces, gauge, progress=progress)
     pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
     chamber = measure_chamber(source, samples, surfaces, pixels, tension, progress)
     progress("done", 1.0)
-    return assemble(sensor, samples, surfaces, pixels, tension, chamber, seen)
+    return assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
 
 
 def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:
@@ -180,7 +185,8 @@ def check_dome(samples: Samples, surfaces: Surfaces) -> float:
     points = camera.center + ranges[..., None] * camera.directions.reshape(*ranges.shape, 3)
     residual = cap.distance(points.reshape(-1, 3)).reshape(ranges.shape)
     pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)
-    check_no_dent(name, residual, surfaces.usable, pixel_m, cap)
+    reach = samples.statistics.correlation_length_px
+    check_no_dent(name, residual, surfaces.membrane, reach, pixel_m, cap)
     return seen
 
 
@@ -229,6 +235,7 @@ def assemble(
     tension: TensionEstimate,
     chamber: ChamberEstimate | None,
     seen: float,
+    wander_m: float,
 ) -> Identification:
     """Put what the steps found into a sensor."""
     measured = chamber.chamber_volume_m3(surfaces.mesh.cap_volume()) if chamber else None
@@ -255,6 +262,7 @@ def assemble(
         tension=tension,
         chamber=chamber,
         seen=seen,
+        wander_m=wander_m,
     )
 
 

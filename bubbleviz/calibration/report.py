@@ -59,7 +59,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "rim_height_m": fits.rim_height_m,
         "rim_height_sigma_m": fits.rim_height_sigma_m,
         "seen": found.seen,
-        "wander_m": tension.wander_m,
+        "wander_m": found.wander_m,
         "pixels": {"used": int(found.pixels.mask.sum()), "removed": found.pixels.removed}
         | {"correlated": statistics.correlated_pixels, "quantum_m": statistics.quantum_m}
         | {"noise_median_m": float(np.median(found.pixels.noise_m[found.pixels.mask]))},

@@ -12,12 +12,13 @@ from bubbleviz.membrane.stiffness import cotangent_laplacian
 
 
 def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
-    """Tension γ0 in N/m from the balance over the whole free surface: P ΣA = γ0 Σ (L x)·n̂.
+    """Tension γ0 in N/m from the balance over the whole surface: P ΣA = γ0 Σ (L x)·n̂.
 
-    Young–Laplace summed over the nodes. It is linear in the curvature, whose errors on a
-    measured surface cancel in the sum; the least squares of γ0 (L x)·n̂ against A P
-    (`young_laplace_tension`) divides by the sum of squares, which every bump makes larger: on
-    the Punyo sensor it falls from 130 to 112 N/m as the mesh is refined, this stays at 132.6.
+    Young–Laplace summed over the free nodes, each with its share of its neighbours' area on the
+    rim, where L x holds the housing's pull besides the curvature. It is linear in the curvature,
+    whose errors on a measured surface cancel in the sum; the least squares of γ0 (L x)·n̂ against
+    A P (`young_laplace_tension`) divides by the sum of squares, which every bump makes larger: on
+    the Punyo sensor it falls from 130 to 112 N/m as the mesh is refined, this stays within 1 %.
     For a spherical cap both are P R / 2.
     """
     area, bending = _balance(mesh)
@@ -35,16 +36,15 @@ def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndar
     normals turn as well changes nothing to first order, because L x is parallel to them.
     """
     area, bending = _balance(mesh)
-    inward = np.where(mesh.rim[:, None], 0.0, mesh.normals)
+    outward = _shares(mesh)[:, None] * mesh.normals
     step = 1e-4 * float(np.sqrt(mesh.areas.sum()))
 
     def area_gradient(shift: float) -> np.ndarray:
-        moved = MembraneMesh(mesh.nodes + shift * inward, mesh.triangles, mesh.rim)
+        moved = MembraneMesh(mesh.nodes + shift * outward, mesh.triangles, mesh.rim)
         return cotangent_laplacian(moved) @ moved.nodes
 
     of_bending = (area_gradient(step) - area_gradient(-step)) / (2.0 * step)
-    share = (~mesh.rim[mesh.triangles]).mean(axis=1)  # of a facet that free nodes own
-    of_area = _weighted_laplacian(mesh, share) @ mesh.nodes
+    of_area = cotangent_laplacian(mesh) @ mesh.nodes
     gradient = of_area / bending - area / bending**2 * of_bending
     return gauge_pressure_pa * np.einsum("ij,ij->i", gradient, arms)
 
@@ -103,18 +103,20 @@ def local_tension(mesh: MembraneMesh, gauge_pressure_pa: float, scale_m: float) 
 
 
 def _balance(mesh: MembraneMesh) -> tuple[float, float]:
-    """Area of the free nodes, m², and Σ (L x)·n̂ over them, m."""
-    free = mesh.free
-    bending = np.einsum("ij,ij->i", cotangent_laplacian(mesh) @ mesh.nodes, mesh.normals)[free]
-    return float(mesh.areas[free].sum()), float(bending.sum())
+    """Area of the surface, m², and Σ (L x)·n̂ over its free nodes with their shares, m."""
+    bending = np.einsum("ij,ij->i", cotangent_laplacian(mesh) @ mesh.nodes, mesh.normals)
+    return float(mesh.areas.sum()), float(_shares(mesh) @ bending)
 
 
-def _weighted_laplacian(mesh: MembraneMesh, weights: np.ndarray) -> sparse.csr_array:
-    """The cotangent Laplacian with each facet (m,) counted so much: −∇·(w ∇)."""
-    cotangents = (0.5 * weights[:, None] / np.tan(mesh.angles)).T.ravel()
-    i, j, k = mesh.triangles.T
-    n = len(mesh.nodes)
-    rows, columns = np.concatenate([j, k, i]), np.concatenate([k, i, j])
-    half = sparse.csr_array((cotangents, (rows, columns)), shape=(n, n))
-    off = half + half.T
-    return (sparse.diags_array(off.sum(axis=1)) - off).tocsr()
+def _shares(mesh: MembraneMesh) -> np.ndarray:
+    """Area that each node stands for over its own, (n,): rim nodes' goes to their neighbours."""
+    start, end = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
+    both = np.stack([np.concatenate([start, end]), np.concatenate([end, start])], axis=1)
+    edges = np.unique(both, axis=0)
+    edges = edges[mesh.rim[edges[:, 0]] & ~mesh.rim[edges[:, 1]]]  # from the rim inward
+    count = len(mesh.nodes)
+    heirs = np.bincount(edges[:, 0], minlength=count)
+    given = mesh.areas[edges[:, 0]] / heirs[edges[:, 0]]
+    total = np.where(mesh.rim, 0.0, mesh.areas) + np.bincount(edges[:, 1], given, minlength=count)
+    # A rim node without a free neighbour (a corner) leaves its area to all.
+    return total / mesh.areas * mesh.areas.sum() / total.sum()

@@ -9,13 +9,11 @@ import numpy as np
 
 from bubbleviz.calibration.bootstrap import (
     DRAWS,
-    ScoreTable,
     draw_errors,
     score_table,
     tile_numbers,
     tile_side,
 )
-from bubbleviz.calibration.checks import check_still
 from bubbleviz.calibration.correlation import mean_inflation
 from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.robust import robust_sigma, tukey_slopes, tukey_weights
@@ -67,8 +65,6 @@ class TensionEstimate:
         γ0 of the mesh by least squares in place of the balance; less where the mean curvature
         is not the same everywhere, so that no one tension is right.
     gauge_pressure_pa : float
-    wander_m : float
-        How far the dome moves over the frames beyond noise, m.
     tiles, block : int
         Tiles of pixels, and frames in each block, that were drawn.
     """
@@ -79,7 +75,6 @@ class TensionEstimate:
     by_surface: dict[Name, float]
     least_squares_n_per_m: float
     gauge_pressure_pa: float
-    wander_m: float
     tiles: int
     block: int
 
@@ -101,7 +96,7 @@ def estimate_tension(
     Raises
     ------
     InputError
-        The dome moves from frame to frame, or no tension holds it.
+        No tension holds the surface.
     """
     names, values, pixels, influence, residual, parameters = _linear(
         samples, surfaces, gauge_pressure_pa
@@ -122,8 +117,6 @@ def estimate_tension(
         parameters,
         progress,
     )
-    radius = 2.0 * values[0] / gauge_pressure_pa
-    wander = _check_still(samples, table, radius)
     inflation = mean_inflation(statistics.temporal_correlation)
     block = max(1, round(_BLOCK_INFLATIONS * inflation))
     draws = draw_errors(table, block, seed)
@@ -140,7 +133,7 @@ def estimate_tension(
         "facets": 0.5 * gauge_pressure_pa * facets,
         "surface": shape * _normal(rng),
     }
-    total = draws.total[:, : len(names)] + facets[:, None]
+    total = draws.total + facets[:, None]
     total[:, 0] = sum(parts.values())
     quantities = {
         name: _quantity(value, total[:, k])
@@ -153,7 +146,6 @@ def estimate_tension(
         by_surface=by_surface,
         least_squares_n_per_m=young_laplace_tension(surfaces.mesh, gauge_pressure_pa),
         gauge_pressure_pa=gauge_pressure_pa,
-        wander_m=wander,
         tiles=table.static.shape[0],
         block=block,
     )
@@ -172,8 +164,8 @@ def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Nam
 
 
 Linear = tuple[list[str], list[float], np.ndarray, np.ndarray, np.ndarray, int]
-"""Names, values, pixels (P,), influence (P, Q + 3), residual range (P,) and fitted parameters;
-the last three numbers are the centre of the sphere, which tells whether the camera moves."""
+"""Names and values of Q numbers, pixels (P,), influence (P, Q), residual range (P,) and count of
+fitted parameters."""
 
 
 def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
@@ -204,10 +196,7 @@ def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: f
     gradients[:, 0] = balance_gradient(mesh, gauge_pressure_pa, arms)
     gradients[apex, 1] = arms[apex, 2]
     pixels = free_form.system.pixels
-    centre, _, _ = _parameter_influence(
-        samples, surfaces, surfaces.fits.sphere.ellipsoid, "sphere", pixels
-    )
-    influence = np.concatenate([free_form.influence(gradients), centre[:, :3]], axis=1)
+    influence = free_form.influence(gradients)
     influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
     values = [balance_tension(mesh, gauge_pressure_pa), float(mesh.nodes[apex, 2])]
     residual = np.nan_to_num(free_form.residual_m.ravel()[pixels])
@@ -290,15 +279,6 @@ def _gradient(numbers: Numbers, at: Ellipsoid, freedom: Freedom) -> np.ndarray:
         up, down = numbers(at.moved(step, freedom)), numbers(at.moved(-step, freedom))
         columns.append((np.array(list(up.values())) - np.array(list(down.values()))) / 2e-6)
     return np.array(columns)
-
-
-def _check_still(samples: Samples, table: ScoreTable, radius_m: float) -> float:
-    frames = len(table.moving)
-    cells = table.moving[:, :, -3:] * frames  # of one frame, not of the mean
-    noise = np.sqrt(np.median(np.sum((cells - cells.mean(axis=1, keepdims=True)) ** 2, axis=1), 0))
-    return check_still(
-        samples.source_name, samples.frames, cells.sum(axis=1), noise, float(radius_m)
-    )
 
 
 def _pressure_error(samples: Samples, gauge_pressure_pa: float) -> float:

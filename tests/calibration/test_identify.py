@@ -75,7 +75,11 @@ def test_mesh_keeps_its_rim_plane_and_shape(found):
 
 
 def test_tension_and_noise(twin, found):
-    assert found.tension_n_per_m == pytest.approx(balance_tension(twin.truth, GAUGE), rel=0.02)
+    truth = balance_tension(twin.truth, GAUGE)  # bent most at the rim, which is hidden
+    assert found.tension_n_per_m == pytest.approx(truth, rel=0.03)
+    assert found.tension.tension.low < truth < found.tension.tension.high
+    assert found.tension.tension.half_width < 0.05 * truth
+    assert found.surfaces.chosen == "free-form"
     assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE, abs=5.0)
     assert found.statistics.noise_m[found.pixels.mask].mean() == pytest.approx(6e-5, rel=0.4)
 

@@ -1,0 +1,87 @@
+"""Recordings that cannot be calibrated from: one clear line each, nothing written."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.progress import Cancelled
+from bubbleviz.errors import InputError
+
+from .twin import ATMOSPHERE, FREE, make_twin, nominal_sensor
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return make_twin()
+
+
+def refused(source, match, frames=range(12)):
+    with pytest.raises(InputError, match=match) as error:
+        identify(source, nominal_sensor(), frames, nodes=200)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_contact_in_every_frame(twin):
+    text = refused(twin, "pressed in by", range(FREE + 8, FREE + 15))
+    column, row = (int(x) for x in text.split("pixel (")[1].split(")")[0].split(", "))
+    dent = np.array([0.0, 0.008, twin.truth.nodes[:, 2].max()])  # where the twin is pressed
+    T = twin.camera.T_B_C
+    uv = twin.intrinsics.project((dent - T[:3, 3]) @ T[:3, :3])
+    assert np.hypot(column - uv[0], row - uv[1]) < 8.0
+
+
+def test_too_few_frames(twin):
+    refused(twin, "at least 5", range(4))
+
+
+@pytest.mark.parametrize("gauge", [0.0, -200.0])
+def test_no_gauge_pressure(twin, gauge):
+    refused(replace(twin, pressures=[ATMOSPHERE + gauge] * len(twin)), "not above the atmospheric")
+
+
+@pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1, 0.001])
+def test_wrong_unit(twin, factor):
+    refused(replace(twin, depth=np.float32(factor) * twin.depth), "wrong unit")
+
+
+def test_flat_membrane(twin):
+    rng = np.random.default_rng(0)
+    normal = twin.camera.T_B_C[2, :3]  # of the rim plane, seen from the camera
+    rays = twin.camera.intrinsics.rays()
+    plane = 0.054 / (rays @ normal) * rays[..., 2]
+    plane = np.where((plane > 0.0) & (plane < 0.15), plane, np.nan)
+    noise = 5e-5 * rng.standard_normal((12, *plane.shape))
+    refused(replace(twin, depth=(plane + noise).astype(np.float32)), "flat|not reach the rim")
+
+
+def test_half_of_the_dome_unseen(twin):
+    depth = twin.depth.copy()
+    depth[:, :, :88] = np.nan
+    assert "cannot be known" in refused(replace(twin, depth=depth), "% of the dome is seen")
+
+
+@pytest.mark.parametrize("kind", ["drift", "shake"])
+def test_moving_camera(twin, kind):
+    rng = np.random.default_rng(1)
+    shift = np.linspace(0.0, 2e-3, 12) if kind == "drift" else 1e-3 * rng.standard_normal(12)
+    refused(
+        replace(twin, depth=twin.depth[:12] + shift[:, None, None].astype(np.float32)),
+        "dome moves",
+    )
+
+
+def test_a_cancelled_step_stops_at_once(twin):
+    steps = []
+
+    def progress(step, done):
+        steps.append(step)
+        assert 0.0 <= done <= 1.0
+        if step == "free-form surface":
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        identify(twin, nominal_sensor(), range(12), nodes=200, progress=progress)
+    assert steps[0] == "reading frames" and "bootstrap" not in steps

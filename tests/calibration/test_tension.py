@@ -1,0 +1,144 @@
+"""γ0 and its interval against domes known exactly and errors made on purpose."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.calibration.bootstrap import ScoreTable, draw_errors, tile_numbers, tile_side
+from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.surface_fit import Ellipsoid
+from bubbleviz.calibration.tension import (
+    balance_gradient,
+    balance_tension,
+    cap_tension,
+    ellipsoid_curvature,
+)
+from bubbleviz.frames.noise import DepthNoise
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap
+
+from .domes import GAUGE, oval, sphere
+
+SEEDS = 20
+TRUTH = GAUGE * 0.08125 / 2.0
+
+
+@pytest.fixture(scope="module")
+def spheres():
+    """Identifications of one sphere under different noise."""
+    found = []
+    for seed in range(SEEDS):
+        dome = sphere(seed)
+        found.append(identify(dome, dome.sensor, range(len(dome)), nodes=200))
+    return found
+
+
+def test_interval_covers_the_truth(spheres):
+    inside = [f.tension.tension.low <= TRUTH <= f.tension.tension.high for f in spheres]
+    assert np.mean(inside) >= 0.9
+    assert all(f.surfaces.chosen == "sphere" for f in spheres)
+
+
+def test_what_the_noise_alone_gives_the_interval_is_right(spheres):
+    """Errors over what the bootstrap says of them: of unit spread, not twice or half of it."""
+    own = [np.hypot(f.tension.parts["pixels"], f.tension.parts["frames"]) for f in spheres]
+    scores = (np.array([f.tension_n_per_m for f in spheres]) - TRUTH) / own
+    assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5
+
+
+def test_numbers_of_the_sphere(spheres):
+    for found in spheres:
+        sizes = found.tension.dimensions
+        assert found.tension_n_per_m == pytest.approx(TRUTH, rel=0.01)
+        assert sizes["radius_m"].value == pytest.approx(0.08125, abs=2e-4)
+        assert sizes["height_m"].value == pytest.approx(0.05, abs=2e-4)
+        assert sizes["rim_radius_m"].value == pytest.approx(0.075, abs=2e-4)
+        np.testing.assert_allclose(found.camera.T_B_C[:2, 3], 0.0, atol=2e-4)
+        assert found.sensor.membrane.shape == "spherical_cap"
+
+
+@pytest.mark.parametrize("make", [sphere, oval])
+def test_outliers_holes_and_tilt(make):
+    dome = make(3, DepthNoise(relative=0.01, outliers=0.05, holes=0.1, correlation_px=0.5))
+    found = identify(dome, dome.sensor, range(len(dome)), nodes=300)
+    cap = EllipsoidalCap.of(rim_of(dome), dome.height, float(dome.semi_axes[2]))
+    truth = balance_tension(mesh_cap(cap, 16_000), GAUGE)
+    assert found.surfaces.chosen == ("sphere" if make is sphere else "ellipsoid")
+    assert found.tension_n_per_m == pytest.approx(truth, rel=0.01)
+    assert found.tension.tension.low < truth < found.tension.tension.high
+    assert found.tension.dimensions["height_m"].value == pytest.approx(dome.height, abs=2e-4)
+
+
+def rim_of(dome):
+    sunk = 1.0 - dome.height / dome.semi_axes[2]
+    return tuple(float(a) * np.sqrt(1.0 - sunk**2) for a in dome.semi_axes[:2])
+
+
+def test_gauge_pressure_error_goes_straight_into_the_tension(spheres):
+    found = spheres[0].tension
+    dome = sphere(0)
+    pneumatics = dome.sensor.pneumatics.model_copy(update={"gauge_pressure_pa": GAUGE + 100.0})
+    other = identify(dome, dome.sensor.model_copy(update={"pneumatics": pneumatics}), nodes=200)
+    change = other.tension_n_per_m - found.tension.value
+    assert change == pytest.approx(100.0 * found.per_pascal, rel=1e-6)
+
+
+def test_gradient_of_the_balance():
+    mesh = mesh_cap(EllipsoidalCap.of((0.0557, 0.0396), 0.0305, 0.0437), 600)
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    gradient = balance_gradient(mesh, 5000.0, arms)
+    x, y, z = mesh.nodes.T / 0.03
+    for field in (z, z * np.cos(x), z**2 * np.sin(2.0 * y + 1.0), mesh.rim * 1.0):
+
+        def tension(step, field=field):
+            nodes = mesh.nodes + step * field[:, None] * arms
+            return balance_tension(MembraneMesh(nodes, mesh.triangles, mesh.rim), 5000.0)
+
+        slope = (tension(1e-6) - tension(-1e-6)) / 2e-6
+        size = np.abs(gradient) @ np.abs(field)  # fields of both signs cancel
+        assert gradient @ field == pytest.approx(slope, abs=0.01 * size)
+
+
+def test_curvature_of_an_ellipsoid_is_the_divergence_of_its_normals():
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix()
+    surface = Ellipsoid(np.array([0.01, 0.0, -0.02]), np.array([0.06, 0.04, 0.045]), turn)
+    rng = np.random.default_rng(0)
+    unit = rng.standard_normal((20, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    points = surface.centre_m + unit * surface.semi_axes_m @ turn.T
+    divergence = np.zeros(len(points))
+    for k, step in enumerate(1e-6 * np.eye(3)):
+        normals = surface.normals(points + step), surface.normals(points - step)
+        divergence += (normals[0] - normals[1])[:, k] / 2e-6
+    np.testing.assert_allclose(ellipsoid_curvature(surface, points), divergence, rtol=1e-6)
+    ball = Ellipsoid(np.zeros(3), np.full(3, 0.08), np.eye(3))
+    assert cap_tension(ball, 0.08 * unit, np.ones(20), 1000.0) == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(
+    ("fixed", "drift", "noise"), [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1, 1, 1)]
+)
+def test_bootstrap_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
+    """Spread of the sum of made-up errors, on average over many recordings."""
+    rng = np.random.default_rng(0)
+    frames, tiles, said, was = 40, 60, [], []
+    for _ in range(60):
+        pattern = fixed * rng.standard_normal(tiles) / np.sqrt(tiles)
+        common = drift * rng.standard_normal(frames) / np.sqrt(frames)
+        free = noise * rng.standard_normal((frames, tiles)) / np.sqrt(frames * tiles)
+        error = pattern / frames + common[:, None] / tiles + free
+        mean = error.sum(axis=0)
+        static = mean - mean.mean()  # a fit leaves none of what all tiles share
+        moving = error - error.mean(axis=0)
+        table = ScoreTable(static[:, None], moving[:, :, None], 1)
+        said.append(draw_errors(table, 1, draws=400).total.std())
+        was.append(error.sum())
+    assert np.mean(np.square(said)) == pytest.approx(fixed**2 + drift**2 + noise**2, rel=0.3)
+    assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
+
+
+def test_tiles():
+    assert tile_side(40_000, 0.5) == 5
+    assert tile_side(40_000, 50.0) == 36  # thirty tiles are worth more than ten lengths
+    numbers = tile_numbers(np.array([0, 1, 9, 10, 11, 45]), 10, 5)
+    np.testing.assert_array_equal(numbers, [0, 0, 1, 0, 0, 1])
