@@ -2,8 +2,9 @@
 
 Each step is a call of its own, with frozen results: `find_contact_free`, `collect`,
 `rest_gauge_pressure`, `check_still`, `fit_surfaces`, `check_dome`, `estimate_tension`,
-`select_pixels`, `measure_chamber`, `assemble`. A window runs them one by one, and any of them again with another choice; `identify`
-runs them all. A `Progress` sees how far each is, and stops it by raising `Cancelled`.
+`select_pixels`, `measure_chamber`, `assemble`. A window runs them one by one, and any of them
+again with another choice; `identify` runs them all. A `Progress` sees how far each is, and stops
+it by raising `Cancelled`.
 """
 
 from __future__ import annotations

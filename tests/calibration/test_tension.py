@@ -96,7 +96,7 @@ def test_gradient_of_the_balance():
 
         slope = (tension(1e-6) - tension(-1e-6)) / 2e-6
         size = np.abs(gradient) @ np.abs(field)  # fields of both signs cancel
-        assert gradient @ field == pytest.approx(slope, abs=0.01 * size)
+        assert gradient @ field == pytest.approx(slope, abs=0.02 * size)
 
 
 def test_curvature_of_an_ellipsoid_is_the_divergence_of_its_normals():

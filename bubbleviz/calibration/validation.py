@@ -1,0 +1,158 @@
+"""Validation by a known object at a known pose: forward prediction against the measured cloud."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.view import MembraneView
+from bubbleviz.errors import InputError, SolveError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.synthetic import simulation_mesh
+from bubbleviz.membrane.forward import ForwardModel
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.objects import RigidObject
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How well a sensor predicts a press that it knows everything of.
+
+    Attributes
+    ----------
+    points_m : (k, 3) array
+        Measured cloud in B (mean of the frames), less the calibrated bias, m.
+    distance_m : (k,) array
+        Signed distance of each point from the predicted membrane, positive outside, m.
+    pixels : (k,) int array
+        Flat pixel indices.
+    rms_m, p95_m : float
+        Root mean square, and 95th percentile of the absolute distance, m.
+    untouched_rms_m : float
+        Rms distance from the membrane without contact: what there was to predict, m.
+    predicted_patch, measured_patch : (H, W) bool array
+        Pixels that see the contact: where the forward model touches, and as estimated.
+    patch_overlap : float
+        Intersection over union of both; NaN where both are empty.
+    predicted_force_n, measured_force_n : (3,) array
+        On the membrane in B.
+    """
+
+    points_m: np.ndarray
+    distance_m: np.ndarray
+    pixels: np.ndarray
+    rms_m: float
+    p95_m: float
+    untouched_rms_m: float
+    predicted_patch: np.ndarray
+    measured_patch: np.ndarray
+    patch_overlap: float
+    predicted_force_n: np.ndarray
+    measured_force_n: np.ndarray
+
+
+def validate(
+    sensor: Sensor, frames: Sequence[Frame], obj: RigidObject, T_B_O: np.ndarray
+) -> Validation:
+    """Predict the press of an object at a pose and compare it with frames of it.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        As calibrated.
+    frames : sequence of Frame
+        Of the object held still; their mean is compared.
+    obj : RigidObject
+    T_B_O : (4, 4) array
+        Its pose in B.
+
+    Raises
+    ------
+    InputError
+        No frames, or nothing of the membrane in them.
+    SolveError
+        The forward model has no equilibrium at the pose.
+    """
+    if not frames:
+        raise InputError("validation: no frames; give at least one of the object held still")
+    frame = mean_frame(frames)
+    pipeline = Pipeline(sensor, intrinsics=frame.intrinsics)
+    mesh, camera = simulation_mesh(sensor), pipeline.camera  # the estimator's is too coarse
+    model = ForwardModel(mesh, pipeline.tension_n_per_m, Gas.of(sensor.pneumatics, mesh))
+    contact = model.press(obj, T_B_O)
+    if not contact.converged:
+        raise SolveError(f"validation: no equilibrium of {obj.name} at this pose")
+    view = MembraneView(camera, mesh)
+    measured = camera.range_image(frame.depth_m).astype(float)
+    if pipeline.pixels is not None:
+        measured = np.where(pipeline.pixels.mask, measured - pipeline.pixels.bias_m, np.nan)
+    distance, pixels = _distance(view, measured, contact.displacement_m)
+    untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
+    if not len(distance):
+        raise InputError("validation: no measured point meets the membrane; check the sensor file")
+    touching = (contact.contact_pressure_pa > 0.0).astype(float)
+    predicted = view.above(contact.displacement_m, touching, 0.5)
+    result = pipeline.process(frame, frozenset({"patch", "pixel_mask"}))
+    seen = np.zeros_like(predicted)
+    force = np.zeros(3)
+    if result.patch is not None and result.patch.pixel_mask is not None:
+        seen, force = result.patch.pixel_mask, result.patch.force_n
+    union = int(np.count_nonzero(predicted | seen))
+    return Validation(
+        points_m=_points(camera, measured, pixels),
+        distance_m=distance,
+        pixels=pixels,
+        rms_m=_rms(distance),
+        p95_m=float(np.percentile(np.abs(distance), 95.0)),
+        untouched_rms_m=_rms(untouched),
+        predicted_patch=predicted,
+        measured_patch=seen,
+        patch_overlap=np.count_nonzero(predicted & seen) / union if union else float("nan"),
+        predicted_force_n=-(mesh.areas * contact.contact_pressure_pa) @ mesh.normals,
+        measured_force_n=force,
+    )
+
+
+def mean_frame(frames: Sequence[Frame]) -> Frame:
+    """One frame with the mean depth of several (NaN where most lack a return) and gas pressure."""
+    stack = np.stack([frame.depth_m for frame in frames])
+    valid = np.isfinite(stack)
+    count = valid.sum(axis=0)
+    mean = np.sum(stack, axis=0, where=valid, dtype=np.float64) / np.maximum(count, 1)
+    gas = [f.gas_pressure_pa for f in frames if f.gas_pressure_pa is not None]
+    return replace(
+        frames[0],
+        depth_m=np.where(2 * count >= len(frames), mean, np.nan).astype(np.float32),
+        gas_pressure_pa=float(np.mean(gas)) if len(gas) == len(frames) else None,
+    )
+
+
+def _distance(
+    view: MembraneView, measured_m: np.ndarray, displacement_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distance of the measured points from the membrane, to first order, and their pixels.
+
+    Along the ray it is the difference of ranges; the facet's normal m makes it a distance.
+    """
+    hits = view.hits(displacement_m)
+    nodes = view.mesh.deformed(displacement_m)[view.mesh.triangles[hits.triangle]]
+    normal = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    facing = np.einsum("ij,ij->i", normal, view.camera.directions[hits.ray])
+    distance = (measured_m.ravel()[hits.ray] - hits.range_m) * facing
+    known = np.isfinite(distance)
+    return distance[known], hits.ray[known]
+
+
+def _points(camera: DepthCamera, range_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    points: np.ndarray = camera.center + range_m.ravel()[pixels, None] * camera.directions[pixels]
+    return points
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
