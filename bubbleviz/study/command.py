@@ -98,7 +98,7 @@ def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
 
 @study.command()
 @_common
-@click.option("--case", "pattern", default="", help="Only cases whose name has this in it.")
+@click.option("--case", "pattern", default="", help="Only cases with this in their name.")
 def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> None:
     """Stiff and extreme cases: each solved within its tolerance, or refused with a reason."""
     from bubbleviz.errors import InputError

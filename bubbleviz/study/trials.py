@@ -153,6 +153,7 @@ class Streak:
         touch = source.poses[0, 2, 3] + base.depth_m
         source.poses = np.tile(np.eye(4), (len(self.depths_m), 1, 1))
         source.poses[:, 2, 3] = touch - np.array(self.depths_m)
+        source.times_s = np.arange(len(self.depths_m)) / 30.0
         pipeline = self.make(sensor, EstimatorOptions())
         results, truths = [], []
         for k in range(len(self.depths_m)):
