@@ -151,16 +151,14 @@ def quick_grid() -> Grid:
         Setup(relinearisations=0),
         Setup(nodes=400),
         Setup(stride=3),
-        Setup(solver="osqp"),
-        Setup(solver="osqp-cold", relinearisations=0),
+        Setup(solver="osqp-cold", nodes=400, relinearisations=0),
     )
     return Grid(
         objects=("two_legged_toy", "sphere", "hex_nut"),
-        depths_m=(0.010, 0.015),
+        depths_m=(0.015,),
         noises_relative=(0.0, 0.01),
         setups=setups,
         repeats=2,
-        truth_nodes=TRUTH_NODES,
     )
 
 

@@ -65,7 +65,7 @@ def accuracy(
         written = accuracy_report.write(found, out)
         bubble = linear_model.bubble_of(own)
         if bubble is not None:
-            depths = np.linspace(0.04, 0.6, 4 if quick else 15) * bubble.height_m
+            depths = np.linspace(0.04, 0.6, 3 if quick else 15) * bubble.height_m
             compared = linear_model.compare(bubble, depths, 1_500 if quick else 6_000)
             written += linear_model.write(compared, out)
     click.echo(
