@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,9 @@ import click
 import bubbleviz
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.study.command import study
+
+# The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 SYNTHETIC_SENSOR = "pico_flexx_75mm"
 """Preset of the built-in live sensor."""

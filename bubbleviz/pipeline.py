@@ -20,7 +20,7 @@ from bubbleviz.camera.view import MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.inverse.patch import default_threshold, find_patch, mean_pressure
+from bubbleviz.inverse.patch import PatchFinder
 from bubbleviz.membrane.build import build_mesh
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import young_laplace_tension
@@ -48,8 +48,8 @@ class Pipeline:
     intrinsics : Intrinsics, optional
         Of the recording; they win over the sensor file's.
     kappa : float, optional
-        Patch threshold as a multiple of the mean contact pressure (V-C); None for half the gauge
-        pressure, see `default_threshold`.
+        Patch threshold as a multiple of the mean contact pressure (V-C); None for the physical
+        one of `PatchFinder`.
 
     Attributes
     ----------
@@ -57,8 +57,15 @@ class Pipeline:
         Reference surface.
     tension_n_per_m : float
         γ0, from the sensor file or Young–Laplace.
+    cloud_points : int or None
+        Most points of the cloud, spread evenly over the image; None for all.
     counts : Counter
         How often each stage ran, by stage name.
+
+    Raises
+    ------
+    InputError
+        The recording's intrinsics are for another image size than the sensor file's camera.
     """
 
     def __init__(
@@ -72,6 +79,8 @@ class Pipeline:
         self.sensor = sensor
         self.kappa = kappa
         self.options = options
+        self.cloud_points: int | None = None
+        _check_size(sensor, intrinsics)
         self.camera = DepthCamera.of(sensor.camera, intrinsics)
         self.mesh = build_mesh(sensor)
         gauge = sensor.pneumatics.gauge_pressure_pa
@@ -136,37 +145,53 @@ class Pipeline:
                 result = replace(result, patch=patch)
             if self._wanted("cloud", products):
                 with self._timed("cloud", times):
-                    pixels = np.flatnonzero(np.isfinite(frame.depth_m))
+                    pixels = self._cloud_pixels(frame)
                     cloud = self.camera.points(frame.depth_m, pixels)
                 result = replace(result, cloud_m=cloud, cloud_pixels=pixels)
             if self._wanted("residual", products) and result.estimate is not None:
                 with self._timed("residual", times):
-                    residual = self._residual_image(frame, result.estimate)
-                result = replace(result, cloud_residual_m=residual.ravel()[result.cloud_pixels])
+                    residual = self._residual(frame, result.estimate, result.cloud_pixels)
+                result = replace(result, cloud_residual_m=residual)
         return replace(result, times_ms=times)
 
-    def patch(self, estimate: Estimate) -> Patch:
-        """Patch of an estimate at the present κ, without solving again."""
-        return find_patch(self.mesh, estimate, self.threshold_pa(estimate))
+    def prepare(self, products: frozenset[Product]) -> None:
+        """Build now what the first frame would otherwise wait for."""
+        if self._wanted("estimate", products):
+            _ = self.estimator
+        if self._wanted("patch", products):
+            _ = self._finder, self._view
 
-    def threshold_pa(self, estimate: Estimate) -> float:
-        """Contact pressure above which a point belongs to the patch, Pa."""
-        if self.kappa is None:
-            return default_threshold(self.sensor.pneumatics.gauge_pressure_pa)
-        return self.kappa * mean_pressure(self.mesh, estimate.contact_pressure_pa)
+    def patch(self, estimate: Estimate, *, pixel_mask: bool = False) -> Patch:
+        """Patch of an estimate at the present κ, without solving again."""
+        patch = self._finder.find(estimate, self.kappa)
+        return self._with_pixels(estimate, patch) if pixel_mask else patch
+
+    @cached_property
+    def _finder(self) -> PatchFinder:
+        gauge = self.sensor.pneumatics.gauge_pressure_pa
+        return PatchFinder(self.mesh, gauge, self.estimator.resolution_m)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
-        mask = self._view.above(
-            estimate.displacement_m, estimate.contact_pressure_pa, max(patch.threshold_pa, 0.0)
-        )
+        mask = self._view.above(estimate.displacement_m, patch.level, 0.0)
         return replace(patch, pixel_mask=mask)
 
-    def _residual_image(self, frame: Frame, estimate: Estimate) -> np.ndarray:
-        """Measured minus modelled range (H, W), m; the calibrated bias is part of the model."""
-        model = self._view.range_image(estimate.displacement_m)
+    def _cloud_pixels(self, frame: Frame) -> np.ndarray:
+        """Flat indices of the pixels of the cloud."""
+        pixels = np.flatnonzero(np.isfinite(frame.depth_m))
+        if self.cloud_points is None:
+            return pixels
+        return pixels[:: max(1, -(-len(pixels) // self.cloud_points))]
+
+    def _residual(self, frame: Frame, estimate: Estimate, pixels: np.ndarray | None) -> np.ndarray:
+        """Measured minus modelled range of some pixels, m; the bias is part of the model."""
+        if pixels is None:
+            pixels = self._cloud_pixels(frame)
+        model = np.full(len(pixels), np.nan)
+        hits = self._view.hits(estimate.displacement_m, pixels)
+        model[np.searchsorted(pixels, hits.ray)] = hits.range_m
         if self.pixels is not None:
-            model = model + np.where(self.pixels.mask, self.pixels.bias_m, np.nan)
-        return self.camera.range_image(frame.depth_m) - model
+            model += np.where(self.pixels.mask, self.pixels.bias_m, np.nan).ravel()[pixels]
+        return self.camera.range_image(frame.depth_m).ravel()[pixels] - model
 
     @staticmethod
     def _wanted(stage: str, products: frozenset[Product]) -> bool:
@@ -194,3 +219,12 @@ class Pipeline:
                 f"frame {frame.index}: image is {width}×{height} pixels but the sensor's camera "
                 f"has {own.width}×{own.height}; choose the sensor file of this camera"
             )
+
+
+def _check_size(sensor: Sensor, intrinsics: Intrinsics | None) -> None:
+    own = sensor.camera
+    if intrinsics is not None and (intrinsics.width, intrinsics.height) != (own.width, own.height):
+        raise InputError(
+            f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, the "
+            f"recording's {intrinsics.width}×{intrinsics.height}; choose the sensor of this camera"
+        )

@@ -49,30 +49,35 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Patch:
-    """The contact patch: where the contact pressure exceeds a threshold (V-C).
+    """The contact patch: the part of the membrane that touches something (V-C).
 
     Attributes
     ----------
     threshold_pa : float
-        Contact pressure above which a point belongs to the patch, Pa.
-    node_mask : (n,) bool array
-        Nodes in the patch.
+        Contact pressure below which no point belongs to the patch, Pa.
+    level : (n,) array
+        Positive inside; its zero line, interpolated linearly, is the edge of the patch.
     force_n : (3,) array
         Resultant of p_c on the membrane in B, N (points into the sensor).
     center_of_pressure_m : (3,) array
-        Pressure-weighted centre in B, m; NaN without contact.
+        Pressure-weighted centre of the patch in B, m; NaN without contact.
     area_m2 : float
-        Area of the membrane above the threshold, m²; 0 without contact.
+        Area of the patch on the reference surface, m²; 0 without contact.
     pixel_mask : (H, W) bool array or None
         Pixels of the patch; None when nobody asked for `pixel_mask`.
     """
 
     threshold_pa: float
-    node_mask: np.ndarray
+    level: np.ndarray
     force_n: np.ndarray
     center_of_pressure_m: np.ndarray
     area_m2: float
     pixel_mask: np.ndarray | None = None
+
+    @property
+    def node_mask(self) -> np.ndarray:
+        """Nodes in the patch, (n,) bool."""
+        return self.level > 0.0
 
 
 @dataclass(frozen=True)

@@ -95,8 +95,8 @@ def test_a_contact_free_frame_solves_no_qp(pipeline: Pipeline, source: DentSourc
     """No contact, no QP: its solver is not even called."""
     calls = []
     solver = pipeline.estimator._solver
-    solve = solver.solve
-    solver.solve = lambda *given: (calls.append(1), solve(*given))[1]  # type: ignore[method-assign]
+    select = solver.select
+    solver.select = lambda *given: (calls.append(1), select(*given))[1]  # type: ignore[method-assign]
     free = pipeline.process(source[FREE], frozenset({"patch"}))
     assert free.estimate is not None
     assert free.estimate.status == "no_contact"

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
-from bubbleviz.camera.view import MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.pipeline import Pipeline
@@ -30,11 +28,6 @@ class _Session:
     number: int
     source: FrameSource
     pipeline: Pipeline
-
-    @cached_property
-    def view(self) -> MembraneView:
-        """Where the camera's rays meet the membrane; made when first asked for."""
-        return MembraneView(self.pipeline.camera, self.pipeline.mesh)
 
 
 class Server:
@@ -68,19 +61,11 @@ class Server:
 
     def _solve(self, session: _Session, request: FrameRequest) -> Solved:
         frame = session.source[request.index]
-        session.pipeline.cloud_points = request.cloud_points  # type: ignore[attr-defined]
+        session.pipeline.cloud_points = request.cloud_points
         return Solved(request, session.pipeline.process(frame, request.products))
 
     def _threshold(self, session: _Session, request: PatchRequest) -> Patch:
-        patch = session.pipeline.patch(request.estimate)
-        if not request.pixel_mask:
-            return patch
-        mask = session.view.above(
-            request.estimate.displacement_m,
-            request.estimate.contact_pressure_pa,
-            max(patch.threshold_pa, 0.0),
-        )
-        return replace(patch, pixel_mask=mask)
+        return session.pipeline.patch(request.estimate, pixel_mask=request.pixel_mask)
 
     def _open(self, request: OpenRequest) -> Opened:
         sensor = request.open_sensor()
@@ -91,7 +76,7 @@ class Server:
             index = min(max(request.frame, 0), len(source) - 1)
             frame = source[index]
             pipeline = Pipeline(sensor, intrinsics=frame.intrinsics, kappa=request.kappa)
-            pipeline.cloud_points = request.cloud_points  # type: ignore[attr-defined]
+            pipeline.cloud_points = request.cloud_points
             pipeline.process(frame, request.products)  # builds the solver: its time says nothing
             result = pipeline.process(frame, request.products)
         except BaseException:

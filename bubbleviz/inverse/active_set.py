@@ -36,7 +36,7 @@ class ActiveSetSolver:
         equilibrium: Equilibrium,
         reference_Q: sparse.csr_array,
         tolerance: float = 1e-3,
-        corrections: int = 12,
+        corrections: int = 30,
     ) -> None:
         self._equilibrium = equilibrium
         self._reference_Q = reference_Q

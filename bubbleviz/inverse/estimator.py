@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.camera.observer import Linearisation, Observation, RangeObserver
 from bubbleviz.inverse.normal import NormalEquations
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
+from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solver import default_solver, make_solver
 from bubbleviz.membrane.gas import Gas
@@ -20,6 +20,9 @@ from bubbleviz.result import Estimate, Status
 PRESSURE_SCALE = 3.0
 """Contact pressure in gauge pressures that the prior expects: P (1 + R/r) on an object with a
 radius of curvature r half that of the bubble, R (Young–Laplace on both sides)."""
+
+GAS_NOISE = 1e-4
+"""σ of a measured gas pressure over its absolute value: 10 Pa, what barometers resolve."""
 
 IMPLAUSIBLE_MISFIT = 5.0
 """Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
@@ -69,8 +72,9 @@ class Estimator:
     """Solves the inverse problem frame by frame, each started from the last.
 
     A first solve with an L1 term finds where there is contact, a second one on that support alone
-    takes the bias of the L1 term out again. What nowhere reaches the gas pressure is not contact
-    (`_contacts`) and is left out of a third.
+    takes the bias of the L1 term out again. A pressure that nowhere reaches that of the gas is no
+    contact: a membrane that lies on something flat or convex bulges no more, so that the contact
+    there carries at least the gas pressure (Young–Laplace).
 
     Parameters
     ----------
@@ -84,6 +88,8 @@ class Estimator:
     Attributes
     ----------
     solver_name : str
+    resolution_m : float
+        Width of the estimate's response to a point load, m.
     """
 
     def __init__(
@@ -108,6 +114,15 @@ class Estimator:
         self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q)
         self._weight = float(reference_Q.diagonal().sum())
         self._tau = detection_threshold(self._equilibrium, reference_Q)
+        pull = reference_Q @ self._equilibrium.bulge
+        gas_noise = 3.0 * GAS_NOISE * gas.P0 / self.scales.pressure_pa
+        self._gas_tau = gas_noise * self._equilibrium.adjoint(pull, gas_measured=True)
+        self._lambda = 1.0 / (PRESSURE_SCALE * self._gauge) ** 2
+        self.resolution_m = resolution_m(
+            1.0 / (PRESSURE_SCALE * gauge_pressure_pa) ** 2,
+            tension_n_per_m,
+            information_density(Q, self.mesh.areas[self.mesh.free]),
+        )
         # Moved by less than half an edge, a ray meets much the same facet at much the same slope.
         self._step_m = 0.5 * self.mesh.edge_length
         self._last: _Answer | None = None
@@ -170,13 +185,8 @@ class Estimator:
         selected = self._solver.select(problem, first)
         free = problem.debiased(selected.values > 0.0)
         refined = self._solver.refine(free, selected)
-        contacts = self._contacts(refined.values, problem.measured_gas or 0.0)
-        if not contacts.any():
+        if np.max(refined.values, initial=0.0) < self._gauge + (problem.measured_gas or 0.0):
             return self._answer(problem, selected, nothing)
-        if np.any(refined.values[~contacts] > 0.0):
-            free = problem.debiased(contacts)
-            rest = Pressure(np.where(contacts, refined.values, 0.0), 0, True)
-            refined = self._solver.refine(free, rest)
         return self._answer(free, selected, refined)
 
     def _problem(
@@ -186,24 +196,10 @@ class Estimator:
         Q, g = self._normal.assemble(observation, linear)
         Q, g = Q * a**2, g * a
         tau = self._tau * np.sqrt(Q.diagonal().sum() / self._weight)
+        if gas is not None:
+            tau = tau + self._gas_tau
         at_zero = self._equilibrium.gradient_at_zero(Q, g, gas)
-        lambda_ = 1.0 / (PRESSURE_SCALE * self._gauge) ** 2
-        return FrameProblem(Q, g, lambda_, tau, at_zero, np.ones(len(g), bool), gas)
-
-    def _contacts(self, pressure: np.ndarray, gas: float) -> np.ndarray:
-        """Nodes (n_free,) of the connected parts of the support that are contact.
-
-        A membrane that lies on something flat or convex bulges no more, so that the contact there
-        carries at least the gas pressure (Young–Laplace); what stays below it everywhere is noise,
-        or what the linear model cannot explain.
-        """
-        support = np.flatnonzero(pressure > 0.0)
-        _, part = connected_components(self._equilibrium.L[support][:, support])
-        highest = np.zeros(part.max(initial=-1) + 1)
-        np.maximum.at(highest, part, pressure[support])
-        contact = np.zeros(len(pressure), bool)
-        contact[support] = (highest >= self._gauge + gas)[part]
-        return contact
+        return FrameProblem(Q, g, self._lambda, tau, at_zero, np.ones(len(g), bool), gas)
 
     def _answer(self, problem: FrameProblem, selected: Pressure, refined: Pressure) -> _Answer:
         eq = self._equilibrium

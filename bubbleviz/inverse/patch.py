@@ -1,11 +1,18 @@
-"""The contact patch: where the contact pressure exceeds a threshold (V-C)."""
+"""The contact patch: which part of the membrane touches something (V-C)."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
+from bubbleviz.inverse.patch_edge import PatchEdge
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate, Patch
+
+MODEL_ERROR = 0.05
+"""Share of the load that the linear model misplaces: its error in force on a ball pressed 2 mm into
+the bubble, against the exact solution (`study.oracles`); it grows with depth."""
 
 
 def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
@@ -13,35 +20,77 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
     return float(mesh.areas @ contact_pressure_pa / mesh.areas.sum())
 
 
-def default_threshold(gauge_pressure_pa: float) -> float:
-    """Half of the gauge pressure, Pa.
+class PatchFinder:
+    """Finds the patch in an estimate.
 
-    Where the membrane lies on a flat or convex object it no longer bulges, so the contact carries
-    at least the gas pressure (Young–Laplace with the membrane's curvature gone); elsewhere it
-    carries none. Half way between the two is the least biased edge, on any mesh and at any depth.
+    By default the physics of contact draws it: each part must somewhere reach the gas pressure,
+    which a membrane on something flat or convex does, and carry more than what noise or the
+    linear model's own error could put there; its edge is that of `PatchEdge`. With a factor κ it
+    is the paper's: wherever p_c exceeds κ times its mean over the membrane.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    gauge_pressure_pa : float
+    resolution_m : float
+        Width of the estimate's response, see `resolution.resolution_m`.
     """
-    return 0.5 * gauge_pressure_pa
 
+    def __init__(self, mesh: MembraneMesh, gauge_pressure_pa: float, resolution_m: float) -> None:
+        self._mesh, self._gauge = mesh, gauge_pressure_pa
+        self._edge = PatchEdge(mesh, resolution_m)
+        self._cell_m2 = np.pi * self._edge.resolution**2
+        a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
+        count = len(mesh.nodes)
+        self._pairs = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))
 
-def find_patch(mesh: MembraneMesh, estimate: Estimate, threshold_pa: float) -> Patch:
-    """Patch of an estimate at a threshold.
+    def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
+        """Patch of an estimate, by physics or at the paper's threshold.
 
-    The force is that of the whole contact pressure; the centre of pressure is that of the patch,
-    so that what lies below the threshold does not pull it aside.
-    """
-    pressure = estimate.contact_pressure_pa
-    inside = pressure > max(threshold_pa, 0.0)
-    load = mesh.areas * pressure
-    center = np.full(3, np.nan)
-    if inside.any():
-        center = load[inside] @ mesh.deformed(estimate.displacement_m)[inside] / load[inside].sum()
-    return Patch(
-        threshold_pa=threshold_pa,
-        node_mask=inside,
-        force_n=-load @ mesh.normals,
-        center_of_pressure_m=center,
-        area_m2=area_above(mesh, pressure, max(threshold_pa, 0.0)),
-    )
+        The force is that of the whole contact pressure; the centre of pressure is that of the
+        patch, so that what lies outside it does not pull it aside.
+        """
+        mesh, pressure = self._mesh, estimate.contact_pressure_pa
+        if kappa is None:
+            threshold = 0.5 * self._gauge
+            level = self._physical_level(estimate, threshold)
+        else:
+            threshold = kappa * mean_pressure(mesh, pressure)
+            level = (pressure - threshold) / self._gauge
+        inside = level > 0.0
+        load = mesh.areas * pressure
+        center = np.full(3, np.nan)
+        if np.any(load[inside] > 0.0):
+            nodes = mesh.deformed(estimate.displacement_m)[inside]
+            center = load[inside] @ nodes / load[inside].sum()
+        return Patch(
+            threshold_pa=threshold,
+            level=level,
+            force_n=-load @ mesh.normals,
+            center_of_pressure_m=center,
+            area_m2=area_above(mesh, level, 0.0),
+        )
+
+    def _physical_level(self, estimate: Estimate, floor_pa: float) -> np.ndarray:
+        pressure = estimate.contact_pressure_pa
+        gas = self._gauge + np.nan_to_num(estimate.gas_pressure_change_pa)
+        above = np.flatnonzero(pressure > floor_pa)
+        _, part = connected_components(self._pairs[above][:, above], directed=False)
+        parts = part.max(initial=-1) + 1
+        highest = np.zeros(parts)
+        np.maximum.at(highest, part, pressure[above])
+        load = np.bincount(part, (self._mesh.areas * pressure)[above], minlength=parts)
+        least = max(gas * self._cell_m2, MODEL_ERROR * float(self._mesh.areas @ pressure))
+        touches = (highest >= gas) & (load >= least)
+        contact = np.zeros(len(pressure))
+        contact[above] = np.where(touches[part], pressure[above], 0.0)
+        level = self._edge.level_set(contact, self._gauge) / self._mesh.edge_length
+        # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
+        drawn = np.zeros(parts, bool)
+        np.logical_or.at(drawn, part, level[above] > 0.0)
+        small = above[(contact[above] > 0.0) & ~drawn[part]]
+        level[small] = (pressure[small] - floor_pa) / self._gauge
+        return level
 
 
 def area_above(mesh: MembraneMesh, field: np.ndarray, level: float) -> float:
@@ -50,10 +99,8 @@ def area_above(mesh: MembraneMesh, field: np.ndarray, level: float) -> float:
     Exact for the piecewise linear field: of a triangle with one corner above the level, the part
     beyond the level line is the product of the two cut edge fractions.
     """
-    if level <= 0.0:
-        return float(mesh.areas[field > 0.0].sum())
     low, middle, high = np.sort(field[mesh.triangles], axis=1).T
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         one = (high - level) ** 2 / ((high - low) * (high - middle))
         two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
     fraction = np.select([low > level, middle > level, high > level], [1.0, two, one], 0.0)

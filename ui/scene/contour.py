@@ -1,4 +1,4 @@
-"""The outline of the contact patch: where the contact pressure crosses the κ threshold."""
+"""The outline of the contact patch."""
 
 from __future__ import annotations
 
@@ -8,23 +8,22 @@ from ui import theme
 from ui.scene.layer import Picture
 from ui.scene.membrane import lift
 from ui.scene.surface import Surface
-from ui.units import Unit
 from ui.view import View
 
 
 class ContourLayer:
     """Contour line on the displayed surface; VTK traces it along the triangles."""
 
-    def __init__(self, view: View, surface: Surface, unit: Unit) -> None:
+    def __init__(self, view: View, surface: Surface) -> None:
         from vtkmodules.vtkFiltersCore import vtkContourFilter
 
-        self._unit = unit
+        self._surface = surface
         self._filter = vtkContourFilter()
         self._filter.SetInputData(surface.poly)
         self._filter.ComputeScalarsOff()
         self._filter.ComputeNormalsOff()
-        self._filter.SetInputArrayToProcess(0, 0, 0, 0, surface.PRESSURE)
-        self._filter.SetValue(0, 1e9)
+        self._filter.SetInputArrayToProcess(0, 0, 0, 0, surface.LEVEL)
+        self._filter.SetValue(0, 0.0)
         self._actor = view.add_mesh(
             self._filter,
             color=theme.LINE,
@@ -42,11 +41,11 @@ class ContourLayer:
         """Nothing: the surface is shared."""
 
     def draw(self, picture: Picture) -> None:
-        """Trace the threshold of the patch; nothing without contact."""
+        """Trace the edge of the patch; nothing without contact."""
         patch = picture.result.patch
         self._any = patch is not None and patch.area_m2 > 0
         if patch is not None and self._any:
-            self._filter.SetValue(0, self._unit.of(patch.threshold_pa))
+            self._surface.mark(patch.level)
         self._actor.visibility = self._visible and self._any
 
     def set_visible(self, visible: bool) -> None:

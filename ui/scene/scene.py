@@ -39,7 +39,7 @@ class Scene:
         self.layers: dict[str, Layer] = {
             "membrane": MembraneLayer(view, self._surface, units.pressure),
             "wireframe": WireframeLayer(view, self._surface),
-            "contour": ContourLayer(view, self._surface, units.pressure),
+            "contour": ContourLayer(view, self._surface),
             "cloud": CloudLayer(view, units.length),
             "force": ForceLayer(view),
             "readout": ReadoutLayer(view, units),

@@ -19,10 +19,12 @@ class Surface:
     Attributes
     ----------
     poly : pyvista.PolyData
-        Nodes in B, m; point data `PRESSURE` in displayed units.
+        Nodes in B, m; point data `PRESSURE` in displayed units, and `LEVEL`, positive
+        in the patch.
     """
 
     PRESSURE = "contact pressure"
+    LEVEL = "patch level"
 
     def __init__(self, unit: Unit) -> None:
         import pyvista as pv
@@ -31,6 +33,7 @@ class Surface:
         self._mesh: MembraneMesh | None = None
         self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
         self.poly.point_data[self.PRESSURE] = np.zeros(3)
+        self.poly.point_data[self.LEVEL] = np.full(3, -1.0)
         self.poly.point_data["Normals"] = np.eye(3)
         self.poly.GetPointData().SetActiveNormals("Normals")
 
@@ -42,6 +45,7 @@ class Surface:
         self.poly.points = mesh.nodes.astype(float)
         self.poly.faces = faces.ravel()
         self.poly.point_data[self.PRESSURE] = np.zeros(len(mesh.nodes))
+        self.poly.point_data[self.LEVEL] = np.full(len(mesh.nodes), -1.0)
         self.poly.point_data["Normals"] = mesh.normals.astype(float)
         self.poly.GetPointData().SetActiveNormals("Normals")
         self.poly.GetPointData().SetActiveScalars(self.PRESSURE)
@@ -60,6 +64,11 @@ class Surface:
         self.poly.point_data["Normals"][:] = shape.normals
         self.poly.point_data[self.PRESSURE][:] = self._unit.of(1.0) * shape.pressure_pa
         self.poly.GetPoints().Modified()
+        self.poly.Modified()
+
+    def mark(self, level: np.ndarray) -> None:
+        """Say where the patch is: (n,), positive inside."""
+        self.poly.point_data[self.LEVEL][:] = level
         self.poly.Modified()
 
     def shade(self, actor: Any) -> None:

@@ -1,0 +1,35 @@
+"""How finely the contact pressure is resolved: the width of the estimate's response."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+import numpy as np
+from scipy import sparse
+
+
+def information_density(Q: sparse.csr_array, areas: np.ndarray) -> float:
+    """Information w of `resolution_m`, 1/m⁴, from DᵀWD (1/m²) and the areas of the free nodes."""
+    rows = Q.sum(axis=1)
+    seen = rows > 0.0
+    return float(rows[seen].sum() / areas[seen].sum())
+
+
+def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: float) -> float:
+    """Width ℓ (standard deviation) of the estimate's response to a point load, m.
+
+    A pressure wave of wave number k moves the membrane by p/(γ0 k²), which the camera weighs with
+    w/(γ0 k²)² against the prior's λ k². The response is 1 / (1 + (k/k_c)⁶), k_c⁶ = w/(λ γ0²); the
+    Gaussian of equal peak has ℓ = √(3√3/π) / k_c.
+
+    Parameters
+    ----------
+    lambda_si : float
+        Weight of the prior ½ λ ∫|∇p_c|², 1/Pa².
+    tension_n_per_m : float
+        γ0.
+    information_per_m4 : float
+        w: sum of 1/σ² of the range pixels per area of membrane.
+    """
+    cutoff = (information_per_m4 / (lambda_si * tension_n_per_m**2)) ** (1.0 / 6.0)
+    return sqrt(3.0 * sqrt(3.0) / pi) / cutoff
