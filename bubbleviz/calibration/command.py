@@ -6,10 +6,18 @@ import json
 import re
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import click
 
 from bubbleviz.errors import InputError
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.identify import Identification
+    from bubbleviz.calibration.progress import Progress
+    from bubbleviz.calibration.wrench_tension import WrenchTension
+    from bubbleviz.frames.source import FrameSource
 
 
 @click.command()
@@ -57,16 +65,35 @@ def identify(
             date=datetime.now(UTC).isoformat(timespec="seconds"),
             report=None if report is None else str(report / "report.html"),
         )
+        numbers = summary(found, origin, _by_wrench(source, found, bar))
     if report is not None:
-        write_report(found, origin, report)
+        write_report(found, numbers, report)
     write_sensor(found, out, origin)
-    numbers = summary(found, origin)
     if as_json:
         click.echo(json.dumps(numbers, indent=2, ensure_ascii=False))
         return
     verdict = numbers["verdict"]
     click.echo("\n".join([verdict["summary"], *(f"- {line}" for line in verdict["advice"])]))
     click.echo(f"wrote {out}" + (f" and {report / 'report.html'}" if report else ""))
+
+
+def _by_wrench(
+    source: FrameSource, found: Identification, progress: Progress
+) -> WrenchTension | None:
+    """The second estimate of γ0, where the recording has a press with a wrench."""
+    from bubbleviz.calibration.sensor_files import write_sensor
+    from bubbleviz.calibration.wrench_tension import press_halves, tension_by_wrench
+    from bubbleviz.sensor import load_sensor
+
+    halves = press_halves(source, found.samples.frames)
+    if halves is None:
+        return None
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "sensor.toml"
+        write_sensor(found, file)
+        return tension_by_wrench(
+            source, load_sensor(file), found.samples.frames, *halves, progress=progress
+        )
 
 
 def parse_frames(text: str) -> range:

@@ -18,6 +18,7 @@ from bubbleviz.calibration.pictures import coloured, data_uri
 from bubbleviz.calibration.sensor_files import Origin
 from bubbleviz.calibration.tension import local_tension
 from bubbleviz.calibration.verdict import judge
+from bubbleviz.calibration.wrench_tension import WrenchTension
 from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.outputs import whole_file
 
@@ -28,13 +29,24 @@ width:29rem;vertical-align:top}img{width:100%;image-rendering:pixelated}figcapti
 color:#555}.good{color:#1a7f37}.usable{color:#9a6700}.doubtful{color:#b42318}code{font-size:12px}"""
 
 
-def summary(found: Identification, origin: Origin) -> dict[str, Any]:
-    """All numbers of an identification, SI units, ready for JSON."""
+def summary(
+    found: Identification, origin: Origin, by_wrench: WrenchTension | None = None
+) -> dict[str, Any]:
+    """All numbers of an identification, SI units, ready for JSON.
+
+    Parameters
+    ----------
+    found : Identification
+    origin : Origin
+    by_wrench : WrenchTension, optional
+        The second estimate of γ0, where there is one.
+    """
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, fits = found.statistics, found.fits
     chamber = found.chamber
     return {
-        "verdict": asdict(verdict),
+        "verdict": asdict(verdict)
+        | {"advice": [*verdict.advice, *_wrench_advice(by_wrench, tension.tension.value)]},
         "origin": asdict(origin),
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
@@ -44,6 +56,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "tension_by_surface_n_per_m": tension.by_surface,
         "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
         "tension_per_pascal_m": tension.per_pascal,
+        "tension_by_wrench": _wrench(by_wrench),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
@@ -79,8 +92,15 @@ def versions() -> dict[str, str]:
     return {"bubbleviz": bubbleviz.__version__, "python": platform.python_version(), **packages}
 
 
-def write_report(found: Identification, origin: Origin, folder: str | Path) -> None:
+def write_report(found: Identification, numbers: dict[str, Any], folder: str | Path) -> None:
     """Write `report.html` and `report.json` in a new folder, both or none.
+
+    Parameters
+    ----------
+    found : Identification
+    numbers : dict
+        Its `summary`.
+    folder : path
 
     Raises
     ------
@@ -89,11 +109,43 @@ def write_report(found: Identification, origin: Origin, folder: str | Path) -> N
     """
     with whole_file(folder) as temporary:
         temporary.mkdir()
-        numbers = summary(found, origin)
         (temporary / "report.json").write_text(
             json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
         )
         (temporary / "report.html").write_text(_html(found, numbers), encoding="utf-8")
+
+
+def _wrench_advice(by_wrench: WrenchTension | None, tension_n_per_m: float) -> list[str]:
+    if by_wrench is None:
+        return []
+    error, size = by_wrench.given_rms_n, float(by_wrench.measured_n.mean())
+    text = (
+        f"On the half of the press not used for it, γ0 = {tension_n_per_m:.1f} N/m predicts the"
+        f" measured force of {size:.2f} N with an error of {error:.2f} N rms"
+    )
+    if by_wrench.at_limit:
+        return [
+            f"{text}; no γ0 explains that force ({by_wrench.tested_rms_n:.2f} N at best): check"
+            " the scale and bias of the force sensor, and the gauge pressure."
+        ]
+    return [
+        f"{text}; γ0 by force is {by_wrench.tension_n_per_m:.1f} N/m, with"
+        f" {by_wrench.tested_rms_n:.2f} N rms."
+    ]
+
+
+def _wrench(by_wrench: WrenchTension | None) -> dict[str, Any] | None:
+    if by_wrench is None:
+        return None
+    return {
+        "tension_n_per_m": by_wrench.tension_n_per_m,
+        "at_limit": by_wrench.at_limit,
+        "fitted_rms_n": by_wrench.fitted_rms_n,
+        "tested_rms_n": by_wrench.tested_rms_n,
+        "given_rms_n": by_wrench.given_rms_n,
+        "measured_mean_n": float(by_wrench.measured_n.mean()),
+        "predicted_mean_n": float(by_wrench.predicted_n.mean()),
+    }
 
 
 def _interval(quantity: Any) -> dict[str, float]:
@@ -136,6 +188,7 @@ def _rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
         (f"parts left out are missed by, {name}", f"{1e3 * value:.3g} mm rms")
         for name, value in numbers["left_out_rms_m"].items()
     ]
+    rows += _wrench_rows(numbers["tension_by_wrench"])
     contact_free, pixels = numbers["contact_free"], numbers["pixels"]
     rows += [
         ("surface", numbers["surface"]),
@@ -151,6 +204,21 @@ def _rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
     ]
     rows += [(f"pixels out: {name}", str(count)) for name, count in pixels["removed"].items()]
     return rows
+
+
+def _wrench_rows(wrench: dict[str, Any] | None) -> list[tuple[str, str]]:
+    if wrench is None:
+        return []
+    limit = " (end of what was tried: the force cannot be explained by γ0)"
+    return [
+        (
+            "γ0 by force",
+            f"{wrench['tension_n_per_m']:.1f} N/m{limit if wrench['at_limit'] else ''}",
+        ),
+        ("error of its force on frames not used", f"{wrench['tested_rms_n']:.2f} N rms"),
+        ("the same with γ0 by Young–Laplace", f"{wrench['given_rms_n']:.2f} N rms"),
+        ("mean force there", f"{wrench['measured_mean_n']:.2f} N"),
+    ]
 
 
 def _origin_rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:

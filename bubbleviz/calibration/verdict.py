@@ -90,7 +90,8 @@ def _warnings(found: Identification) -> list[str]:
             f"{_percent(1.0 - found.seen)} of the dome is not seen: there the surface is the"
             " fitted cap's continuation, and contact is only inferred."
         )
-    if abs(fits.rim_height_m) > 3.0 * fits.rim_height_sigma_m:
+    height = tension.dimensions["height_m"].value
+    if abs(fits.rim_height_m) > max(3.0 * fits.rim_height_sigma_m, _GOOD * height):
         out.append(
             f"The edge of the cloud lies {1e3 * fits.rim_height_m:+.1f} mm from the drawing's rim"
             " plane: either the rim is hidden, or the camera's position is off by as much."

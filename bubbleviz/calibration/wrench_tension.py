@@ -18,7 +18,7 @@ from bubbleviz.frames.source import FrameSource
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 
-_FACTORS = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)  # of the sensor file's γ0
+_FACTORS = (0.5, 0.75, 1.0, 1.4, 2.0)  # of the sensor file's γ0
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,37 @@ def tension_by_wrench(
         measured_n=measured[tested],
         predicted_n=curves[best][tested],
     )
+
+
+def press_halves(
+    source: FrameSource, contact_free: Sequence[int], count: int = 8
+) -> tuple[list[int], list[int]] | None:
+    """Frames of the press after the contact-free ones: an earlier half and a later one.
+
+    None where there is no wrench, or no press that stands out of its noise tenfold.
+
+    Parameters
+    ----------
+    source : FrameSource
+    contact_free : sequence of int
+    count : int
+        Frames to pick from both halves together.
+    """
+    if any(source[k].wrench is None for k in (contact_free[0], len(source) - 1)):
+        return None
+    rest = np.array([_force(source, source[k]) for k in contact_free])
+    later = np.arange(max(contact_free) + 1, len(source))
+    if not len(later):
+        return None
+    force = np.array([_force(source, source[int(k)]) for k in later]) - rest.mean(axis=0)
+    size = np.linalg.norm(force, axis=1)
+    noise = float(np.linalg.norm(rest.std(axis=0)))
+    pressed = later[size > 0.5 * size.max()]
+    if size.max() <= 10.0 * noise or len(pressed) < 2:
+        return None
+    picked = pressed[np.unique(np.linspace(0, len(pressed) - 1, count).astype(int))]
+    middle = len(picked) // 2
+    return [int(k) for k in picked[:middle]], [int(k) for k in picked[middle:]]
 
 
 def _force(source: FrameSource, frame: Frame) -> np.ndarray:
