@@ -22,8 +22,8 @@ class Errors:
     iou : float
         Of the patch's pixels, intersection over union.
     iou_best_threshold : float
-        With the pressure threshold that an oracle picks for this very frame: what a better rule
-        for the patch could gain.
+        Of the one pressure threshold that an oracle picks for this very frame, to judge the rule
+        for the patch by.
     force_error_relative : float
         Length of the difference of the force vectors over the length of the true one.
     cop_error_m : float

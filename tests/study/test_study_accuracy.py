@@ -117,7 +117,8 @@ def test_structure(study):
     assert study.omitted == []
     for row in study.rows:
         assert row.status == "ok"
-        assert 0.0 < row.iou <= row.iou_best_threshold <= 1.0
+        assert 0.0 < row.iou <= 1.0
+        assert 0.0 < row.iou_best_threshold <= 1.0
         assert row.force_error_relative < (0.1 if row.setup == "default" else 0.25)
         assert row.displacement_rms_m < 1e-3
         assert row.cop_error_m < 2e-3
