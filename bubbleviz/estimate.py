@@ -20,7 +20,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.matching import check_fits
 from bubbleviz.outputs import refuse_existing, whole_file
 from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.results import CsvWriter, ResultWriter
+from bubbleviz.results import UNKNOWN, CsvWriter, ResultWriter
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
@@ -197,7 +197,7 @@ def _solve(
     """Rows of the frames, once both files are written."""
     from tqdm import tqdm
 
-    _ = pipeline.estimator  # set-up is not part of the first frame's time
+    pipeline.prepare(PRODUCTS)  # set-up is not part of the first frame's time
     seen = False
     with ExitStack() as stack:
         shape = source.size[::-1]
@@ -217,8 +217,14 @@ def _solve(
 
 
 def _check_any_data(rows: list[dict[str, Any]], path: Path, seen: bool) -> None:
-    if any(row["status"] != "no_data" for row in rows):
+    statuses = {row["status"] for row in rows}
+    if statuses - set(UNKNOWN):
         return
+    if "implausible" in statuses:
+        raise InputError(
+            f"{path}: no frame asked for looks like this sensor's membrane; choose its own sensor "
+            "file, and check that depths are in metres (32FC1) or millimetres (16UC1)"
+        )
     if not seen:
         raise InputError(
             f"{path}: all-zero depth image in every frame asked for; uncover or check the camera"
@@ -231,7 +237,7 @@ def _check_any_data(rows: list[dict[str, Any]], path: Path, seen: bool) -> None:
 
 def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Values of the summary that come from the frames."""
-    known = [row for row in rows if row["status"] != "no_data"]
+    known = [row for row in rows if row["status"] not in UNKNOWN]
     touching = [row for row in known if row["patch_area_m2"] > 0.0]
     warm = rows[1:]
     warm_touching = [row["total_ms"] for row in warm if row["patch_area_m2"] > 0.0]

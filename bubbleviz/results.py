@@ -37,6 +37,12 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 """Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
 than the one of the same name."""
 
+NODAL_FIELDS = ("displacement_m", "contact_pressure_pa", "patch_level")
+"""Keys of RESULT.npz with a number per frame and node; the patch is where its level is positive."""
+
+UNKNOWN = ("no_data", "implausible")
+"""Statuses of frames about which nothing is known."""
+
 _NO_NUMBER_WITHOUT_DATA = (
     "gas_pressure_change_pa",
     "threshold_pa",
@@ -67,7 +73,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "solve_ms": estimate.solve_ms,
         "total_ms": result.times_ms["total"],
     }
-    if estimate.status == "no_data":
+    if estimate.status in UNKNOWN:
         for key in _NO_NUMBER_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row
@@ -99,7 +105,7 @@ class ResultWriter:
             archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
             self._archive = opening.enter_context(archive)
             self._spools = [
-                opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in range(2)
+                opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in NODAL_FIELDS
             ]
             # An archive has one member open at a time: the largest is the one not to spool.
             self._masks = opening.enter_context(
@@ -128,9 +134,9 @@ class ResultWriter:
             raise ValueError("another mask size, or more frames, than announced")
         self.rows.append(row)
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
-        fields = (estimate.displacement_m, estimate.contact_pressure_pa)
+        fields = (estimate.displacement_m, estimate.contact_pressure_pa, patch.level)
         for spool, field in zip(self._spools, fields, strict=True):
-            known = field if estimate.status != "no_data" else np.full_like(field, np.nan)
+            known = field if estimate.status not in UNKNOWN else np.full_like(field, np.nan)
             spool.write(np.ascontiguousarray(known, dtype="<f8").tobytes())
         return row
 
@@ -140,9 +146,7 @@ class ResultWriter:
             raise ValueError(f"{len(self.rows)} frames added, {self._frames} announced")
         self._masks.close()
         nodal = (self._frames, len(self._mesh.nodes))
-        for name, spool in zip(
-            ("displacement_m", "contact_pressure_pa"), self._spools, strict=True
-        ):
+        for name, spool in zip(NODAL_FIELDS, self._spools, strict=True):
             spool.seek(0)
             with self._member(name, nodal, np.dtype("<f8")) as member:
                 shutil.copyfileobj(spool, member, 1 << 20)

@@ -86,7 +86,7 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
         "center_of_pressure_m": (frames, 3), "patch_area_m2": (frames,), "threshold_pa": (frames,),
         "patch_mask": (frames, height, width), "residual_rms_m": (frames,),
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
-        "sensor_toml": (), "version": (), "solver": (),
+        "patch_level": (frames, nodes), "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
     kinds = {key: array.dtype.kind for key, array in result.items()}
@@ -143,7 +143,7 @@ def test_columns_agree_with_the_nodal_fields(result: Arrays) -> None:
     assert not result["displacement_m"][:, result["rim"]].any()
     force = -(pressure * areas) @ result["normals"]
     np.testing.assert_allclose(result["force_n"], force, atol=1e-9)
-    load = np.where(pressure[2] > result["threshold_pa"][2], pressure[2] * areas, 0.0)
+    load = np.where(result["patch_level"][2] > 0.0, pressure[2] * areas, 0.0)
     moved = nodes + result["displacement_m"][2][:, None] * result["normals"]
     np.testing.assert_allclose(result["center_of_pressure_m"][2], load @ moved / load.sum())
 

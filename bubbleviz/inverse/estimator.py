@@ -160,14 +160,23 @@ class Estimator:
         for _ in range(1 + self.options.relinearisations):
             linear = self.observer.linearise(around)
             observation = self.observer.observe(depth_m, linear.here_m)
-            if np.count_nonzero(observation.weight) < MINIMUM_BLOCKS:
+            seen = observation.weight > 0.0
+            if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return observation, linear, None
+            if np.median(np.abs(observation.residual_m[seen])) > self.scales.length_m:
+                return observation, linear, self._out_of_reach
             answer = self._solve_linear(observation, linear, gas, answer)
             moved = np.max(np.abs(answer.displacement_m - around))
             around = answer.displacement_m
             if moved <= self._step_m or answer.status == "implausible":
                 break
         return observation, linear, answer
+
+    @property
+    def _out_of_reach(self) -> _Answer:
+        """Ranges that differ from the membrane's by more than its size: other units, perhaps."""
+        zero = np.zeros(len(self.mesh.free))
+        return _Answer(np.zeros(len(self.mesh.nodes)), 0.0, zero, zero, 0, "implausible", 0.0)
 
     def _solve_linear(
         self,
