@@ -84,7 +84,7 @@ def test_the_truth_itself_has_no_errors(sensor, bank):
     errors = Judge(pipeline, bank.mesh).errors(result, truth)
     assert errors.iou == 1.0
     assert errors.force_error_relative == pytest.approx(0.0, abs=1e-12)
-    assert errors.cop_error_m < 5e-5  # its faint edge is not in the patch
+    assert errors.cop_error_m < 1e-3  # the reported centre is that of the patch alone
     assert errors.displacement_rms_m < 1e-7  # the closest point is found in single precision
     assert errors.iou_best_threshold > 0.85
 
