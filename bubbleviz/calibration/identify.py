@@ -145,6 +145,22 @@ def identify(
         camera or in another unit, no gauge pressure, no dome, half of it unseen, a moving
         camera, contact all along.
     """
+    try:
+        return _identify(source, sensor, contact_free, nodes, surface, progress)
+    except InputError as error:  # of a step that does not know the recording
+        if source.name in str(error):
+            raise
+        raise InputError(f"{source.name}: {error}") from error
+
+
+def _identify(
+    source: FrameSource,
+    sensor: Sensor,
+    contact_free: Sequence[int] | None,
+    nodes: int,
+    surface: Name | None,
+    progress: Progress,
+) -> Identification:
     chosen = contact_free
     if chosen is None:
         chosen = find_contact_free(source, progress).frames

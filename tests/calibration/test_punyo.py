@@ -8,9 +8,12 @@ import pytest
 from bubbleviz.calibration.contact_free import find_contact_free
 from bubbleviz.calibration.identify import identify
 from bubbleviz.calibration.residuals import measure_residuals
+from bubbleviz.calibration.sensor_files import file_hash, write_sensor
 from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 from bubbleviz.membrane.build import build_mesh
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
@@ -44,6 +47,37 @@ def test_held_out_residual_and_fits(press):
     semi_axes = found.fits.ellipsoid.ellipsoid.semi_axes_m
     np.testing.assert_allclose(np.sort(semi_axes), [0.0416, 0.0437, 0.0585], atol=1e-3)
     assert found.pixels.mask.sum() > 180_000
+
+
+@needs_press
+def test_no_force_on_frames_not_used(press, tmp_path):
+    found = identify(press, load_sensor("punyo_oval_d405"), range(40))
+    assert found.surfaces.chosen == "free-form"
+    assert found.tension.tension.half_width < 0.05 * found.tension_n_per_m
+    write_sensor(found, tmp_path / "half.toml")
+    pipeline = Pipeline(load_sensor(tmp_path / "half.toml"), intrinsics=press[0].intrinsics)
+    forces = [
+        np.linalg.norm(pipeline.process(press[k], frozenset({"patch"})).patch.force_n)
+        for k in range(42, 60, 3)
+    ]
+    assert np.sqrt(np.mean(np.square(forces))) <= 0.05
+
+
+@needs_press
+def test_contact_all_along_is_refused(press):
+    with pytest.raises(InputError, match="pressed in by") as error:
+        identify(press, load_sensor("punyo_oval_d405"), range(73, 90))
+    column, row = (int(x) for x in str(error.value).split("(")[1].split(")")[0].split(", "))
+    assert abs(column - 259) < 15 and abs(row - 289) < 15
+
+
+def test_preset_says_what_made_it():
+    sensor = load_sensor("punyo_oval_d405")
+    assert sensor.calibration.recording == "punyo_press_a"
+    if PRESS.exists():
+        assert sensor.calibration.recording_sha256 == file_hash(PRESS)
+    low, high = sensor.calibration.tension_interval_n_per_m
+    assert low < sensor.pneumatics.tension_n_per_m < high
 
 
 def test_preset_is_whole_and_small():

@@ -21,6 +21,7 @@ def refused(source, match, frames=range(12)):
     with pytest.raises(InputError, match=match) as error:
         identify(source, nominal_sensor(), frames, nodes=200)
     assert "\n" not in str(error.value)
+    assert str(error.value).startswith(source.name)
     return str(error.value)
 
 
