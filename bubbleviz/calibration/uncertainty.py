@@ -9,6 +9,7 @@ import numpy as np
 
 from bubbleviz.calibration.bootstrap import (
     DRAWS,
+    ScoreTable,
     draw_errors,
     score_table,
     tile_numbers,
@@ -102,22 +103,8 @@ def estimate_tension(
         samples, surfaces, gauge_pressure_pa
     )
     by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
-    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
-    statistics = samples.statistics
-    side = tile_side(len(pixels), statistics.correlation_length_px)
-    frames = len(samples.depth_m)
-    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
-    table = score_table(
-        samples.depth_m.reshape(frames, -1)[:, pixels],
-        statistics.range_m.ravel()[pixels] / to_depth,
-        _CLIP * noise / to_depth,
-        influence * to_depth[:, None],
-        residual / to_depth,
-        tile_numbers(pixels, samples.camera.intrinsics.width, side),
-        parameters,
-        progress,
-    )
-    inflation = mean_inflation(statistics.temporal_correlation)
+    table = _scores(samples, pixels, influence, residual, parameters, progress)
+    inflation = mean_inflation(samples.statistics.temporal_correlation)
     block = max(1, round(_BLOCK_INFLATIONS * inflation))
     draws = draw_errors(table, block, seed)
     rng = np.random.default_rng([seed, 1])
@@ -148,6 +135,31 @@ def estimate_tension(
         gauge_pressure_pa=gauge_pressure_pa,
         tiles=table.static.shape[0],
         block=block,
+    )
+
+
+def _scores(
+    samples: Samples,
+    pixels: np.ndarray,
+    influence: np.ndarray,
+    residual: np.ndarray,
+    parameters: int,
+    progress: Progress,
+) -> ScoreTable:
+    """Score table of the z-depth that the frames hold."""
+    statistics, frames = samples.statistics, len(samples.depth_m)
+    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
+    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
+    side = tile_side(len(pixels), statistics.correlation_length_px)
+    return score_table(
+        samples.depth_m.reshape(frames, -1)[:, pixels],
+        statistics.range_m.ravel()[pixels] / to_depth,
+        _CLIP * noise / to_depth,
+        influence * to_depth[:, None],
+        residual / to_depth,
+        tile_numbers(pixels, samples.camera.intrinsics.width, side),
+        parameters,
+        progress,
     )
 
 
