@@ -119,7 +119,9 @@ def application() -> QApplication:
     from PySide6.QtWidgets import QApplication
 
     from ui import theme
+    from ui.immortal import make_immortal
 
+    make_immortal()
     existing = QApplication.instance()
     if isinstance(existing, QApplication):
         made = existing
