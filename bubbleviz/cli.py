@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 import click
 
 import bubbleviz
+from bubbleviz.calibration.command import identify
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.study.command import study
 
@@ -254,6 +255,7 @@ def estimate(
     click.echo(summary.to_json() if as_json else summary.to_text())
 
 
-# -- studies ------------------------------------------------------------------------------------
+# -- calibration and studies, which live beside what they do ------------------------------------
 
+main.add_command(identify)
 main.add_command(study)

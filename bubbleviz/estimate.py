@@ -127,12 +127,12 @@ def estimate_recording(
             sensor,
             intrinsics=source.intrinsics,
             kappa=kappa,
-            options=EstimatorOptions(solver=solver),
+            options=EstimatorOptions.named(solver),
         )
         made_by = {
             "sensor_toml": sensor_to_toml(sensor),
             "version": bubbleviz.__version__,
-            "solver": solver or "default",
+            "solver": solver or pipeline.estimator.solver_name,
         }
         rows = _solve(source, chosen, pipeline, out, csv, made_by)
     return EstimateSummary(

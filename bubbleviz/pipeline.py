@@ -21,13 +21,15 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.patch import PatchFinder
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.build import build_mesh, reference_tension
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.stiffness import young_laplace_tension
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import Sensor
 
 Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual"]
+
+MAX_BLOCK = 32
+"""Largest side of a block in pixels: beyond it averaging saves no more time."""
 
 _NEEDS: dict[str, tuple[Product, ...]] = {
     "estimate": ("estimate", "patch", "pixel_mask", "residual"),
@@ -78,15 +80,12 @@ class Pipeline:
     ) -> None:
         self.sensor = sensor
         self.kappa = kappa
-        self.options = options
+        self.options = options or EstimatorOptions()
         self.cloud_points: int | None = None
         _check_size(sensor, intrinsics)
         self.camera = DepthCamera.of(sensor.camera, intrinsics)
-        self.mesh = build_mesh(sensor)
-        gauge = sensor.pneumatics.gauge_pressure_pa
-        self.tension_n_per_m = sensor.pneumatics.tension_n_per_m or young_laplace_tension(
-            self.mesh, gauge
-        )
+        self.mesh = build_mesh(sensor, self.options.nodes)
+        self.tension_n_per_m = reference_tension(sensor, self.mesh)
         self.counts: Counter[str] = Counter()
 
     @cached_property
@@ -100,13 +99,7 @@ class Pipeline:
             self._block_size(),
         )
         gas = Gas.of(self.sensor.pneumatics, self.mesh)
-        return Estimator(
-            observer,
-            gas,
-            self.tension_n_per_m,
-            self.sensor.pneumatics.gauge_pressure_pa,
-            self.options,
-        )
+        return Estimator(observer, gas, self.tension_n_per_m, self.options)
 
     @cached_property
     def pixels(self) -> PixelModel | None:
@@ -168,8 +161,7 @@ class Pipeline:
 
     @cached_property
     def _finder(self) -> PatchFinder:
-        gauge = self.sensor.pneumatics.gauge_pressure_pa
-        return PatchFinder(self.mesh, gauge, self.estimator.resolution_m)
+        return PatchFinder(self.mesh, self.estimator.held_pressure_pa, self.estimator.resolution_m)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
         mask = self._view.above(estimate.displacement_m, patch.level, 0.0)
@@ -209,7 +201,8 @@ class Pipeline:
         T = self.camera.T_B_C
         depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
         focal = min(self.camera.intrinsics.fx, self.camera.intrinsics.fy)
-        return max(1, int(0.5 * self.mesh.edge_length * focal / depth))
+        size = int(0.5 * self.mesh.edge_length * focal / depth)
+        return min(max(1, size), MAX_BLOCK)
 
     def _check_size(self, frame: Frame) -> None:
         height, width = frame.depth_m.shape

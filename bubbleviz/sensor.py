@@ -179,5 +179,8 @@ def _first_problem(error: ValidationError) -> str:
     if problem["type"] == "missing":
         return f"{where}: missing; add it"
     message = problem["msg"].removeprefix("Value error, ")
-    hint = "; lengths are in metres" if where.endswith("_m") else ""
-    return f"{where} = {problem['input']!r}: {message}{hint}"[:300]
+    if isinstance(problem["input"], dict):  # the section as a whole
+        return f"{where}: {message}"
+    length = where.endswith("_m") and not where.endswith("_per_m")
+    hint = "; lengths are in metres" if length else ""
+    return f"{where} = {problem['input']!r}: {message}{hint}"

@@ -8,7 +8,7 @@ from scipy import sparse
 from bubbleviz.calibration.surface_fit import Ellipsoid
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane.stiffness import area_and_bending, area_shares, cotangent_laplacian
 
 
 def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
@@ -21,7 +21,7 @@ def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
     the Punyo sensor it falls from 130 to 112 N/m as the mesh is refined, this stays within 1 %.
     For a spherical cap both are P R / 2.
     """
-    area, bending = _balance(mesh)
+    area, bending = area_and_bending(mesh)
     if not bending > 0.0:
         raise InputError("reference surface: flat or hollow, so no tension holds it; inflate it")
     return gauge_pressure_pa * area / bending
@@ -35,8 +35,8 @@ def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndar
     gradient of the area, taken here at two surfaces a little outside and inside. That the
     normals turn as well changes nothing to first order, because L x is parallel to them.
     """
-    area, bending = _balance(mesh)
-    outward = _shares(mesh)[:, None] * mesh.normals
+    area, bending = area_and_bending(mesh)
+    outward = area_shares(mesh)[:, None] * mesh.normals
     step = 1e-4 * float(np.sqrt(mesh.areas.sum()))
 
     def area_gradient(shift: float) -> np.ndarray:
@@ -100,23 +100,3 @@ def local_tension(mesh: MembraneMesh, gauge_pressure_pa: float, scale_m: float) 
     with np.errstate(divide="ignore"):
         tension[free] = np.where(smooth > 0.0, gauge_pressure_pa * ones / smooth, np.nan)
     return tension
-
-
-def _balance(mesh: MembraneMesh) -> tuple[float, float]:
-    """Area of the surface, m², and Σ (L x)·n̂ over its free nodes with their shares, m."""
-    bending = np.einsum("ij,ij->i", cotangent_laplacian(mesh) @ mesh.nodes, mesh.normals)
-    return float(mesh.areas.sum()), float(_shares(mesh) @ bending)
-
-
-def _shares(mesh: MembraneMesh) -> np.ndarray:
-    """Area that each node stands for over its own, (n,): rim nodes' goes to their neighbours."""
-    start, end = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-    both = np.stack([np.concatenate([start, end]), np.concatenate([end, start])], axis=1)
-    edges = np.unique(both, axis=0)
-    edges = edges[mesh.rim[edges[:, 0]] & ~mesh.rim[edges[:, 1]]]  # from the rim inward
-    count = len(mesh.nodes)
-    heirs = np.bincount(edges[:, 0], minlength=count)
-    given = mesh.areas[edges[:, 0]] / heirs[edges[:, 0]]
-    total = np.where(mesh.rim, 0.0, mesh.areas) + np.bincount(edges[:, 1], given, minlength=count)
-    # A rim node without a free neighbour (a corner) leaves its area to all.
-    return total / mesh.areas * mesh.areas.sum() / total.sum()

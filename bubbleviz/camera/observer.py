@@ -56,14 +56,11 @@ class Linearisation:
     hits : Hits
         Where the block rays meet the membrane.
     offset_m : (k,) array
-        Constant part for each hit, m; 0 around u = 0.
-    here_m : (B,) array
-        Model of every block at the displacement itself, m; 0 where nothing is hit.
+        Constant part for each hit, m; 0 around u = 0, NaN where the membrane at rest is missed.
     """
 
     hits: Hits
     offset_m: np.ndarray
-    here_m: np.ndarray
 
 
 class RangeObserver:
@@ -114,7 +111,8 @@ class RangeObserver:
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
         self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
-        gaussian = np.random.default_rng(0).standard_normal((20_000, block**2))
+        rows = max(500, 200_000 // block**2)
+        gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = _scatter(gaussian)
         rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -196,23 +194,28 @@ class RangeObserver:
     def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
         """Model of the block residuals around a displacement (n,), or the reference."""
         if displacement_m is None or not displacement_m.any():
-            offset = np.zeros(len(self._at_rest.ray))
-            return Linearisation(self._at_rest, offset, np.zeros(self.blocks))
+            return Linearisation(self._at_rest, np.zeros(len(self._at_rest.ray)))
         hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
-        change = hits.range_m - self._rest_range[hits.ray]  # NaN: missed the membrane at rest
+        change = hits.range_m - self._rest_range[hits.ray]
+        return Linearisation(hits, change - self._along_rays(hits, displacement_m))
+
+    def predict(self, linear: Linearisation, displacement_m: np.ndarray) -> np.ndarray:
+        """Model of every block's residual at a displacement (n,), (B,) in m; 0 where unknown."""
+        model = np.zeros(self.blocks)
+        model[linear.hits.ray] = linear.offset_m + self._along_rays(linear.hits, displacement_m)
+        return np.nan_to_num(model)
+
+    def _along_rays(self, hits: Hits, displacement_m: np.ndarray) -> np.ndarray:
+        """D u of Eq. 20, (k,)."""
         at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
-        offset = change - np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
-        here = np.zeros(self.blocks)
-        here[hits.ray] = np.nan_to_num(change)
-        return Linearisation(hits, offset, here)
+        return np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
 
     def misfit(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
     ) -> tuple[float, float]:
         """Misfit of a displacement (n,): root mean square in m, and typical one in σ."""
         hits = linear.hits
-        at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
-        model = linear.offset_m + np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
+        model = linear.offset_m + self._along_rays(hits, displacement_m)
         error = observation.residual_m[hits.ray] - model
         weight = np.where(np.isfinite(error), observation.weight[hits.ray], 0.0)
         seen = weight > 0.0

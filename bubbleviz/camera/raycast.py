@@ -90,7 +90,7 @@ class RayCaster:
         corners = local[self.triangles]
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
         # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
-        faces = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        faces = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
         facet = faces.sum(axis=1)
         facing = np.einsum("mkj,mj->mk", normals[self.triangles], facet)
         offset = np.einsum("mj,mj->m", a, facet)
@@ -99,3 +99,12 @@ class RayCaster:
         barycentric = volumes / along[:, None]
         sensitivity = barycentric * facing[triangle] / along[:, None]
         return Hits(ray, triangle, barycentric, offset[triangle] / along, sensitivity)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of rows, (m, 3); several times faster than `np.cross`."""
+    out = np.empty_like(a)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+    return out

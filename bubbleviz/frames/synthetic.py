@@ -13,12 +13,11 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.inverse.patch import area_above
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.build import build_mesh, reference_tension
 from bubbleviz.membrane.forward import Contact, ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.stiffness import young_laplace_tension
 from bubbleviz.objects import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 
@@ -103,11 +102,9 @@ class SyntheticSource:
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
         self.mesh = simulation_mesh(sensor, nodes)
         self.camera = DepthCamera.of(sensor.camera)
-        pneumatics = sensor.pneumatics
-        tension = pneumatics.tension_n_per_m or young_laplace_tension(
-            self.mesh, pneumatics.gauge_pressure_pa
-        )
-        self._model = ForwardModel(self.mesh, tension, Gas.of(pneumatics, self.mesh))
+        # γ0 of the sensor's own mesh: a refined polyhedron has its curvature in the old edges.
+        tension = reference_tension(sensor, build_mesh(sensor))
+        self._model = ForwardModel(self.mesh, tension, Gas.of(sensor.pneumatics, self.mesh))
         self._view = MembraneView(self.camera, self.mesh)
         self._solved = lru_cache(maxsize=300)(self._solve)
 

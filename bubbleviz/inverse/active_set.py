@@ -16,6 +16,12 @@ from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natur
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
 
+_FIRST_GUESS = 100
+"""Nodes with which a frame without contact before it starts."""
+
+_SELECTIONS = 8
+"""Corrections that selecting a support is worth; the next frame goes on from there."""
+
 
 class ActiveSetSolver:
     """Warm-started active set with a dense model Hessian.
@@ -25,24 +31,26 @@ class ActiveSetSolver:
     equilibrium : Equilibrium
     reference_Q : (n, n) sparse array
         Q of a frame with every pixel valid in the reference configuration.
+    lambda_ : float
+        Weight of the H1 term.
     tolerance : float
         Relative KKT residual of the debiased problem.
     corrections : int
-        Most corrections in each of the two stages.
+        Most corrections of the debiased solution.
     """
 
     def __init__(
         self,
         equilibrium: Equilibrium,
         reference_Q: sparse.csr_array,
+        lambda_: float,
         tolerance: float = 1e-3,
         corrections: int = 30,
     ) -> None:
         self._equilibrium = equilibrium
-        self._reference_Q = reference_Q
         self._weight = float(reference_Q.diagonal().sum())
         self._tolerance, self._corrections = tolerance, corrections
-        self._hessians: dict[bool, np.ndarray] = {}
+        self._measured, self._estimated = _hessians(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
 
     def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
@@ -55,9 +63,9 @@ class ActiveSetSolver:
             The selection of the last frame.
         """
         pressure, pivots = start, 0
-        for _ in range(self._corrections):
+        for _ in range(_SELECTIONS):
             gradient = self._equilibrium.gradient(problem, pressure)
-            work = np.flatnonzero(self._near((pressure > 0.0) | (gradient < 0.0)))
+            work = np.flatnonzero(self._near(pressure > 0.0) | self._pulled(gradient, pressure))
             H = self._model(problem, work)
             before = pressure
             pressure, count = _correct(H, pressure, gradient, work)
@@ -85,30 +93,46 @@ class ActiveSetSolver:
                 return Pressure(pressure, pivots, True, gradient)
         return Pressure(pressure, pivots, False, gradient)
 
+    def _pulled(self, gradient: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+        """The nodes with the strongest pull, as many as are in contact: the others come later."""
+        slope = gradient / self._equilibrium.A
+        most = max(_FIRST_GUESS, int(np.count_nonzero(pressure)))
+        bound = min(0.0, np.partition(slope, most)[most]) if most < len(slope) else 0.0
+        return slope < bound
+
     def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
         """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels."""
-        return problem.weight / self._weight * self._hessian(problem)[np.ix_(work, work)]
+        hessian = self._estimated if problem.measured_gas is None else self._measured
+        return problem.weight / self._weight * hessian[np.ix_(work, work)]
 
     def _near(self, mask: np.ndarray) -> np.ndarray:
         return mask | (self._neighbours @ mask.astype(float) > 0.0)
 
-    def _hessian(self, problem: FrameProblem) -> np.ndarray:
-        """Model Hessian (n, n) for the gas estimated or measured."""
-        gas_measured = problem.measured_gas is not None
-        if gas_measured not in self._hessians:
-            M = self._equilibrium.compliance(gas_measured)
-            hessian = M.T @ (self._reference_Q @ M)
-            hessian += (problem.lambda_ * self._equilibrium.L).toarray()
-            self._hessians[gas_measured] = hessian
-        return self._hessians[gas_measured]
+
+def _hessians(
+    equilibrium: Equilibrium, Q: sparse.csr_array, lambda_: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """MᵀQM + λL, (n, n), for the gas measured and for the gas estimated.
+
+    The gas law adds −b wᵀ to M (b the bulge under unit pressure), and so two rank-one terms here.
+    """
+    M = equilibrium.response(np.eye(len(equilibrium.A)), gas_measured=True)
+    measured = M.T @ (Q @ M)
+    measured += (lambda_ * equilibrium.L).toarray()
+    b, w = equilibrium.bulge, equilibrium.gas_response(M)
+    pull = M.T @ (Q @ b)
+    mixed = np.outer(pull - 0.5 * (b @ (Q @ b)) * w, w)
+    return measured, measured - mixed - mixed.T
 
 
 def _correct(
     H: np.ndarray, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Minimise over the nodes `work` with the gradient at `pressure` and the model Hessian H."""
-    here = pressure[work]
-    x, pivots, _ = nonnegative_qp(H, gradient[work] - H @ here, here > 0.0)
+    here, slope = pressure[work], gradient[work]
+    # From nothing, start where the pull is strongest: a guess of all it reaches is far too large.
+    start = here > 0.0 if here.any() else slope < 0.5 * np.min(slope, initial=0.0)
+    x, pivots, _ = nonnegative_qp(H, slope - H @ here, start)
     corrected = np.zeros_like(pressure)
     corrected[work] = x
     return corrected, pivots

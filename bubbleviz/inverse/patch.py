@@ -31,13 +31,14 @@ class PatchFinder:
     Parameters
     ----------
     mesh : MembraneMesh
-    gauge_pressure_pa : float
+    held_pressure_pa : float
+        γ0 (κ1 + κ2): what the tension holds, the gauge pressure in the reference configuration.
     resolution_m : float
         Width of the estimate's response, see `resolution.resolution_m`.
     """
 
-    def __init__(self, mesh: MembraneMesh, gauge_pressure_pa: float, resolution_m: float) -> None:
-        self._mesh, self._gauge = mesh, gauge_pressure_pa
+    def __init__(self, mesh: MembraneMesh, held_pressure_pa: float, resolution_m: float) -> None:
+        self._mesh, self._held = mesh, held_pressure_pa
         self._edge = PatchEdge(mesh, resolution_m)
         self._cell_m2 = np.pi * self._edge.resolution**2
         a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
@@ -48,48 +49,55 @@ class PatchFinder:
         """Patch of an estimate, by physics or at the paper's threshold.
 
         The force is that of the whole contact pressure; the centre of pressure is that of the
-        patch, so that what lies outside it does not pull it aside.
+        parts in contact, so that what noise puts elsewhere does not pull it aside.
         """
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
         if kappa is None:
-            threshold = 0.5 * self._gauge
-            level = self._physical_level(estimate, threshold)
+            threshold = 0.5 * self._held
+            contact = self._contact(estimate, threshold)
+            level = self._level(contact, threshold)
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
-            level = (pressure - threshold) / self._gauge
-        inside = level > 0.0
-        load = mesh.areas * pressure
+            contact = np.where(pressure > threshold, pressure, 0.0)
+            level = (pressure - threshold) / self._held
         center = np.full(3, np.nan)
-        if np.any(load[inside] > 0.0):
-            nodes = mesh.deformed(estimate.displacement_m)[inside]
-            center = load[inside] @ nodes / load[inside].sum()
+        if contact.any():
+            load = mesh.areas * contact
+            center = load @ mesh.deformed(estimate.displacement_m) / load.sum()
         return Patch(
             threshold_pa=threshold,
             level=level,
-            force_n=-load @ mesh.normals,
+            force_n=-(mesh.areas * pressure) @ mesh.normals,
             center_of_pressure_m=center,
             area_m2=area_above(mesh, level, 0.0),
         )
 
-    def _physical_level(self, estimate: Estimate, floor_pa: float) -> np.ndarray:
+    def _contact(self, estimate: Estimate, floor_pa: float) -> np.ndarray:
+        """Contact pressure (n,) of the connected parts that are contact, 0 elsewhere, Pa."""
         pressure = estimate.contact_pressure_pa
-        gas = self._gauge + np.nan_to_num(estimate.gas_pressure_change_pa)
+        least_peak = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
         above = np.flatnonzero(pressure > floor_pa)
         _, part = connected_components(self._pairs[above][:, above], directed=False)
         parts = part.max(initial=-1) + 1
         highest = np.zeros(parts)
         np.maximum.at(highest, part, pressure[above])
-        load = np.bincount(part, (self._mesh.areas * pressure)[above], minlength=parts)
-        least = max(gas * self._cell_m2, MODEL_ERROR * float(self._mesh.areas @ pressure))
-        touches = (highest >= gas) & (load >= least)
+        loads = np.bincount(part, (self._mesh.areas * pressure)[above], minlength=parts)
+        total = float(self._mesh.areas @ pressure)
+        least_load = max(least_peak * self._cell_m2, MODEL_ERROR * total)
+        touches = (highest >= least_peak) & (loads >= least_load)
         contact = np.zeros(len(pressure))
         contact[above] = np.where(touches[part], pressure[above], 0.0)
-        level = self._edge.level_set(contact, self._gauge) / self._mesh.edge_length
+        return contact
+
+    def _level(self, contact: np.ndarray, floor_pa: float) -> np.ndarray:
+        level = self._edge.level_set(contact, self._held) / self._mesh.edge_length
+        touching = np.flatnonzero(contact)
+        _, part = connected_components(self._pairs[touching][:, touching], directed=False)
+        drawn = np.zeros(part.max(initial=-1) + 1, bool)
+        np.logical_or.at(drawn, part, level[touching] > 0.0)
         # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
-        drawn = np.zeros(parts, bool)
-        np.logical_or.at(drawn, part, level[above] > 0.0)
-        small = above[(contact[above] > 0.0) & ~drawn[part]]
-        level[small] = (pressure[small] - floor_pa) / self._gauge
+        small = touching[~drawn[part]]
+        level[small] = (contact[small] - floor_pa) / self._held
         return level
 
 

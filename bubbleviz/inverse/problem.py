@@ -87,12 +87,16 @@ class Equilibrium:
             g = g - Q @ (measured_gas * self.bulge)
         return self.adjoint(g, measured_gas is not None)
 
-    def compliance(self, gas_measured: bool) -> np.ndarray:
-        """M of Eq. 24, dense (n, n): u = −M p_c."""
-        M = self._solve(np.eye(len(self.A))) * self.A
+    def response(self, pressures: np.ndarray, gas_measured: bool = False) -> np.ndarray:
+        """M P of Eq. 24 for contact pressures P in columns, (n, k): u = −M p_c."""
+        M = self._solve(self.A[:, None] * pressures)
         if not gas_measured:
-            M -= np.outer(self.bulge, (self.beta @ M) / self._gas_stiffness)
+            M -= np.outer(self.bulge, self.gas_response(M))
         return M
+
+    def gas_response(self, M: np.ndarray) -> np.ndarray:
+        """p_v that the gas law answers to each column of −M (n, k), (k,)."""
+        return (self.beta @ M) / self._gas_stiffness
 
 
 @dataclass(frozen=True)

@@ -26,31 +26,37 @@ class InverseSolver(Protocol):
         """Solve on the problem's support without the L1 term, from a selection."""
 
 
-def _active_set(equilibrium: Equilibrium, reference_Q: sparse.csr_array) -> InverseSolver:
+def _active_set(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+) -> InverseSolver:
     from bubbleviz.inverse.active_set import ActiveSetSolver
 
-    return ActiveSetSolver(equilibrium, reference_Q)
+    return ActiveSetSolver(equilibrium, reference_Q, lambda_)
 
 
-def _osqp(equilibrium: Equilibrium, reference_Q: sparse.csr_array) -> InverseSolver:
+def _osqp(equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float) -> InverseSolver:
     from bubbleviz.inverse.osqp_solver import OsqpSolver
 
     return TwoStage(equilibrium, OsqpSolver)
 
 
-def _osqp_cold(equilibrium: Equilibrium, reference_Q: sparse.csr_array) -> InverseSolver:
+def _osqp_cold(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+) -> InverseSolver:
     from bubbleviz.inverse.osqp_solver import ColdOsqp
 
     return TwoStage(equilibrium, ColdOsqp)
 
 
-def _clarabel(equilibrium: Equilibrium, reference_Q: sparse.csr_array) -> InverseSolver:
+def _clarabel(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+) -> InverseSolver:
     from bubbleviz.inverse.clarabel_solver import ClarabelSolver
 
     return TwoStage(equilibrium, ClarabelSolver)
 
 
-SOLVERS: dict[str, Callable[[Equilibrium, sparse.csr_array], InverseSolver]] = {
+SOLVERS: dict[str, Callable[[Equilibrium, sparse.csr_array, float], InverseSolver]] = {
     "active-set": _active_set,
     "osqp": _osqp,
     "osqp-cold": _osqp_cold,
@@ -64,7 +70,7 @@ def default_solver(nodes: int) -> str:
 
 
 def make_solver(
-    name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array
+    name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
 ) -> InverseSolver:
     """Solver of the given name.
 
@@ -74,5 +80,5 @@ def make_solver(
         No solver has that name.
     """
     if name not in SOLVERS:
-        raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVERS)}")
-    return SOLVERS[name](equilibrium, reference_Q)
+        raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVERS)}, fast")
+    return SOLVERS[name](equilibrium, reference_Q, lambda_)

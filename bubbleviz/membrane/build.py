@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.sensor import Sensor
 
 
@@ -37,3 +38,23 @@ def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
         cap = EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
         return mesh_cap(cap, count)
     raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its numbers')
+
+
+def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
+    """Tension γ0 in N/m: the sensor file's, else what holds the gauge pressure (Eq. 2).
+
+    Raises
+    ------
+    InputError
+        The surface is flat or hollow, so that no tension holds it.
+    """
+    given = sensor.pneumatics.tension_n_per_m
+    if given is not None:
+        return given
+    curvature = mean_curvature(mesh)
+    if not curvature > 0.0:
+        raise InputError(
+            f"{sensor.name}: the reference surface is flat or hollow, so that no tension holds its "
+            "gauge pressure; give pneumatics.tension_n_per_m"
+        )
+    return sensor.pneumatics.gauge_pressure_pa / curvature

@@ -23,20 +23,27 @@ class Gas:
     dV_du : (n,) array
         Volume change per node displacement, m². The divergence theorem gives A; the paper's
         Eq. 9 has A/3, which under-reports p_v threefold and is kept for comparison.
+    lowest_change_pa, highest_change_pa : float
+        Range of p_v that a membrane can cause: from no gauge pressure left to the cap pressed flat.
     """
 
     P0: float
     V0: float
     dV_du: np.ndarray
+    lowest_change_pa: float = -np.inf
+    highest_change_pa: float = np.inf
 
     @classmethod
     def of(cls, pneumatics: Pneumatics, mesh: MembraneMesh) -> Gas:
         """Gas of a sensor whose reference surface is `mesh`."""
         factor = 1.0 if pneumatics.volume_model == "exact" else 1.0 / 3.0
+        P0, chamber = pneumatics.reference_pressure_pa, pneumatics.chamber_volume_m3
         return cls(
-            P0=pneumatics.reference_pressure_pa,
-            V0=pneumatics.chamber_volume_m3 + mesh.cap_volume(),
+            P0=P0,
+            V0=chamber + mesh.cap_volume(),
             dV_du=factor * mesh.areas,
+            lowest_change_pa=-pneumatics.gauge_pressure_pa,
+            highest_change_pa=P0 * mesh.cap_volume() / chamber,
         )
 
     def volume(self, displacement: np.ndarray) -> float:

@@ -27,6 +27,11 @@ def smooth_dent(amplitude_m: float) -> np.ndarray:
     return np.where(MESH.rim, 0.0, -amplitude_m * bump)
 
 
+def at(observer: RangeObserver, displacement: np.ndarray) -> np.ndarray:
+    """Model of the block residuals at a displacement."""
+    return observer.predict(observer.linearise(displacement), displacement)
+
+
 def cast(displacement):
     caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
     return caster.cast(MESH.deformed(displacement), MESH.normals)
@@ -71,7 +76,7 @@ def test_linearisation_is_exact_to_second_order():
         target = base + fraction * change
         at_nodes = target[MESH.triangles[linear.hits.triangle]]
         model = linear.offset_m + np.einsum("ij,ij->i", linear.hits.sensitivity, at_nodes)
-        return float(np.sqrt(np.mean((model - observer.linearise(target).here_m) ** 2)))
+        return float(np.sqrt(np.mean((model - at(observer, target)) ** 2)))
 
     assert error(0.25) < error(1.0) / 8
 
@@ -90,7 +95,7 @@ def test_blocks_see_a_deformation_through_noise_holes_and_bias(block):
     observer = RangeObserver(CAMERA, MESH, 0.01, pixels, block)
     seen = observer.observe(depth)
     used = seen.weight > 0
-    error = (seen.residual_m - observer.linearise(displacement).here_m)[used]
+    error = (seen.residual_m - at(observer, displacement))[used]
     # White noise averages out; what is left is the curvature of the range within a block.
     assert np.sqrt(np.mean(error**2)) < 1.5e-4 / block + 2e-5 * block**2
     assert seen.valid_pixels == pytest.approx(0.81 * shape[0] * shape[1], rel=0.02)
@@ -105,7 +110,7 @@ def test_outliers_count_little_once_the_model_is_known():
     noisy[wild] += 0.02
     observer = RangeObserver(CAMERA, MESH, 0.002, block=4)
     depth = CAMERA.depth_image(noisy).astype(np.float32)
-    truth = observer.linearise(displacement).here_m
+    truth = at(observer, displacement)
 
     def bias(seen) -> float:
         return float(np.median((seen.residual_m - truth)[seen.weight > 0]))

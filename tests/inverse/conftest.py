@@ -65,4 +65,4 @@ def estimator(nodes: int = 500, solver: str | None = None, relinearisations: int
     mesh = build_mesh(SENSOR, nodes)
     observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
     options = EstimatorOptions(solver, relinearisations)
-    return Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, GAUGE, options)
+    return Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, options)
