@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
 
 from bubbleviz.sensor import Sensor
 from ui.app import screen_for_pictures
 from ui.session import WindowSession, window_session
 
 WARM_UP_S = 2.0
-BIN_S = 1.0
+WINDOW_S = 1.0
 
 
 def replay_fps(
@@ -35,36 +36,45 @@ def replay_fps(
     Returns
     -------
     dict
-        `camera_hz`; `median_fps`, `worst_fps`: VTK renders in a second; `solve_hz`: frames
-        solved in a second; `solve_ms`: median time of depth in → products out; `dropped_frames`
-        and `shown_frames` while counting; `seconds`; `width`, `height` in pixels.
+        `camera_hz`; `median_fps`, `p5_fps`: VTK renders in the second before each render;
+        `solve_hz`: frames solved and shown in a second; `solve_ms`: median time of depth in →
+        products out; `draw_ms`: mean time of the GUI thread for a picture; `shown_frames` and
+        `dropped_frames` (on purpose) while counting; `seconds`; `load_average` of the machine
+        over the last minute and its `cores`; `width`, `height` in pixels.
     """
     with screen_for_pictures(*size), window_session(sensor, recording, None) as session:
         session.window.resize(*size)
         session.window.show()
         session.state.choose(layers=session.state.choices.layers | {"membrane", "cloud"})
         run_for(WARM_UP_S)
-        return {**_count(session, seconds), "width": size[0], "height": size[1]}
+        measured = _count(session, seconds)
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    width, height = size
+    return {**measured, "load_average": load, "cores": cores, "width": width, "height": height}
 
 
 def _count(session: WindowSession, seconds: float) -> dict[str, float]:
     controller, view = session.controller, session.window.view
-    times: list[float] = []
-    controller.shown.connect(lambda result: times.append(result.times_ms["total"]))
-    fps: list[float] = []
-    dropped, start = controller.dropped, time.perf_counter()
-    while time.perf_counter() - start < seconds:
-        count, began = view.render_count, time.perf_counter()
-        run_for(BIN_S)
-        fps.append((view.render_count - count) / (time.perf_counter() - began))
+    solves: list[float] = []
+    renders: list[float] = []
+    controller.shown.connect(lambda result: solves.append(result.times_ms["total"]))
+    view.rendered.connect(lambda: renders.append(time.perf_counter()))
+    dropped, busy, start = controller.dropped, view.busy_s, time.perf_counter()
+    run_for(seconds)
     elapsed = time.perf_counter() - start
+    fps = [
+        float(sum(now - WINDOW_S < then <= now for then in renders))
+        for now in renders
+        if now - start >= WINDOW_S
+    ]
     return {
         "camera_hz": session.state.facts.rate_hz if session.state.facts else float("nan"),
-        "median_fps": median(fps),
-        "worst_fps": min(fps),
-        "solve_hz": len(times) / elapsed,
-        "solve_ms": median(times) if times else float("nan"),
-        "shown_frames": len(times),
+        "median_fps": median(fps) if fps else len(renders) / elapsed,
+        "p5_fps": quantiles(fps, n=20)[0] if len(fps) > 1 else len(renders) / elapsed,
+        "solve_hz": len(solves) / elapsed,
+        "solve_ms": median(solves) if solves else float("nan"),
+        "draw_ms": 1e3 * (view.busy_s - busy) / max(len(renders), 1),
+        "shown_frames": len(solves),
         "dropped_frames": controller.dropped - dropped,
         "seconds": elapsed,
     }

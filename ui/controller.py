@@ -31,6 +31,8 @@ from ui.worker import Worker
 
 TICK_MS = 8
 """How often playback looks at its clock."""
+AHEAD_S = 0.025
+"""How early the next frame may be asked for, so that the solver has work while this is drawn."""
 
 
 class Controller(QObject):
@@ -68,10 +70,11 @@ class Controller(QObject):
         self._open_source: Callable[[Sensor], FrameSource] | None = None
         self._asked: frozenset[Product] = frozenset()
         self._clock: PlayClock | None = None
+        self._clock_read_s = 0.0
         self._timer = QTimer(self)
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
         self._timer.setInterval(TICK_MS)
-        self._timer.timeout.connect(self._tick)
+        self._timer.timeout.connect(lambda: self._tick())
         worker.answered.connect(self._on_answer)
         state.subscribe(self._on_event)
 
@@ -162,12 +165,15 @@ class Controller(QObject):
 
     def _start_clock(self) -> None:
         if self._clock is not None:
+            self._clock_read_s = 0.0
             self._clock.start(self.state.frame, time.perf_counter(), self.state.choices.speed)
 
-    def _tick(self) -> None:
+    def _tick(self, ahead_s: float = 0.0) -> None:
         if self._clock is None or not self.state.playing:
             return
-        index, skipped, ended = self._clock.due(time.perf_counter(), loop=self.state.choices.loop)
+        now = max(time.perf_counter() + ahead_s, self._clock_read_s)  # never back
+        self._clock_read_s = now
+        index, skipped, ended = self._clock.due(now, loop=self.state.choices.loop)
         self.skipped += skipped
         self.state.seek(index, by_playback=True)
         if ended:
@@ -215,6 +221,7 @@ class Controller(QObject):
             return
         elif isinstance(answer, Solved):
             self.solves.tick(time.perf_counter())
+            self._tick(AHEAD_S)
             self._show(answer.result)
             if answer.request.kappa != self.state.choices.kappa:
                 self._ask_patch()

@@ -20,10 +20,12 @@ from ui.panels.playback import PlaybackPanel
 from ui.panels.status import Rates, StatusBar
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
-from ui.state import ChoicesChanged, Event, SessionState, SourceChanged
+from ui.state import ChoicesChanged, Event, PlayingChanged, SessionState, SourceChanged
 from ui.view import View
 
 RATES_EVERY_MS = 500
+NUMBERS_EVERY_S = 0.1
+"""While playing: nobody reads faster, and every new text costs an upload of the window."""
 
 
 class MainWindow(QMainWindow):
@@ -47,6 +49,7 @@ class MainWindow(QMainWindow):
         self.message = MessageBar(self)
         self.view = View(self)
         self.scene = Scene(self.view, state.units)
+        self._numbers_at = 0.0
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
@@ -129,6 +132,8 @@ class MainWindow(QMainWindow):
             live = " (live)" if facts.live else ""
             self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
             self.status.show_source(facts)
+        elif isinstance(event, PlayingChanged) and self.controller.result is not None:
+            self._show_numbers(self.controller.result)
         elif isinstance(event, ChoicesChanged) and event.names - {"kappa", "speed", "loop"}:
             self.scene.apply(self.state.choices)
 
@@ -140,9 +145,19 @@ class MainWindow(QMainWindow):
     def _on_shown(self, result: Result) -> None:
         if self.state.facts is None:
             return
+        start = time.perf_counter()
         self.scene.show(result, self.state.choices)
-        self.kappa.show_result(result)
-        self.status.show_result(result, self.state.facts)
+        self.view.busy_s += time.perf_counter() - start
+        if not self.state.playing or start - self._numbers_at >= NUMBERS_EVERY_S:
+            self._show_numbers(result)
+
+    def _show_numbers(self, result: Result) -> None:
+        """Write the numbers of a result into the panels that are open."""
+        self._numbers_at = time.perf_counter()
+        if self.kappa.isVisible():
+            self.kappa.show_result(result)
+        if self.status.isVisible() and self.state.facts is not None:
+            self.status.show_result(result, self.state.facts)
 
     def _on_failed(self, failed: Failed) -> None:
         message = failed.message

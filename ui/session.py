@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 PATIENCE_S = 60.0
 """How long a picture may take before something is called broken."""
+SWITCH_S = 5e-4
+"""How long the solver thread may keep Python to itself while the window waits; 5 ms by default."""
 
 
 class WindowSession:
@@ -122,6 +125,7 @@ def application() -> QApplication:
     from ui.immortal import make_immortal
 
     make_immortal()
+    sys.setswitchinterval(SWITCH_S)
     existing = QApplication.instance()
     if isinstance(existing, QApplication):
         made = existing

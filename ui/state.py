@@ -33,7 +33,8 @@ class Choices:
     cloud_colour : {"residual", "patch", "plain"}
         What colours the measured points.
     cloud_points : int or None
-        Points drawn at most: beyond that, every n-th measured point; None for all.
+        Points drawn at most: beyond that, every n-th measured point; None for all. Of 10,000
+        on the dome each has some 4×4 screen pixels, so one sees both them and the membrane.
     membrane_opacity : float
         0 … 1.
     pressure_max_pa, residual_max_m : float or None
@@ -46,7 +47,7 @@ class Choices:
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
     cloud_colour: CloudColour = "residual"
-    cloud_points: int | None = 20_000
+    cloud_points: int | None = 10_000
     membrane_opacity: float = 1.0
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None

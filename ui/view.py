@@ -26,18 +26,24 @@ class View(QtInteractor):  # type: ignore[misc]
     ----------
     dropped_files : Signal
         List of paths the user dropped on the view.
+    rendered : Signal
+        VTK has rendered a picture.
     renders : RateMeter
         Real renders of VTK.
     render_count : int
         Renders since the view exists.
+    busy_s : float
+        Time the GUI thread has spent on pictures: changing the scene and rendering it, s.
     """
 
     dropped_files = Signal(list)
+    rendered = Signal()
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
         self.renders = RateMeter()
         self.render_count = 0
+        self.busy_s = 0.0
         self.set_background(theme.VIEW)  # plain: a gradient costs a quarter of an empty render
         self._tags = [
             (subject, subject.AddObserver(event, callback))
@@ -62,14 +68,9 @@ class View(QtInteractor):  # type: ignore[misc]
 
     def paintGL(self) -> None:
         """Render and put the picture on the screen."""
-        interactor = self.iren.interactor if self.iren is not None else None
-        if interactor is not None:
-            interactor.EnableRenderOn()
-        try:
-            super().paintGL()
-        finally:
-            if interactor is not None:
-                interactor.EnableRenderOff()
+        start = time.perf_counter()
+        super().paintGL()
+        self.busy_s += time.perf_counter() - start
 
     def close(self) -> None:
         """Let go of VTK's render window and of every observer that would keep it alive."""
@@ -109,7 +110,15 @@ class View(QtInteractor):  # type: ignore[misc]
     def _count_render(self, *_: Any) -> None:
         self.render_count += 1
         self.renders.tick(time.perf_counter())
+        self.rendered.emit()
 
     def _on_vtk_wants_render(self, *_: Any) -> None:
-        if not self._in_paint:
+        """Render while painting, else ask for a repaint.
+
+        The interactor itself never renders (`EnableRenderOff`): it would keep Python's lock
+        meanwhile, and the solver thread would wait for the picture. The window lets it go.
+        """
+        if self._in_paint:
+            self.ren_win.Render()
+        else:
             self.update()

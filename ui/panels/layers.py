@@ -28,7 +28,7 @@ TITLES = {
     "frustum": ("Camera frustum", "Field of view of the depth camera"),
     "rim": ("Rim", "Where the membrane is clamped"),
 }
-CLOUD_POINTS = {5_000: "up to 5 000", 20_000: "up to 20 000", 50_000: "up to 50 000", None: "all"}
+CLOUD_POINTS = {5_000: "up to 5 000", 10_000: "up to 10 000", 20_000: "up to 20 000", 50_000: "up to 50 000", None: "all"}
 CLOUD_COLOURS = {"residual": "residual", "patch": "patch membership", "plain": "one colour"}
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QComboBox,
@@ -23,6 +25,8 @@ from ui.state import (
     SourceChanged,
 )
 
+EVERY_S = 0.1
+"""While playing: nobody reads faster."""
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
@@ -32,6 +36,7 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
+        self._shown_at = 0.0
         self.first = self._button("first", "First frame (Home)")
         self.back = self._button("back", "One frame back (←)")
         self.play = self._button("play", "Play or pause (Space)")
@@ -86,7 +91,10 @@ class PlaybackPanel(QWidget):
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, FrameChanged):
-            self._show_frame()
+            now = time.perf_counter()
+            if not event.by_playback or now - self._shown_at >= EVERY_S:
+                self._shown_at = now
+                self._show_frame()
         elif isinstance(event, PlayingChanged | SourceChanged | ChoicesChanged):
             self._show_all()
 

@@ -33,6 +33,8 @@ class ContourLayer:
             reset_camera=False,
             render=False,
         )
+        # Straight from the filter: pyvista puts an algorithm in Python between, run every frame.
+        self._actor.mapper.SetInputConnection(self._filter.GetOutputPort())
         lift(self._actor, -200.0)
         self._visible = True
         self._any = False

@@ -24,6 +24,8 @@ from ui.view import View
 VIEW_FROM = np.array([-0.6, -1.0, 1.1])
 """Direction of the default view: obliquely from outside and above."""
 ON_SURFACE = frozenset({"membrane", "wireframe", "contour"})
+MARGIN = 1.0
+"""Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
 
 
 class Scene:
@@ -36,6 +38,7 @@ class Scene:
         self._result: Result | None = None
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
+        self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.layers: dict[str, Layer] = {
             "membrane": MembraneLayer(view, self._surface, units.pressure),
             "wireframe": WireframeLayer(view, self._surface),
@@ -51,6 +54,7 @@ class Scene:
         """Take another sensor; the camera stays where the user has put it."""
         self._mesh = mesh
         self._result = None
+        self._bounds = _bounds(mesh, sensor)
         self._surface.set_mesh(mesh)
         self._ranges.set_sensor(sensor)
         for layer in self.layers.values():
@@ -71,23 +75,22 @@ class Scene:
         self._view.renderer.ResetCamera(bounds)
         camera.zoom(1.32)
         self._placed = self._camera_place()
-        self._view.renderer.ResetCameraClippingRange()
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
     def show(self, result: Result, choices: Choices) -> None:
         """Draw a result with what the user chose to see."""
         self._result = result
-        picture = Picture(
-            result, self._surface.shape_of(result.estimate), self._ranges.take(result, choices),
-            choices,
-        )  # fmt: skip
-        if picture.shape is not None and ON_SURFACE & choices.layers:
-            self._surface.draw(picture.shape)
+        shape = self._surface.shape_of(result.estimate) if ON_SURFACE & choices.layers else None
+        if shape is not None:
+            self._surface.draw(shape)
+        picture = Picture(result, shape, self._ranges.take(result, choices), choices)
         for name, layer in self.layers.items():
             layer.set_visible(name in choices.layers)
             if name in choices.layers:
                 layer.draw(picture)
-        self._view.renderer.ResetCameraClippingRange()
+        # The bounds of what is drawn would be gathered from every point of every layer.
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
     def apply(self, choices: Choices) -> None:
@@ -98,3 +101,12 @@ class Scene:
     def _camera_place(self) -> tuple[object, ...]:
         camera = self._view.camera
         return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))
+
+
+def _bounds(mesh: MembraneMesh, sensor: Sensor) -> list[float]:
+    """Box around everything that is ever drawn: x, y and z, each from and to, m."""
+    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    margin = MARGIN * float(np.linalg.norm(high - low))
+    low = np.minimum(low, sensor.camera.position_m) - margin
+    high = np.maximum(high, sensor.camera.position_m) + margin
+    return [float(end) for pair in zip(low, high, strict=True) for end in pair]
