@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from tests.inverse.conftest import SENSOR, estimator
+from bubbleviz.inverse.estimator import Estimator
+from tests.inverse.conftest import SENSOR, TENSION, estimator
 
 
 def force_of(solver, estimate):
@@ -130,3 +131,30 @@ def test_more_noise_than_the_sensor_file_says_is_noticed(sphere, untouched, nois
 )
 def test_what_no_membrane_explains_is_not_called_ok(sphere, spoil):
     assert estimator().estimate(spoil(sphere.depth(0.01))).status in ("implausible", "no_data")
+
+
+@pytest.mark.parametrize("absolute_pa", [0.0, 104.0, -1e5, 2.1e5, np.inf])
+def test_a_gas_pressure_no_membrane_can_cause_is_not_believed(sphere, absolute_pa):
+    """104 is kilopascals taken for pascals."""
+    assert estimator().estimate(sphere.depth(0.0), absolute_pa).status == "implausible"
+
+
+def test_a_missing_gas_pressure_is_estimated(sphere):
+    a = estimator().estimate(sphere.depth(0.0), np.nan)
+    b = estimator().estimate(sphere.depth(0.0))
+    assert a.gas_pressure_change_pa == pytest.approx(b.gas_pressure_change_pa)
+
+
+def test_contact_is_measured_by_what_the_tension_holds(sphere):
+    """A slack membrane scales the force down, not away: gauge pressure is not the yardstick."""
+    usual = estimator()
+    slack = Estimator(usual.observer, usual.gas, 0.02 * TENSION)
+    estimate = slack.estimate(sphere.depth(0.0))
+    assert estimate.status == "ok"
+    expected = 0.02 * np.linalg.norm(sphere.force)
+    assert np.linalg.norm(force_of(slack, estimate)) == pytest.approx(expected, rel=0.1)
+
+
+def test_a_mesh_finer_than_the_noise_can_use_is_refused():
+    with pytest.raises(InputError, match="nodes are too many"):
+        estimator(25_000)
