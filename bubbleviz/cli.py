@@ -97,7 +97,7 @@ def main(context: click.Context) -> int:
 @main.command("open")
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
 @click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
-@click.option("--scene", help="Scene preset: which layers are shown.")
+@click.option("--scene", help="Scene preset: press, cloud, residual.")
 @click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
 def open_recording(
@@ -108,21 +108,22 @@ def open_recording(
     screenshot: Path | None,
 ) -> int:
     """Show a recording in the window."""
-    from bubbleviz.matching import checked_sensor, refuse_unknown_scene
+    from bubbleviz.matching import checked_sensor
+    from ui.presets import load_scene
 
     if screenshot is not None:
         from bubbleviz.outputs import refuse_existing
 
         refuse_existing(screenshot)
-    refuse_unknown_scene(scene)
+    preset = None if scene is None else load_scene(scene)
     name, chosen = checked_sensor(recording, sensor)
     if sensor is None:
         click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     from ui import app
 
     if screenshot is None:
-        return app.run_window(chosen, recording, frame)
-    app.screenshot(chosen, recording, frame or 0, screenshot)
+        return app.run_window(chosen, recording, frame, preset)
+    app.screenshot(chosen, recording, frame or 0, screenshot, scene=preset)
     click.echo(f"wrote {screenshot}")
     return 0
 

@@ -14,13 +14,19 @@ from pathlib import Path
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 from ui.display import has_display, private_display
+from ui.presets import ScenePreset
 from ui.session import WindowSession, window_session
 
 OFFSCREEN_SECONDS = 4.0
 OFFSCREEN_PICTURES = 3
 
 
-def run_window(sensor: Sensor, recording: Path | None = None, frame: int | None = None) -> int:
+def run_window(
+    sensor: Sensor,
+    recording: Path | None = None,
+    frame: int | None = None,
+    scene: ScenePreset | None = None,
+) -> int:
     """Show the window until it is closed.
 
     Without a display the same session runs off-screen for a few seconds and its pictures are
@@ -33,6 +39,8 @@ def run_window(sensor: Sensor, recording: Path | None = None, frame: int | None 
         What to replay; None for the built-in synthetic press as a live sensor.
     frame : int, optional
         Stay at this frame; None plays from the first.
+    scene : ScenePreset, optional
+        What is visible; None for the window's default.
 
     Returns
     -------
@@ -45,11 +53,14 @@ def run_window(sensor: Sensor, recording: Path | None = None, frame: int | None 
         The recording cannot be opened or does not fit the sensor; no window appears.
     """
     if has_display():
-        with window_session(sensor, recording, frame) as session:
+        with window_session(sensor, recording, frame, scene) as session:
             signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
             return session.application.exec()
-    with private_display(1280, 800), window_session(sensor, recording, frame) as session:
+    with (
+        private_display(1280, 800),
+        window_session(sensor, recording, frame, scene) as session,
+    ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)
         for path in _offscreen(session):
             print(f"wrote {path}", flush=True)
@@ -62,6 +73,7 @@ def screenshot(
     frame: int,
     out: Path,
     size: tuple[int, int] = (1280, 800),
+    scene: ScenePreset | None = None,
 ) -> None:
     """Write a picture of the whole window at one frame.
 
@@ -73,7 +85,7 @@ def screenshot(
     """
     if out.exists():
         raise InputError(f"{out}: exists already; choose another name or remove it")
-    with screen_for_pictures(*size), window_session(sensor, recording, frame) as session:
+    with screen_for_pictures(*size), window_session(sensor, recording, frame, scene) as session:
         session.window.resize(*size)
         session.window.show()
         session.settle()

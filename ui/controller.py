@@ -234,6 +234,7 @@ class Controller(QObject):
 
     def _on_opened(self, answer: Opened) -> None:
         self._session = answer.request.session
+        self.result = None  # the old source's: nothing may show it on the new sensor
         self._open_source = answer.request.open_source
         self.sensor = answer.sensor
         self._asked = answer.request.products

@@ -26,6 +26,9 @@ def has_display(environment: Mapping[str, str] = os.environ) -> bool:
 def private_display(width: int, height: int) -> Iterator[None]:
     """Run with a virtual screen (Xvfb) of a size that nobody sees.
 
+    A Qt application stays connected until the process ends, and Xlib would say "fatal IO error"
+    if the screen went first. So the screen ends itself with its last client (`-terminate`).
+
     Raises
     ------
     InputError
@@ -38,7 +41,7 @@ def private_display(width: int, height: int) -> Iterator[None]:
             "install it (apt install xvfb) or run in a desktop session"
         )
     read, write = os.pipe()
-    arguments = ["-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp", "-noreset"]
+    arguments = ["-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp", "-terminate"]
     server = subprocess.Popen(
         [xvfb, "-displayfd", str(write), *arguments],
         pass_fds=(write,),
@@ -60,8 +63,15 @@ def private_display(width: int, height: int) -> Iterator[None]:
             os.environ.pop(name, None)
             if value is not None:
                 os.environ[name] = value
-        server.terminate()
-        server.wait(10)
+        if not _has_application():
+            server.terminate()
+            server.wait(10)
+
+
+def _has_application() -> bool:
+    """Whether Qt is connected to a screen."""
+    qt = sys.modules.get("PySide6.QtCore")
+    return qt is not None and qt.QCoreApplication.instance() is not None
 
 
 def _answers(display: str) -> bool:

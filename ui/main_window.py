@@ -18,6 +18,7 @@ from ui.panels.layers import LayersPanel
 from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
 from ui.panels.status import Rates, StatusBar
+from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
 from ui.state import ChoicesChanged, Event, PlayingChanged, SessionState, SourceChanged
@@ -48,7 +49,7 @@ class MainWindow(QMainWindow):
         self.controller = controller
         self.message = MessageBar(self)
         self.view = View(self)
-        self.scene = Scene(self.view, state.units)
+        self.scene = Scene(self.view, state.units, state.choices)
         self._numbers_at = 0.0
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)
@@ -67,6 +68,13 @@ class MainWindow(QMainWindow):
             self.controller.open_sensor(path)
         else:
             self.controller.open_recording(path)
+
+    def use_scene(self, preset: ScenePreset) -> None:
+        """Show the layers and panels of a scene, from its point of view; the rest stays."""
+        for name, panel in self.panels.items():
+            panel.setVisible(name in preset.panels)
+        self.state.choose(**preset.choices())
+        self.scene.reset_view()
 
     def save_screenshot(self, path: Path) -> None:
         """Write the picture of the whole window."""
@@ -104,6 +112,12 @@ class MainWindow(QMainWindow):
         self.layers_dock = self._dock("Layers", self.layers, right)
         self.kappa_dock = self._dock("Contact patch", self.kappa, right)
         self.playback_dock = self._dock("Playback", self.playback, bottom)
+        self.panels: dict[str, QWidget] = {
+            "layers": self.layers_dock,
+            "kappa": self.kappa_dock,
+            "playback": self.playback_dock,
+            "status": self.status,
+        }
         self.setCorner(Qt.Corner.BottomRightCorner, right)
         self.resizeDocks([self.layers_dock], [270], Qt.Orientation.Horizontal)
 
@@ -152,11 +166,10 @@ class MainWindow(QMainWindow):
             self._show_numbers(result)
 
     def _show_numbers(self, result: Result) -> None:
-        """Write the numbers of a result into the panels that are open."""
+        """Write the numbers of a result into the panels."""
         self._numbers_at = time.perf_counter()
-        if self.kappa.isVisible():
-            self.kappa.show_result(result)
-        if self.status.isVisible() and self.state.facts is not None:
+        self.kappa.show_result(result)
+        if self.state.facts is not None:
             self.status.show_result(result, self.state.facts)
 
     def _on_failed(self, failed: Failed) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import QFileDialog, QMenu
+
+from ui.presets import load_scene, scene_names
 
 if TYPE_CHECKING:
     from ui.main_window import MainWindow
@@ -44,14 +47,16 @@ class Menus:
     def _view(self, menu: QMenu) -> None:
         window = self._window
         self._add(menu, "&Reset view", window.scene.reset_view, "R")
+        scenes = menu.addMenu("&Scene")
+        for name in scene_names():
+            preset = load_scene(name)
+            self._add(scenes, preset.title, partial(window.use_scene, preset))
         menu.addSeparator()
         for dock in (window.layers_dock, window.kappa_dock, window.playback_dock):
             menu.addAction(dock.toggleViewAction())
-        status = self._add(menu, "Status bar", lambda: None)
+        status = self._add(menu, "Status bar", self._toggle_status)
         status.setCheckable(True)
-        status.setChecked(True)
-        status.toggled.connect(window.status.setVisible)
-        status.toggled.connect(lambda on: window.state.choose_panel("status", on))
+        menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
 
     def _add(
         self,
@@ -66,6 +71,11 @@ class Menus:
         action.triggered.connect(lambda: do())
         menu.addAction(action)
         return action
+
+    def _toggle_status(self) -> None:
+        visible = self._window.status.isHidden()
+        self._window.status.setVisible(visible)
+        self._window.state.choose_panel("status", visible)
 
     def _last_frame(self) -> None:
         facts = self._window.state.facts

@@ -16,6 +16,8 @@ from bubbleviz.sensor import Sensor
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
+    from ui.presets import ScenePreset
+
 PATIENCE_S = 60.0
 """How long a picture may take before something is called broken."""
 SWITCH_S = 5e-4
@@ -31,7 +33,13 @@ class WindowSession:
         The recording cannot be opened, does not fit the sensor, or has no such frame.
     """
 
-    def __init__(self, sensor: Sensor, recording: Path | None, frame: int | None) -> None:
+    def __init__(
+        self,
+        sensor: Sensor,
+        recording: Path | None,
+        frame: int | None,
+        scene: ScenePreset | None = None,
+    ) -> None:
         from ui.controller import Controller
         from ui.main_window import MainWindow
         from ui.requests import Failed, Opened
@@ -46,6 +54,8 @@ class WindowSession:
         # The window first: VTK and Open3D share modules, and two threads that import them at the
         # same time can lock each other out.
         self.window = MainWindow(state, self.controller)
+        if scene is not None:
+            self.window.use_scene(scene)
         answers: list[Opened | Failed] = []
         self.controller.opened.connect(answers.append)
         self.controller.failed.connect(answers.append)
@@ -101,10 +111,10 @@ class WindowSession:
 
 @contextmanager
 def window_session(
-    sensor: Sensor, recording: Path | None, frame: int | None
+    sensor: Sensor, recording: Path | None, frame: int | None, scene: ScenePreset | None = None
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and gone at the end."""
-    session = WindowSession(sensor, recording, frame)
+    session = WindowSession(sensor, recording, frame, scene)
     try:
         yield session
     finally:

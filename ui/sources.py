@@ -10,6 +10,9 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.sensor import Sensor, load_sensor
 
+LIVE_FINER = 2
+"""Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
+
 
 def recording(path: Path) -> Callable[[Sensor], FrameSource]:
     """Opener of a recording."""
@@ -42,9 +45,14 @@ def sensor_for(path: Path, present: Sensor) -> Sensor:
 
 def synthetic(sensor: Sensor) -> FrameSource:
     """Open the built-in synthetic press, which the window loops as a live sensor."""
-    from bubbleviz.frames.synthetic import default_press
+    from bubbleviz.frames.synthetic import SyntheticSource, default_press
 
-    return MadeOnce(default_press(sensor))
+    press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
+    return MadeOnce(
+        SyntheticSource(
+            sensor, press.obj, press.poses, press.noise, times_s=press.times_s, nodes=nodes
+        )
+    )
 
 
 class MadeOnce:

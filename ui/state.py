@@ -37,6 +37,10 @@ class Choices:
         on the dome each has some 4×4 screen pixels, so one sees both them and the membrane.
     membrane_opacity : float
         0 … 1.
+    view_from : (float, float, float)
+        Direction in B that a fresh view looks from, towards the middle of the membrane.
+    zoom : float
+        How near a fresh view is; 1 shows the whole box around the membrane.
     pressure_max_pa, residual_max_m : float or None
         Upper ends of the colour ranges; None: the largest value seen, rounded up.
     """
@@ -49,6 +53,8 @@ class Choices:
     cloud_colour: CloudColour = "residual"
     cloud_points: int | None = 10_000
     membrane_opacity: float = 1.0
+    view_from: tuple[float, float, float] = (-0.6, -1.0, 1.1)
+    zoom: float = 1.32
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None
 

@@ -28,7 +28,13 @@ TITLES = {
     "frustum": ("Camera frustum", "Field of view of the depth camera"),
     "rim": ("Rim", "Where the membrane is clamped"),
 }
-CLOUD_POINTS = {5_000: "up to 5 000", 10_000: "up to 10 000", 20_000: "up to 20 000", 50_000: "up to 50 000", None: "all"}
+CLOUD_POINTS = {
+    5_000: "up to 5 000",
+    10_000: "up to 10 000",
+    20_000: "up to 20 000",
+    50_000: "up to 50 000",
+    None: "all",
+}
 CLOUD_COLOURS = {"residual": "residual", "patch": "patch membership", "plain": "one colour"}
 
 
@@ -114,7 +120,7 @@ class LayersPanel(QWidget):
         for name, box in self.boxes.items():
             box.setChecked(name in choices.layers)
         self.cloud_colour.setCurrentIndex(self.cloud_colour.findData(choices.cloud_colour))
-        self.cloud_points.setCurrentIndex(list(CLOUD_POINTS).index(choices.cloud_points))
+        self.cloud_points.setCurrentIndex(self.cloud_points.findData(choices.cloud_points))
         self.cloud_points.setEnabled("cloud" in choices.layers)
         self.opacity.setValue(round(100 * choices.membrane_opacity))
         self.cloud_colour.setEnabled("cloud" in choices.layers)

@@ -21,8 +21,6 @@ from ui.state import Choices
 from ui.units import Units
 from ui.view import View
 
-VIEW_FROM = np.array([-0.6, -1.0, 1.1])
-"""Direction of the default view: obliquely from outside and above."""
 ON_SURFACE = frozenset({"membrane", "wireframe", "contour"})
 MARGIN = 1.0
 """Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
@@ -31,8 +29,9 @@ MARGIN = 1.0
 class Scene:
     """Draws results in a view. Actors are made once; a result changes arrays in place."""
 
-    def __init__(self, view: View, units: Units) -> None:
+    def __init__(self, view: View, units: Units, choices: Choices) -> None:
         self._view = view
+        self._choices = choices
         self._surface = Surface(units.pressure)
         self._ranges = HeldRanges()
         self._result: Result | None = None
@@ -63,24 +62,24 @@ class Scene:
             self.reset_view()
 
     def reset_view(self) -> None:
-        """Look at the whole membrane obliquely from outside."""
+        """Look at the whole membrane from where the scene says."""
         if self._mesh is None:
             return
         low, high = self._mesh.nodes.min(axis=0), self._mesh.nodes.max(axis=0)
         camera = self._view.camera
         camera.focal_point = tuple((low + high) / 2)
-        camera.position = tuple((low + high) / 2 + VIEW_FROM)
+        camera.position = tuple((low + high) / 2 + self._choices.view_from)
         camera.up = (0.0, 0.0, 1.0)
         bounds = [b for pair in zip(low, high, strict=True) for b in pair]
         self._view.renderer.ResetCamera(bounds)
-        camera.zoom(1.32)
+        camera.zoom(self._choices.zoom)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
     def show(self, result: Result, choices: Choices) -> None:
         """Draw a result with what the user chose to see."""
-        self._result = result
+        self._result, self._choices = result, choices
         shape = self._surface.shape_of(result.estimate) if ON_SURFACE & choices.layers else None
         if shape is not None:
             self._surface.draw(shape)
@@ -95,6 +94,7 @@ class Scene:
 
     def apply(self, choices: Choices) -> None:
         """Draw the last result again with other choices."""
+        self._choices = choices
         if self._result is not None:
             self.show(self._result, choices)
 

@@ -1,0 +1,123 @@
+"""Scene presets: which layers and panels are visible, in which colours, seen from where. No Qt."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from bubbleviz.errors import InputError
+from bubbleviz.sensor import presets_folder
+from ui.state import CloudColour
+
+Layer = Literal["membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim"]
+Panel = Literal["layers", "kappa", "playback", "status"]
+PANELS_THAT_ASK = {"kappa": "kappa_panel", "status": "status"}
+"""Panels that show results, by their name in `Choices.panels`."""
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class CloudStyle(_Strict):
+    """How measured points look; `points` 0 draws all of them."""
+
+    colour: CloudColour = "residual"
+    points: int = Field(default=10_000, ge=0)
+
+
+class MembraneStyle(_Strict):
+    """How the membrane looks."""
+
+    opacity: float = Field(default=1.0, ge=0.1, le=1.0)
+
+
+class ViewPoint(_Strict):
+    """Where one looks from: a direction in B from the middle of the membrane, and how near."""
+
+    direction: tuple[Finite, Finite, Finite] = Field(default=(-0.6, -1.0, 1.1), alias="from")
+    zoom: float = Field(default=1.32, gt=0.05, lt=20.0)
+
+    @field_validator("direction")
+    @classmethod
+    def _not_along_up(cls, direction: tuple[float, float, float]) -> tuple[float, float, float]:
+        if abs(direction[0]) + abs(direction[1]) == 0.0:
+            raise ValueError("along z, which is up in the view; lean it a little, [0.01, 0, 1]")
+        return direction
+
+
+class ScenePreset(_Strict):
+    """A scene file; what it hides is not computed.
+
+    Attributes
+    ----------
+    title : str
+        In the menu.
+    layers, panels : tuple of str
+        What is visible.
+    cloud, membrane, view
+        Looks.
+    """
+
+    schema_version: Literal[1] = 1
+    title: str = Field(min_length=1)
+    layers: tuple[Layer, ...]
+    panels: tuple[Panel, ...] = ("layers", "kappa", "playback", "status")
+    cloud: CloudStyle = CloudStyle()
+    membrane: MembraneStyle = MembraneStyle()
+    view: ViewPoint = ViewPoint()
+
+    def choices(self) -> dict[str, Any]:
+        """Fields of `Choices` that the scene decides; κ, speed and scales stay the user's."""
+        return {
+            "layers": frozenset(self.layers),
+            "panels": frozenset(PANELS_THAT_ASK[p] for p in self.panels if p in PANELS_THAT_ASK),
+            "cloud_colour": self.cloud.colour,
+            "cloud_points": self.cloud.points or None,
+            "membrane_opacity": self.membrane.opacity,
+            "view_from": self.view.direction,
+            "zoom": self.view.zoom,
+        }
+
+
+def scene_names() -> list[str]:
+    """Names of the shipped scenes."""
+    return sorted(path.stem for path in presets_folder("scenes").glob("*.toml"))
+
+
+def load_scene(name: str) -> ScenePreset:
+    """Scene preset of a name.
+
+    Raises
+    ------
+    InputError
+        There is none of that name, or its file breaks the schema.
+    """
+    if name not in scene_names():
+        raise InputError(
+            f'--scene "{name}": no such scene preset; choose one of {", ".join(scene_names())}'
+        )
+    return read_scene(presets_folder("scenes") / f"{name}.toml")
+
+
+def read_scene(path: Path) -> ScenePreset:
+    """Scene of a file.
+
+    Raises
+    ------
+    InputError
+        It is not TOML or breaks the schema; names the key.
+    """
+    try:
+        return ScenePreset.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
+    except ValidationError as error:
+        problem = error.errors()[0]
+        where = ".".join(str(part) for part in problem["loc"]) or "scene"
+        message = problem["msg"].removeprefix("Value error, ")
+        raise InputError(f"{path}: {where}: {message}; correct it") from error
