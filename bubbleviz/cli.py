@@ -123,7 +123,7 @@ def open_recording(
 
     if screenshot is None:
         return app.run_window(chosen, recording, frame, preset)
-    app.screenshot(chosen, recording, frame or 0, screenshot, scene=preset)
+    app.screenshot(chosen, recording, frame or 0, screenshot, preset)
     click.echo(f"wrote {screenshot}")
     return 0
 

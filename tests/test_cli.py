@@ -186,7 +186,7 @@ def test_open_chooses_the_preset_that_fits_and_says_so(
     done = CliRunner().invoke(main, ["open", str(pico_recording)])
     assert done.exit_code == 0
     assert "pico_flexx_75mm" in done.stdout
-    assert windows == [("window", ("soft-bubble pico flexx", pico_recording, None))]
+    assert windows == [("window", ("soft-bubble pico flexx", pico_recording, None, None))]
 
 
 def test_open_at_a_frame_and_screenshot(
@@ -199,9 +199,21 @@ def test_open_at_a_frame_and_screenshot(
     assert done.stdout == f"wrote {out}\n"
     name = "soft-bubble pico flexx"
     assert windows == [
-        ("window", (name, pico_recording, 7)),
-        ("screenshot", (name, pico_recording, 7, out)),
+        ("window", (name, pico_recording, 7, None)),
+        ("screenshot", (name, pico_recording, 7, out, None)),
     ]
+
+
+def test_open_hands_the_scene_to_the_window_and_the_picture(
+    windows: Asked, pico_recording: Path, tmp_path: Path
+) -> None:
+    from ui.presets import load_scene
+
+    words = ["open", str(pico_recording), "--scene", "cloud"]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    done = CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
+    assert done.exit_code == 0
+    assert [arguments[-1] for _, arguments in windows] == 2 * [load_scene("cloud")]
 
 
 def test_screenshot_onto_an_existing_file_is_refused_at_once(

@@ -72,8 +72,8 @@ def screenshot(
     recording: Path | None,
     frame: int,
     out: Path,
-    size: tuple[int, int] = (1280, 800),
     scene: ScenePreset | None = None,
+    size: tuple[int, int] = (1280, 800),
 ) -> None:
     """Write a picture of the whole window at one frame.
 

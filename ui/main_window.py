@@ -11,7 +11,6 @@ from PySide6.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.result import Result
 from ui.controller import Controller
-from ui.garbage import GuiGarbage
 from ui.menus import Menus
 from ui.panels.kappa import KappaPanel
 from ui.panels.layers import LayersPanel
@@ -60,7 +59,6 @@ class MainWindow(QMainWindow):
         self._rates = QTimer(self)
         self._rates.setInterval(RATES_EVERY_MS)
         self._connect()
-        self._garbage = GuiGarbage(self)
 
     def open_file(self, path: Path) -> None:
         """Open a sensor file (.toml) or a recording (anything else)."""
@@ -87,7 +85,6 @@ class MainWindow(QMainWindow):
         self.state.unsubscribe_all()
         self.controller.close()
         self.view.close()
-        self._garbage.close()
         super().closeEvent(event)
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:

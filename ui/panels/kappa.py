@@ -35,7 +35,9 @@ class KappaPanel(QWidget):
         self._state = state
         self._mesh: MembraneMesh | None = None
         self.automatic = QCheckBox("Automatic threshold")
-        self.automatic.setToolTip("Half of the gauge pressure: the least biased edge")
+        self.automatic.setToolTip(
+            "By the physics of contact: each patch must somewhere reach the gas pressure"
+        )
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(_to_steps(LOWEST), _to_steps(HIGHEST))
         self.slider.setPageStep(10)

@@ -29,7 +29,7 @@ class ColourBar:
         bar.SetLookupTable(table)
         bar.SetTitle(title)
         bar.SetNumberOfLabels(5)
-        bar.SetLabelFormat("{:.3g}")
+        bar.SetLabelFormat("{:.4g}")
         bar.UnconstrainedFontSizeOn()
         bar.SetBarRatio(0.22)
         bar.SetVerticalTitleSeparation(6)
