@@ -13,6 +13,7 @@ import numpy as np
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
+from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
 _HUBER = 1.345
@@ -98,6 +99,11 @@ class RangeObserver:
             )
             noise = noise * np.sqrt(pixels.correlated_pixels)
         pixel = hits.ray[used]
+        if not len(pixel):
+            raise InputError(
+                "camera: no pixel in use sees the membrane; correct the camera's position_m and "
+                "quaternion_xyzw in the sensor file"
+            )
         order = np.argsort(self._block_of(pixel), kind="stable")
         pixel = pixel[order]
         blocks, self._starts = np.unique(self._block_of(pixel), return_index=True)

@@ -1,7 +1,7 @@
 """Eq. 24: the problem in p_c alone, solved by an active set that starts from the last frame.
 
-Eliminating u leaves a dense Hessian MᵀQM + λL. It is formed once, for the reference configuration
-with every pixel valid; what a frame changes (missing pixels, robust weights, rays re-cast at the
+Eliminating u leaves a dense Hessian MᵀQM + λL. It is that of the reference configuration with every
+pixel valid, formed once; what a frame changes (missing pixels, robust weights, rays re-cast at the
 current shape) enters through the exact gradient, and a few corrections take the rest out.
 """
 
@@ -12,6 +12,7 @@ from scipy import sparse
 
 from bubbleviz.inverse.pivoting import nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
+from bubbleviz.inverse.reduced_hessian import ReducedHessian
 
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
@@ -48,9 +49,9 @@ class ActiveSetSolver:
         corrections: int = 30,
     ) -> None:
         self._equilibrium = equilibrium
-        self._weight = float(reference_Q.diagonal().sum())
+        self._diagonal = reference_Q.diagonal()
         self._tolerance, self._corrections = tolerance, corrections
-        self._measured, self._estimated = _hessians(equilibrium, reference_Q, lambda_)
+        self._hessian = ReducedHessian(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
 
     def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
@@ -101,28 +102,16 @@ class ActiveSetSolver:
         return slope < bound
 
     def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
-        """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels."""
-        hessian = self._estimated if problem.measured_gas is None else self._measured
-        return problem.weight / self._weight * hessian[np.ix_(work, work)]
+        """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels.
+
+        To that of the better-seen nodes: a model too stiff is slow, one too soft overshoots.
+        """
+        seen = self._diagonal > 0.0
+        scale = np.percentile(problem.Q.diagonal()[seen] / self._diagonal[seen], 95.0)
+        return scale * self._hessian.block(work, problem.measured_gas is not None)
 
     def _near(self, mask: np.ndarray) -> np.ndarray:
         return mask | (self._neighbours @ mask.astype(float) > 0.0)
-
-
-def _hessians(
-    equilibrium: Equilibrium, Q: sparse.csr_array, lambda_: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """MᵀQM + λL, (n, n), for the gas measured and for the gas estimated.
-
-    The gas law adds −b wᵀ to M (b the bulge under unit pressure), and so two rank-one terms here.
-    """
-    M = equilibrium.response(np.eye(len(equilibrium.A)), gas_measured=True)
-    measured = M.T @ (Q @ M)
-    measured += (lambda_ * equilibrium.L).toarray()
-    b, w = equilibrium.bulge, equilibrium.gas_response(M)
-    pull = M.T @ (Q @ b)
-    mixed = np.outer(pull - 0.5 * (b @ (Q @ b)) * w, w)
-    return measured, measured - mixed - mixed.T
 
 
 def _correct(

@@ -14,7 +14,7 @@ from bubbleviz.inverse.normal import NormalEquations
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solver import default_solver, make_solver
+from bubbleviz.inverse.solver import DEFAULT, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status
@@ -32,7 +32,7 @@ IMPLAUSIBLE_MISFIT = 5.0
 THRESHOLD_SAMPLE = 200
 """Nodes, spread over the membrane, among which the best-seen one is looked for."""
 
-MAX_NODES = 20_000
+MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""
 
 MINIMUM_BLOCKS = 3
@@ -46,7 +46,7 @@ class EstimatorOptions:
     Attributes
     ----------
     solver : str or None
-        Name of the solver; None for the fastest that suits the mesh.
+        Name of the solver; None for the default.
     relinearisations : int
         How often rays may be re-cast at the current shape within one frame.
     nodes : int or None
@@ -135,7 +135,7 @@ class Estimator:
         self._normal = NormalEquations(self.mesh)
         Q, _ = self._normal.assemble(observer.observe_everything(), observer.linearise())
         reference_Q = Q * self.scales.length_m**2
-        self.solver_name = self.options.solver or default_solver(len(self.mesh.free))
+        self.solver_name = self.options.solver or DEFAULT
         self._lambda = 1.0 / (PRESSURE_SCALE * self._held) ** 2
         self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q, self._lambda)
         self._weight = float(reference_Q.diagonal().sum())

@@ -12,8 +12,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 from bubbleviz.inverse.two_stage import TwoStage
 
-DENSE_LIMIT = 5_000
-"""Nodes up to which a dense Hessian is worth its memory (n² numbers)."""
+DEFAULT = "active-set"
+"""Best point on the curve of error against run time at every size of mesh, see `study accuracy`."""
 
 
 class InverseSolver(Protocol):
@@ -62,11 +62,6 @@ SOLVERS: dict[str, Callable[[Equilibrium, sparse.csr_array, float], InverseSolve
     "osqp-cold": _osqp_cold,
     "clarabel": _clarabel,
 }
-
-
-def default_solver(nodes: int) -> str:
-    """Name of the fastest solver that suits a mesh of so many free nodes."""
-    return "active-set" if nodes <= DENSE_LIMIT else "osqp"
 
 
 def make_solver(

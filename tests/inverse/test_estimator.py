@@ -157,4 +157,4 @@ def test_contact_is_measured_by_what_the_tension_holds(sphere):
 
 def test_a_mesh_finer_than_the_noise_can_use_is_refused():
     with pytest.raises(InputError, match="nodes are too many"):
-        estimator(25_000)
+        estimator(65_000)
