@@ -16,6 +16,7 @@ from PySide6.QtWidgets import QApplication, QWidget
 from bubbleviz.sensor import Sensor
 from ui import theme
 from ui.scene.colours import rgb
+from ui.state import FrameChanged
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -279,3 +280,27 @@ def test_closing_a_source_for_another(drive: Drive, sensor: Sensor) -> None:
     driver.wait(lambda: driver.window.controller.solved_session == 2)
     driver.settle()
     assert first.closed
+
+
+def test_playback_asks_ahead_but_never_goes_back(drive: Drive) -> None:
+    driver = drive()
+    driver.state.choose(loop=False, speed=0.25)
+    driver.state.seek(0)
+    played: list[int] = []
+    driver.state.subscribe(
+        lambda e: played.append(e.index) if isinstance(e, FrameChanged) else None
+    )
+    driver.state.set_playing(True)
+    driver.wait(lambda: driver.state.frame > 8)
+    driver.state.set_playing(False)
+    assert len(played) > 4 and played == sorted(set(played))
+
+
+def test_numbers_follow_when_playback_stops(drive: Drive) -> None:
+    driver = drive(playing=True)
+    driver.wait(lambda: driver.state.frame > 5)
+    driver.state.set_playing(False)
+    driver.settle()
+    shown = driver.window.controller.result.frame.index
+    assert driver.window.status.labels["frame"].text().startswith(f"frame {shown}/")
+    assert driver.window.playback.slider.value() == shown

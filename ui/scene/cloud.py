@@ -14,7 +14,7 @@ from ui.scene.layer import Picture
 from ui.units import Unit
 from ui.view import View
 
-CHUNK = 8192
+CHUNK = 1024
 """The buffers change in steps, so a few points more or less change no array's size."""
 
 
