@@ -10,7 +10,8 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
-"""`implausible`: no membrane of this sensor looks like the depth image."""
+"""`implausible`: no membrane of this sensor, with the noise its file or calibration tells of and
+the gas pressure measured, looks like the depth image."""
 
 
 @dataclass(frozen=True)

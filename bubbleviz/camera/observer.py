@@ -22,6 +22,9 @@ _HUBER = 1.345
 _MAD = 0.6745
 """Median of |z| of a standard normal z."""
 
+_SQUARE = 8
+"""Side in blocks of the squares in which correlated noise shows."""
+
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
@@ -62,6 +65,26 @@ class Linearisation:
 
     hits: Hits
     offset_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What a model leaves unexplained.
+
+    Attributes
+    ----------
+    rms_m : float
+        Weighted root mean square of the block residuals, m.
+    deviations : float
+        Typical block residual in standard deviations.
+    clumping : float
+        Variance of the sums over squares of blocks over that of white residuals: 1 for white
+        noise, the number of blocks worth one sample where noise is correlated.
+    """
+
+    rms_m: float
+    deviations: float
+    clumping: float
 
 
 class RangeObserver:
@@ -116,10 +139,14 @@ class RangeObserver:
         self._scale = camera.range_per_depth.ravel()[pixel]
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
+        self._neighbourhood = self._neighbourhoods(blocks)
         self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = _scatter(gaussian)
+        noise_m = np.median(1.0 / np.sqrt(np.add.reduceat(self._precision, self._starts)))
+        self.white = pixels is None and bool(noise_m > 2.0 * self._facet_error_m)
+        """Whether residuals should be white: noise of the sensor file, and more than the mesh's."""
         rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
@@ -131,6 +158,12 @@ class RangeObserver:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
         columns = -(-self.camera.intrinsics.width // self.block)
         return (row // self.block) * columns + column // self.block
+
+    def _neighbourhoods(self, blocks: np.ndarray) -> np.ndarray:
+        """Number of the square of `_SQUARE`² blocks that each block lies in, (B,)."""
+        columns = -(-self.camera.intrinsics.width // self.block)
+        row, column = np.divmod(blocks, columns)
+        return (row // _SQUARE) * columns + column // _SQUARE
 
     def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
         """Positions of the pixels of some thousand whole blocks, one block a row."""
@@ -218,8 +251,8 @@ class RangeObserver:
 
     def misfit(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
-    ) -> tuple[float, float]:
-        """Misfit of a displacement (n,): root mean square in m, and typical one in σ."""
+    ) -> Misfit:
+        """What a displacement (n,) leaves unexplained."""
         hits = linear.hits
         model = linear.offset_m + self._along_rays(hits, displacement_m)
         error = observation.residual_m[hits.ray] - model
@@ -227,9 +260,14 @@ class RangeObserver:
         seen = weight > 0.0
         error, weight = error[seen], weight[seen] / observation.trusted
         if not len(error):
-            return np.nan, np.inf
-        rms = float(np.sqrt(weight @ error**2 / weight.sum()))
-        return rms, float(np.median(np.abs(error) * np.sqrt(weight)) / _MAD)
+            return Misfit(np.nan, np.inf, 1.0)
+        z = error * np.sqrt(weight)
+        sums = np.bincount(self._neighbourhood[hits.ray[seen]], z)
+        return Misfit(
+            rms_m=float(np.sqrt(weight @ error**2 / weight.sum())),
+            deviations=float(np.median(np.abs(z)) / _MAD),
+            clumping=float(sums @ sums / max(z @ z, 1e-300)),
+        )
 
 
 def _scatter(values: np.ndarray) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.observer import Linearisation, Observation, RangeObserver
+from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.normal import NormalEquations
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
@@ -31,6 +31,10 @@ IMPLAUSIBLE_MISFIT = 5.0
 
 THRESHOLD_SAMPLE = 200
 """Nodes, spread over the membrane, among which the best-seen one is looked for."""
+
+IMPLAUSIBLE_CLUMPING = 6.0
+"""Clumping beyond which residuals that averaging over blocks has not made smaller are not the
+white noise of the sensor file; up to it the force is off by less than a tenth."""
 
 MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""
@@ -85,6 +89,7 @@ class _Answer:
     iterations: int
     status: Status
     kkt_residual: float
+    contradicts_gas: bool = False
 
 
 class Estimator:
@@ -177,8 +182,9 @@ class Estimator:
         if answer is None or answer.status not in ("ok", "no_contact", "not_converged"):
             self._last = None
             return self._nothing("no_data" if answer is None else answer.status)
+        misfit = self.observer.misfit(observation, linear, answer.displacement_m)
         self._last = answer if answer.pressure.any() else None
-        return self._report(observation, linear, answer)
+        return self._report(misfit, answer)
 
     def _solve(
         self, depth_m: np.ndarray, gas: float | None
@@ -192,7 +198,8 @@ class Estimator:
         here = answer.displacement_m if answer else np.zeros(len(self.mesh.nodes))
         for _ in range(1 + max(1, self.options.relinearisations)):
             linear = self._linearise(here if recast else np.zeros_like(here))
-            observation = self.observer.observe(depth_m, self.observer.predict(linear, here))
+            expected = self.observer.predict(linear, here)
+            observation = self.observer.observe(depth_m, expected)
             seen = observation.weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return observation, linear, None
@@ -276,29 +283,43 @@ class Estimator:
             selected.iterations + refined.iterations,
             status,
             residual,
+            bool(refined.values.any()) and self._contradicts_gas(problem, displacement),
         )
+
+    def _contradicts_gas(self, problem: FrameProblem, displacement: np.ndarray) -> bool:
+        """Whether the shape, contact and all, asks for another p_v than was measured.
+
+        A measured p_v that is too low leaves a bulge that no contact explains, as contact only
+        pushes; one that is too high is taken for a contact pressure and cannot be told from it.
+        """
+        if problem.measured_gas is None:
+            return False
+        bulge = self._equilibrium.bulge
+        weight = float(bulge @ (problem.Q @ bulge))
+        asked = float(bulge @ (problem.g - problem.Q @ displacement)) / weight
+        certain = asked * np.sqrt(weight) > IMPLAUSIBLE_MISFIT
+        return bool(certain and asked * self.scales.pressure_pa > GAS_NOISE * self.gas.P0)
 
     def _on_nodes(self, values: np.ndarray) -> np.ndarray:
         field = np.zeros(len(self.mesh.nodes))
         field[self.mesh.free] = values
         return field
 
-    def _report(
-        self,
-        observation: Observation,
-        linear: Linearisation,
-        answer: _Answer,
-    ) -> Estimate:
-        rms, deviations = self.observer.misfit(observation, linear, answer.displacement_m)
-        if deviations > IMPLAUSIBLE_MISFIT:
+    def _report(self, misfit: Misfit, answer: _Answer) -> Estimate:
+        unlike_noise = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
+        if (
+            misfit.deviations > IMPLAUSIBLE_MISFIT
+            or (unlike_noise and self.observer.white)
+            or answer.contradicts_gas
+        ):
             self._last = None
-            return self._nothing("implausible", rms)
+            return self._nothing("implausible", misfit.rms_m)
         return Estimate(
             status=answer.status,
             displacement_m=answer.displacement_m,
             contact_pressure_pa=self._on_nodes(self.scales.pressure_pa * answer.pressure),
             gas_pressure_change_pa=self.scales.pressure_pa * answer.gas,
-            residual_rms_m=rms,
+            residual_rms_m=misfit.rms_m,
             kkt_residual=answer.kkt_residual,
             iterations=answer.iterations,
             solve_ms=self._solve_ms,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.estimator import Estimator
@@ -139,6 +140,12 @@ def test_a_gas_pressure_no_membrane_can_cause_is_not_believed(sphere, absolute_p
     assert estimator().estimate(sphere.depth(0.0), absolute_pa).status == "implausible"
 
 
+def test_a_gas_sensor_that_reads_too_low_is_noticed(sphere):
+    truth = SENSOR.pneumatics.reference_pressure_pa + sphere.contact.gas_pressure_change_pa
+    assert estimator().estimate(sphere.depth(0.01), truth).status == "ok"
+    assert estimator().estimate(sphere.depth(0.01), truth - 200.0).status == "implausible"
+
+
 def test_a_missing_gas_pressure_is_estimated(sphere):
     a = estimator().estimate(sphere.depth(0.0), np.nan)
     b = estimator().estimate(sphere.depth(0.0))
@@ -158,3 +165,12 @@ def test_contact_is_measured_by_what_the_tension_holds(sphere):
 def test_a_mesh_finer_than_the_noise_can_use_is_refused():
     with pytest.raises(InputError, match="nodes are too many"):
         estimator(65_000)
+
+
+def test_noise_of_another_kind_than_the_files_is_not_trusted(sphere):
+    """The camera filters over 8 pixels and the sensor file, which says white, is wrong."""
+    noise = gaussian_filter(np.random.default_rng(0).standard_normal((171, 224)), 6)
+    depth = sphere.depth(0.0)
+    small, large = (depth * (1 + s * noise / noise.std()).astype(np.float32) for s in (5e-4, 0.01))
+    assert estimator().estimate(small).status == "ok"
+    assert estimator().estimate(large).status == "implausible"
