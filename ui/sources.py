@@ -44,15 +44,21 @@ def sensor_for(path: Path, present: Sensor) -> Sensor:
 
 
 def synthetic(sensor: Sensor) -> FrameSource:
-    """Open the built-in synthetic press, which the window loops as a live sensor."""
+    """Open the built-in synthetic press, which the window loops as a live sensor.
+
+    All its frames are made now, within seconds: a live sensor does not stutter in its first round.
+    """
     from bubbleviz.frames.synthetic import SyntheticSource, default_press
 
     press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
-    return MadeOnce(
+    source = MadeOnce(
         SyntheticSource(
             sensor, press.obj, press.poses, press.noise, times_s=press.times_s, nodes=nodes
         )
     )
+    for index in range(len(source)):
+        _ = source[index]
+    return source
 
 
 class MadeOnce:
