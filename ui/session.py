@@ -132,9 +132,7 @@ def application() -> QApplication:
     from PySide6.QtWidgets import QApplication
 
     from ui import theme
-    from ui.immortal import make_immortal
 
-    make_immortal()
     sys.setswitchinterval(SWITCH_S)
     existing = QApplication.instance()
     if isinstance(existing, QApplication):
