@@ -37,15 +37,6 @@ def checked_sensor(path: str | Path, sensor_name: str | None) -> tuple[str, Sens
     return name, sensor
 
 
-def refuse_unknown_scene(name: str | None) -> None:
-    """Raise InputError unless `name` is a scene preset, or None."""
-    names = sorted(path.stem for path in presets_folder("scenes").glob("*.toml"))
-    if name is None or name in names:
-        return
-    known = f"choose one of {', '.join(names)}" if names else "none are shipped yet; leave it out"
-    raise InputError(f'--scene "{name}": no such scene preset; {known}')
-
-
 def preset_for(recording: Recording) -> str:
     """Name of the one sensor preset whose camera has the recording's image size.
 

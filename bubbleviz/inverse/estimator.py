@@ -6,11 +6,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeObserver
 from bubbleviz.errors import InputError
+from bubbleviz.inverse.detection import detection_threshold
 from bubbleviz.inverse.normal import NormalEquations
+from bubbleviz.inverse.plausibility import GAS_NOISE, contradicts_gas, explains
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
@@ -22,19 +23,6 @@ from bubbleviz.result import Estimate, Status
 PRESSURE_SCALE = 3.0
 """Contact pressure in gauge pressures that the prior expects: P (1 + R/r) on an object with a
 radius of curvature r half that of the bubble, R (Young–Laplace on both sides)."""
-
-GAS_NOISE = 1e-4
-"""σ of a measured gas pressure over its absolute value: 10 Pa, what barometers resolve."""
-
-IMPLAUSIBLE_MISFIT = 5.0
-"""Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
-
-THRESHOLD_SAMPLE = 200
-"""Nodes, spread over the membrane, among which the best-seen one is looked for."""
-
-IMPLAUSIBLE_CLUMPING = 6.0
-"""Clumping beyond which residuals that averaging over blocks has not made smaller are not the
-white noise of the sensor file; up to it the force is off by less than a tenth."""
 
 MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""
@@ -65,8 +53,8 @@ class EstimatorOptions:
     def named(cls, name: str | None) -> EstimatorOptions:
         """Options of a `--solver` name: `fast`, a solver's own, or None for the default."""
         if name == "fast":
-            # Half the accuracy for a third of the time: see `study accuracy`.
-            return cls("active-set", relinearisations=0, nodes=700)
+            # A coarse mesh takes larger blocks of pixels and fewer rays too.
+            return cls("active-set", relinearisations=1, nodes=700)
         return cls(name)
 
 
@@ -146,8 +134,8 @@ class Estimator:
         self._weight = float(reference_Q.diagonal().sum())
         self._tau = detection_threshold(self._equilibrium, reference_Q)
         pull = reference_Q @ self._equilibrium.bulge
-        gas_noise = 3.0 * GAS_NOISE * gas.P0 / self.scales.pressure_pa
-        self._gas_tau = gas_noise * self._equilibrium.adjoint(pull, gas_measured=True)
+        self._gas_noise = GAS_NOISE * gas.P0 / self.scales.pressure_pa
+        self._gas_tau = 3.0 * self._gas_noise * self._equilibrium.adjoint(pull, gas_measured=True)
         self.resolution_m = resolution_m(
             1.0 / (PRESSURE_SCALE * self.held_pressure_pa) ** 2,
             tension_n_per_m,
@@ -283,22 +271,9 @@ class Estimator:
             selected.iterations + refined.iterations,
             status,
             residual,
-            bool(refined.values.any()) and self._contradicts_gas(problem, displacement),
+            bool(refined.values.any())
+            and contradicts_gas(problem, eq.bulge, displacement, self._gas_noise),
         )
-
-    def _contradicts_gas(self, problem: FrameProblem, displacement: np.ndarray) -> bool:
-        """Whether the shape, contact and all, asks for another p_v than was measured.
-
-        A measured p_v that is too low leaves a bulge that no contact explains, as contact only
-        pushes; one that is too high is taken for a contact pressure and cannot be told from it.
-        """
-        if problem.measured_gas is None:
-            return False
-        bulge = self._equilibrium.bulge
-        weight = float(bulge @ (problem.Q @ bulge))
-        asked = float(bulge @ (problem.g - problem.Q @ displacement)) / weight
-        certain = asked * np.sqrt(weight) > IMPLAUSIBLE_MISFIT
-        return bool(certain and asked * self.scales.pressure_pa > GAS_NOISE * self.gas.P0)
 
     def _on_nodes(self, values: np.ndarray) -> np.ndarray:
         field = np.zeros(len(self.mesh.nodes))
@@ -306,12 +281,7 @@ class Estimator:
         return field
 
     def _report(self, misfit: Misfit, answer: _Answer) -> Estimate:
-        unlike_noise = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
-        if (
-            misfit.deviations > IMPLAUSIBLE_MISFIT
-            or (unlike_noise and self.observer.white)
-            or answer.contradicts_gas
-        ):
+        if answer.contradicts_gas or not explains(misfit, self.observer.white):
             self._last = None
             return self._nothing("implausible", misfit.rms_m)
         return Estimate(
@@ -329,19 +299,3 @@ class Estimator:
         """A frame about which nothing is known."""
         zero = np.zeros(len(self.mesh.nodes))
         return Estimate(status, zero, zero, np.nan, misfit_m, np.nan)
-
-
-def detection_threshold(equilibrium: Equilibrium, Q: sparse.csr_array) -> np.ndarray:
-    """L1 weights τ (n,) that noise alone exceeds at no node: √(2 ln n) of its own σ.
-
-    Under noise the gradient at p_c = 0 is Mᵀ Dᵀ W ε with covariance MᵀQM; the factor is the
-    universal threshold of Donoho and Johnstone (1994) for n values. The same penalty per newton
-    holds everywhere, that of the best-seen node, so that unseen parts attract no pressure.
-    """
-    n = len(equilibrium.A)
-    sample = np.arange(0, n, max(1, n // THRESHOLD_SAMPLE))
-    unit = np.zeros((n, len(sample)))
-    unit[sample, np.arange(len(sample))] = 1.0
-    M = equilibrium.response(unit)
-    sigma = np.sqrt(np.einsum("ij,ij->j", M, Q @ M)) / equilibrium.A[sample]
-    return np.sqrt(2.0 * np.log(n)) * np.max(sigma) * equilibrium.A
