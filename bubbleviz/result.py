@@ -11,7 +11,8 @@ from bubbleviz.frames.frame import Frame
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 """`implausible`: no membrane of this sensor, with the noise its file or calibration tells of and
-the gas pressure measured, looks like the depth image."""
+the gas pressure measured, looks like the depth image. `not_converged`: beyond the solver, or beyond
+the linear gas law."""
 
 
 @dataclass(frozen=True)

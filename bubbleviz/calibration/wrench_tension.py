@@ -7,7 +7,7 @@ press chooses γ0, another one says how well it predicts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,6 +86,13 @@ def tension_by_wrench(
     for k, tension in enumerate(tensions):
         predicted[k] = _predicted(sensor, frames, float(tension))
         progress("γ0 by wrench", (k + 1) / len(tensions))
+    # A γ0 at which the picture contradicts the measured gas pressure is ruled out already.
+    possible = np.all(np.isfinite(predicted), axis=1)
+    if np.count_nonzero(possible) < 2:
+        raise InputError(
+            f"{source.name}: γ0 by wrench: no γ0 explains these frames; choose other frames"
+        )
+    tensions, predicted = tensions[possible], predicted[possible]
     fine = np.linspace(tensions[0], tensions[-1], 1001)
     # Cubes would overshoot: the force is nearly linear in γ0, piece by piece.
     curves = np.stack([np.interp(fine, tensions, column) for column in predicted.T], axis=1)
@@ -142,14 +149,19 @@ def _force(source: FrameSource, frame: Frame) -> np.ndarray:
 
 
 def _predicted(sensor: Sensor, frames: list[Frame], tension_n_per_m: float) -> np.ndarray:
-    """|F| of every frame, N, with one γ0; 0 where no contact is found."""
+    """|F| of every frame, N, with one γ0; 0 without contact, NaN where the frame is refused."""
     pneumatics = sensor.pneumatics.model_copy(update={"tension_n_per_m": tension_n_per_m})
     changed = sensor.model_copy(update={"pneumatics": pneumatics})
     pipeline = Pipeline(changed, intrinsics=frames[0].intrinsics)
     forces = []
     for frame in frames:
-        patch = pipeline.process(frame, frozenset({"patch"})).patch
-        forces.append(0.0 if patch is None else float(np.linalg.norm(patch.force_n)))
+        # With a measured gas pressure the force is mostly that pressure times the membrane's area,
+        # whatever γ0 is: only the gas law lets γ0 show in it.
+        unmeasured = replace(frame, gas_pressure_pa=None)
+        result = pipeline.process(unmeasured, frozenset({"patch"}))
+        known = result.estimate is not None and result.estimate.status in ("ok", "no_contact")
+        force = 0.0 if result.patch is None else float(np.linalg.norm(result.patch.force_n))
+        forces.append(force if known else np.nan)
     return np.array(forces)
 
 

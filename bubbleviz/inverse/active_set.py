@@ -106,8 +106,9 @@ class ActiveSetSolver:
 
         To that of the better-seen nodes: a model too stiff is slow, one too soft overshoots.
         """
-        seen = self._diagonal > 0.0
-        scale = np.percentile(problem.Q.diagonal()[seen] / self._diagonal[seen], 95.0)
+        diagonal = problem.Q.diagonal()
+        seen = (self._diagonal > 0.0) & (diagonal > 0.0)
+        scale = np.percentile(diagonal[seen] / self._diagonal[seen], 95.0) if seen.any() else 1.0
         return scale * self._hessian.block(work, problem.measured_gas is not None)
 
     def _near(self, mask: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeO
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.detection import detection_threshold
 from bubbleviz.inverse.normal import NormalEquations
-from bubbleviz.inverse.plausibility import GAS_NOISE, contradicts_gas, explains
+from bubbleviz.inverse.plausibility import GAS_LINEAR, GAS_NOISE, contradicts_gas, explains
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
@@ -131,6 +131,7 @@ class Estimator:
         self.solver_name = self.options.solver or DEFAULT
         self._lambda = 1.0 / (PRESSURE_SCALE * self._held) ** 2
         self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q, self._lambda)
+        self._gas_limit = GAS_LINEAR * gas.P0 / self.scales.pressure_pa
         self._weight = float(reference_Q.diagonal().sum())
         self._tau = detection_threshold(self._equilibrium, reference_Q)
         pull = reference_Q @ self._equilibrium.bulge
@@ -167,7 +168,7 @@ class Estimator:
             gas = change / self.scales.pressure_pa
         self._solve_ms = 0.0
         observation, linear, answer = self._solve(depth_m, gas)
-        if answer is None or answer.status not in ("ok", "no_contact", "not_converged"):
+        if answer is None or answer.status == "implausible":
             self._last = None
             return self._nothing("no_data" if answer is None else answer.status)
         misfit = self.observer.misfit(observation, linear, answer.displacement_m)
@@ -255,7 +256,7 @@ class Estimator:
         status: Status = "ok" if refined.values.any() else "no_contact"
         if not np.max(np.abs(displacement)) < 1.0:  # in units of the membrane's size; or NaN
             status = "implausible"
-        elif not converged:
+        elif not converged or (problem.measured_gas is None and abs(gas) > self._gas_limit):
             status = "not_converged"
         residual = 0.0
         if refined.values.any():

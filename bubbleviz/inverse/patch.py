@@ -54,8 +54,8 @@ class PatchFinder:
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
         if kappa is None:
             threshold = 0.5 * self._held
-            contact = self._contact(estimate, threshold)
-            level = self._level(contact, threshold)
+            contact, part = self._contacts(estimate, threshold)
+            level = self._level(contact, part, threshold)
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
@@ -72,31 +72,34 @@ class PatchFinder:
             area_m2=area_above(mesh, level, 0.0),
         )
 
-    def _contact(self, estimate: Estimate, floor_pa: float) -> np.ndarray:
-        """Contact pressure (n,) of the connected parts that are contact, 0 elsewhere, Pa."""
+    def _contacts(self, estimate: Estimate, floor_pa: float) -> tuple[np.ndarray, np.ndarray]:
+        """Contact pressure (n,) of the connected parts that are contact, and part of each node.
+
+        Elsewhere the pressure is 0 Pa, and below the floor the part is −1.
+        """
         pressure = estimate.contact_pressure_pa
         least_peak = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
         above = np.flatnonzero(pressure > floor_pa)
-        _, part = connected_components(self._pairs[above][:, above], directed=False)
-        parts = part.max(initial=-1) + 1
+        part = np.full(len(pressure), -1)
+        if not above.size:
+            return np.zeros(len(pressure)), part
+        parts, part[above] = connected_components(self._pairs[above][:, above], directed=False)
         highest = np.zeros(parts)
-        np.maximum.at(highest, part, pressure[above])
-        loads = np.bincount(part, (self._mesh.areas * pressure)[above], minlength=parts)
-        total = float(self._mesh.areas @ pressure)
-        least_load = max(least_peak * self._cell_m2, MODEL_ERROR * total)
+        np.maximum.at(highest, part[above], pressure[above])
+        load = self._mesh.areas * pressure
+        loads = np.bincount(part[above], load[above], minlength=parts)
+        least_load = max(least_peak * self._cell_m2, MODEL_ERROR * float(load.sum()))
         touches = (highest >= least_peak) & (loads >= least_load)
         contact = np.zeros(len(pressure))
-        contact[above] = np.where(touches[part], pressure[above], 0.0)
-        return contact
+        contact[above] = np.where(touches[part[above]], pressure[above], 0.0)
+        return contact, part
 
-    def _level(self, contact: np.ndarray, floor_pa: float) -> np.ndarray:
+    def _level(self, contact: np.ndarray, part: np.ndarray, floor_pa: float) -> np.ndarray:
         level = self._edge.level_set(contact, self._held) / self._mesh.edge_length
-        touching = np.flatnonzero(contact)
-        _, part = connected_components(self._pairs[touching][:, touching], directed=False)
-        drawn = np.zeros(part.max(initial=-1) + 1, bool)
-        np.logical_or.at(drawn, part, level[touching] > 0.0)
+        drawn = np.zeros(part.max(initial=-1) + 2, bool)
+        drawn[part[level > 0.0]] = True
         # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
-        small = touching[~drawn[part]]
+        small = np.flatnonzero((contact > 0.0) & ~drawn[part])
         level[small] = (contact[small] - floor_pa) / self._held
         return level
 
@@ -107,9 +110,11 @@ def area_above(mesh: MembraneMesh, field: np.ndarray, level: float) -> float:
     Exact for the piecewise linear field: of a triangle with one corner above the level, the part
     beyond the level line is the product of the two cut edge fractions.
     """
-    low, middle, high = np.sort(field[mesh.triangles], axis=1).T
+    corners = field[mesh.triangles]
+    reaching = np.any(corners > level, axis=1)
+    low, middle, high = np.sort(corners[reaching], axis=1).T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         one = (high - level) ** 2 / ((high - low) * (high - middle))
         two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
     fraction = np.select([low > level, middle > level, high > level], [1.0, two, one], 0.0)
-    return float(fraction @ mesh.facet_areas)
+    return float(fraction @ mesh.facet_areas[reaching])

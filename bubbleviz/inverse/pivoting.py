@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 _FULL_EXCHANGES = 3
 
@@ -44,7 +44,10 @@ def nonnegative_qp(
         x = np.zeros_like(f)
         multiplier = f
         if inside.size:
-            factor = cho_factor(H[np.ix_(inside, inside)], overwrite_a=True, check_finite=False)
+            try:
+                factor = cho_factor(H[np.ix_(inside, inside)], overwrite_a=True, check_finite=False)
+            except LinAlgError:  # not positive definite to working precision
+                return np.zeros_like(f), pivot, False
             x[inside] = -cho_solve(factor, f[inside], check_finite=False)
             multiplier = H[:, inside] @ x[inside] + f
         violated = np.where(positive, x < 0.0, multiplier < -slack)
