@@ -53,6 +53,7 @@ class ActiveSetSolver:
         self._tolerance, self._corrections = tolerance, corrections
         self._hessian = ReducedHessian(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
+        self._scaled_for, self._scale = reference_Q, 1.0
 
     def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
         """Solve with the L1 term, until the support stands.
@@ -106,10 +107,13 @@ class ActiveSetSolver:
 
         To that of the better-seen nodes: a model too stiff is slow, one too soft overshoots.
         """
-        diagonal = problem.Q.diagonal()
-        seen = (self._diagonal > 0.0) & (diagonal > 0.0)
-        scale = np.percentile(diagonal[seen] / self._diagonal[seen], 95.0) if seen.any() else 1.0
-        return scale * self._hessian.block(work, problem.measured_gas is not None)
+        if problem.Q is not self._scaled_for:
+            diagonal = problem.Q.diagonal()
+            seen = (self._diagonal > 0.0) & (diagonal > 0.0)
+            ratio = diagonal[seen] / self._diagonal[seen]
+            self._scale = float(np.percentile(ratio, 95.0)) if ratio.size else 1.0
+            self._scaled_for = problem.Q
+        return self._scale * self._hessian.block(work, problem.measured_gas is not None)
 
     def _near(self, mask: np.ndarray) -> np.ndarray:
         return mask | (self._neighbours @ mask.astype(float) > 0.0)

@@ -204,7 +204,7 @@ class Estimator:
 
     def _linearise(self, displacement_m: np.ndarray) -> Linearisation:
         """Model around a displacement; rays are cast again only where it left the last one."""
-        if np.max(np.abs(displacement_m - self._cast_at)) > 0.5 * self._step_m:
+        if np.max(np.abs(displacement_m - self._cast_at)) > self._step_m:
             self._linear = self.observer.linearise(displacement_m)
             self._cast_at = displacement_m
         return self._linear
