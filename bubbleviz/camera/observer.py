@@ -166,9 +166,10 @@ class RangeObserver:
         return (row // _SQUARE) * columns + column // _SQUARE
 
     def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
-        """Positions of the pixels of some thousand whole blocks, one block a row."""
+        """Positions of some thousand pixels in whole blocks, one block a row."""
         whole = self._starts[sizes == self.block**2] if self.block > 1 else self._starts[:0]
-        whole = whole[:: max(1, len(whole) // 1000)]
+        rows = max(50, 4000 // self.block**2)
+        whole = whole[:: max(1, len(whole) // rows)]
         return whole[:, None] + np.arange(self.block**2)
 
     @property
