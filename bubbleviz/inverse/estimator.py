@@ -54,7 +54,7 @@ class EstimatorOptions:
         """Options of a `--solver` name: `fast`, a solver's own, or None for the default."""
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
-            return cls("active-set", relinearisations=1, nodes=700)
+            return cls("active-set", relinearisations=1, nodes=400)
         return cls(name)
 
 
