@@ -110,6 +110,7 @@ class Controller(QObject):
             products=needed,
             kappa=self.state.choices.kappa,
             cloud_points=self.state.choices.cloud_points,
+            solver=self.state.choices.solver,
             playing=playing,
             live=live,
         )
@@ -127,11 +128,15 @@ class Controller(QObject):
         """Use another sensor with the present source."""
         from bubbleviz.sensor import load_sensor
 
+        self._open_again(path.name, lambda: load_sensor(path))
+
+    def _open_again(self, what: str, open_sensor: Callable[[], Sensor]) -> None:
+        """Open the present source anew, at the present frame."""
         if self._open_source is not None and self.state.facts is not None:
             self.open(
-                path.name,
+                what,
                 self._open_source,
-                lambda: load_sensor(path),
+                open_sensor,
                 frame=self.state.frame,
                 playing=self.state.playing,
                 live=self.state.facts.live,
@@ -158,7 +163,10 @@ class Controller(QObject):
     def _on_choices(self, names: frozenset[str]) -> None:
         if "speed" in names or "loop" in names:
             self._start_clock()
-        if "cloud_points" in names or not products(self.state.choices) <= self._asked:
+        sensor = self.sensor
+        if "solver" in names and sensor is not None:
+            self._open_again(self.state.choices.solver or "default solver", lambda: sensor)
+        elif "cloud_points" in names or not products(self.state.choices) <= self._asked:
             self._ask_frame()
         elif "kappa" in names:
             self._ask_patch()

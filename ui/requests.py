@@ -29,7 +29,7 @@ class OpenRequest:
         Frame to show first; proof that the source can be used with the sensor.
     products : frozenset
         Products of that frame.
-    kappa, cloud_points
+    kappa, cloud_points, solver
         As in `Choices`.
     playing, live : bool
         Play once it is open; it is a live source.
@@ -43,6 +43,7 @@ class OpenRequest:
     products: frozenset[Product]
     kappa: float | None
     cloud_points: int | None = None
+    solver: str | None = None
     playing: bool = False
     live: bool = False
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Patch
 from ui.requests import (
@@ -75,7 +76,12 @@ class Server:
                 raise InputError(f"{source.name}: has no frames; choose another recording")
             index = min(max(request.frame, 0), len(source) - 1)
             frame = source[index]
-            pipeline = Pipeline(sensor, intrinsics=frame.intrinsics, kappa=request.kappa)
+            pipeline = Pipeline(
+                sensor,
+                intrinsics=frame.intrinsics,
+                kappa=request.kappa,
+                options=EstimatorOptions.named(request.solver),
+            )
             pipeline.cloud_points = request.cloud_points
             pipeline.process(frame, request.products)  # builds the solver: its time says nothing
             result = pipeline.process(frame, request.products)

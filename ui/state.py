@@ -24,6 +24,8 @@ class Choices:
     ----------
     kappa : float or None
         Patch threshold, multiple of the mean contact pressure; None for bubbleviz's default.
+    solver : str or None
+        Solver of the inverse problem; None for bubbleviz's default.
     speed : float
         Playback speed, 1 = as recorded.
     loop : bool
@@ -46,6 +48,7 @@ class Choices:
     """
 
     kappa: float | None = None
+    solver: str | None = None
     speed: float = 1.0
     loop: bool = True
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}

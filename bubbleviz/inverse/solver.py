@@ -64,6 +64,10 @@ SOLVERS: dict[str, Callable[[Equilibrium, sparse.csr_array, float], InverseSolve
 }
 
 
+SOLVER_NAMES = (*SOLVERS, "fast")
+"""Names for `EstimatorOptions.named`; `fast` is the default on a coarse mesh."""
+
+
 def make_solver(
     name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
 ) -> InverseSolver:
@@ -75,5 +79,5 @@ def make_solver(
         No solver has that name.
     """
     if name not in SOLVERS:
-        raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVERS)}, fast")
+        raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVER_NAMES)}")
     return SOLVERS[name](equilibrium, reference_Q, lambda_)

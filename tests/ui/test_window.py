@@ -108,6 +108,19 @@ def test_kappa_thresholds_anew_without_solving(drive: Drive) -> None:
     assert driver.pipeline.counts["estimate"] == solved
 
 
+def test_another_solver_starts_anew_at_the_same_frame(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
+    panel.solver.setFocus()
+    driver.bot.keyClicks(panel.solver, "fast")
+    assert driver.state.choices.solver == "fast"
+    driver.wait(lambda: driver.pipeline.options.relinearisations == 1)
+    driver.wait(lambda: driver.window.controller.result is not None)
+    assert driver.state.frame == CONTACT
+    assert len(driver.pipeline.mesh.nodes) != nodes
+    assert driver.window.controller.result.patch.area_m2 > 0.0
+
+
 def test_kappa_moves_the_points_that_belong_to_the_patch(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     driver.state.choose(cloud_colour="patch")

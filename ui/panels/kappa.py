@@ -1,4 +1,4 @@
-"""κ panel: where the patch begins, and what that makes of its area."""
+"""Contact patch panel: where the patch begins, what that makes of it, and who solves."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QCheckBox,
+    QComboBox,
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
@@ -18,6 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.inverse.patch import mean_pressure
+from bubbleviz.inverse.solver import SOLVER_NAMES
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Patch, Result
 from ui.panels.keys import keep_keys
@@ -48,6 +50,11 @@ class KappaPanel(QWidget):
         self.box.setPrefix("κ = ")
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
+        self.solver = QComboBox()
+        self.solver.addItem("default", None)
+        for name in SOLVER_NAMES:
+            self.solver.addItem(name, name)
+        self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
         self.threshold, self.area, self.force = (_value() for _ in range(3))
         self._lay_out()
         self._show_patch(None)
@@ -84,6 +91,7 @@ class KappaPanel(QWidget):
         form.addRow("Threshold", self.threshold)
         form.addRow("Patch area", self.area)
         form.addRow("Force", self.force)
+        form.addRow("Solver", self.solver)
         column.addLayout(form)
         column.addStretch(1)
 
@@ -91,6 +99,9 @@ class KappaPanel(QWidget):
         self.slider.valueChanged.connect(lambda v: self._state.choose(kappa=_to_kappa(v)))
         self.box.valueChanged.connect(lambda v: self._state.choose(kappa=v))
         self.automatic.toggled.connect(self._on_automatic)
+        self.solver.activated.connect(
+            lambda row: self._state.choose(solver=self.solver.itemData(row))
+        )
 
     def _on_automatic(self, automatic: bool) -> None:
         self._state.choose(kappa=None if automatic else self.box.value())
