@@ -40,7 +40,7 @@ class ReducedHessian:
         """Rows and columns of the given nodes (k,), (k, k)."""
         missing = nodes[self._place[nodes] < 0]
         if missing.size:
-            if len(self._data) + missing.size > CACHED_COLUMNS:
+            if len(self._nodes) + missing.size > CACHED_COLUMNS:
                 self._forget()
                 missing = nodes
             self._add(missing)
@@ -57,26 +57,39 @@ class ReducedHessian:
         n = len(self._equilibrium.A)
         self._place = np.full(n, -1)
         self._nodes = np.zeros(0, int)
-        self._M = np.zeros((n, 0))
-        self._data = np.zeros((0, 0))
+        self._M = np.empty((n, 0), order="F")
+        self._data = np.empty((0, 0))
         self._pull, self._gas = np.zeros(0), np.zeros(0)
 
     def _add(self, nodes: np.ndarray) -> None:
         """Compute the columns of some more nodes."""
         n, known = len(self._place), len(self._nodes)
+        total = known + len(nodes)
         unit = np.zeros((n, len(nodes)))
         unit[nodes, np.arange(len(nodes))] = 1.0
         M = self._equilibrium.response(unit, gas_measured=True)
         QM = self._Q @ M
+        self._reserve(total)
+        cross = self._M[:, :known].T @ QM + self._H1[self._nodes][:, nodes].toarray()
+        self._data[:known, known:total], self._data[known:total, :known] = cross, cross.T
+        self._data[known:total, known:total] = M.T @ QM + self._H1[nodes][:, nodes].toarray()
+        if total < n:  # a complete mesh needs no columns to go on from
+            self._M[:, known:total] = M
         self._place[nodes] = known + np.arange(len(nodes))
         self._nodes = np.concatenate([self._nodes, nodes])
-        H = np.empty((known + len(nodes), known + len(nodes)))
-        H[:known, :known] = self._data
-        cross = self._M.T @ QM + self._H1[self._nodes[:known]][:, nodes].toarray()
-        H[:known, known:], H[known:, :known] = cross, cross.T
-        H[known:, known:] = M.T @ QM + self._H1[nodes][:, nodes].toarray()
-        self._data = H
         self._pull = np.concatenate([self._pull, M.T @ self._bulge_pull])
         self._gas = np.concatenate([self._gas, self._equilibrium.gas_response(M)])
-        # A mesh that is complete needs no columns to go on from.
-        self._M = np.concatenate([self._M, M], axis=1) if known + len(nodes) < n else M[:, :0]
+
+    def _reserve(self, columns: int) -> None:
+        """Make room for so many columns, by doubling: most frames add a few."""
+        n, known = len(self._place), len(self._nodes)
+        if columns <= len(self._data):
+            return
+        room = min(n, max(columns, 2 * len(self._data)))
+        data = np.empty((room, room))
+        data[:known, :known] = self._data[:known, :known]
+        self._data = data
+        if columns < n:
+            M = np.empty((n, room), order="F")
+            M[:, :known] = self._M[:, :known]
+            self._M = M

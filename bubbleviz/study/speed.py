@@ -86,12 +86,12 @@ def full_runs() -> list[Run]:
         Run("stream", Setup(), frames=ROUND),
         Run("stream", Setup(relinearisations=0), frames=ROUND),
         *(Run("stream", Setup(s), frames=ROUND) for s in ("active-set", "osqp")),
-        Run("stream", Setup("osqp-cold"), frames=40, limit_s=300.0),
-        Run("stream", Setup("osqp-cold", relinearisations=0), frames=40, limit_s=300.0),
-        Run("stream", Setup("clarabel"), frames=40, limit_s=300.0),
+        Run("stream", Setup("osqp-cold"), frames=12),
+        Run("stream", Setup("osqp-cold", relinearisations=0), frames=12),
+        Run("stream", Setup("clarabel"), frames=12),
     ]
     nodes = [
-        Run("nodes", Setup(solver, n), limit_s=300.0)
+        Run("nodes", Setup(solver, n), frames=8, limit_s=60.0)
         for solver in (None, "osqp")
         for n in (200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
     ]

@@ -10,10 +10,12 @@ from scipy.optimize import nnls
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.operators import range_jacobian
+from bubbleviz.inverse import reduced_hessian
 from bubbleviz.inverse.normal import NormalEquations
 from bubbleviz.inverse.patch import area_above
 from bubbleviz.inverse.pivoting import nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium
+from bubbleviz.inverse.reduced_hessian import ReducedHessian
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.build import build_mesh
 from bubbleviz.membrane.gas import Gas
@@ -75,3 +77,23 @@ def test_area_above_a_level_of_one_triangle(values, level):
     field = values[0] + (values[1] - values[0]) * u + (values[2] - values[0]) * v
     expected = np.count_nonzero((field > level) & inside) / 800**2
     assert area_above(mesh, np.array(values), level) == pytest.approx(expected, abs=3e-3)
+
+
+def test_hessian_in_pieces_equals_the_whole(monkeypatch):
+    """On a large mesh columns come when they are asked for, and go when there are too many."""
+    eq = Equilibrium(MESH, Gas.of(SENSOR.pneumatics, MESH), Scales.of(MESH, TENSION))
+    observer = RangeObserver(CAMERA, MESH, 0.01, block=4)
+    Q, _ = NormalEquations(MESH).assemble(observer.observe_everything(), observer.linearise())
+    whole = ReducedHessian(eq, Q, 0.1)
+    monkeypatch.setattr(reduced_hessian, "DENSE_LIMIT", 10)
+    monkeypatch.setattr(reduced_hessian, "CACHED_COLUMNS", 90)
+    pieces = ReducedHessian(eq, Q, 0.1)
+    rng = np.random.default_rng(0)
+    for size in (3, 20, 60, 80, 5, len(eq.A)):
+        nodes = rng.permutation(len(eq.A))[:size]
+        for measured in (True, False):
+            M = eq.response(np.eye(len(eq.A)), measured)
+            exact = (M.T @ (Q @ M) + 0.1 * eq.L)[np.ix_(nodes, nodes)]
+            scale = np.abs(exact).max()
+            assert whole.block(nodes, measured) == pytest.approx(exact, abs=1e-9 * scale)
+            assert pieces.block(nodes, measured) == pytest.approx(exact, abs=1e-9 * scale)
