@@ -21,4 +21,4 @@ lint: setup
 
 lock:
 	uv pip compile pyproject.toml --group dev --universal --generate-hashes --no-header \
-	    --no-annotate --no-emit-index-url -o requirements.txt
+	    --no-annotate -o requirements.txt

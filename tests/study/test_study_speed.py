@@ -26,8 +26,9 @@ def measured(sensor):
 def test_stages_add_up_to_the_total(measured):
     stages = [getattr(measured, f"{name}_ms") for name in speed_report.STAGES]
     assert all(np.isfinite(stages))
-    assert min(stages) >= 0.0  # rays are not cast again for a frame that hardly moved
-    assert sum(stages) > 0.0
+    by_name = dict(zip(speed_report.STAGES, stages, strict=True))
+    assert by_name.pop("linearise") >= 0.0  # rays are not cast again where little moved
+    assert min(list(by_name.values())[:3]) > 0.0
     assert measured.solver == "active-set"
     assert measured.frames == 3
     assert measured.memory_peak_bytes >= 0  # here it may all fit into memory freed before
