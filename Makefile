@@ -20,5 +20,5 @@ lint: setup
 	.venv/bin/mypy
 
 lock:
-	uv pip compile pyproject.toml --group dev --universal --generate-hashes --no-header \
+	uv pip compile pyproject.toml --group dev --all-extras --universal --generate-hashes --no-header \
 	    --no-annotate -o requirements.txt
