@@ -29,6 +29,8 @@ class Frame:
         Force in N and torque in N·m as recorded, in the wrench sensor's own axes.
     stamp_ns : int
         The message's own time stamp.
+    arrival_ns : int
+        When a live frame arrived here, ns since 1970; 0 for a recording's.
     """
 
     index: int
@@ -38,3 +40,4 @@ class Frame:
     gas_pressure_pa: float | None = None
     wrench: np.ndarray | None = None
     stamp_ns: int = 0
+    arrival_ns: int = 0

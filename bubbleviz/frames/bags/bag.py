@@ -35,7 +35,7 @@ class Topic:
 
 
 @cache
-def _typestore(ros1: bool) -> Any:
+def typestore(*, ros1: bool) -> Any:
     """Message types by name; they compile their readers once, hence the cache."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -120,7 +120,7 @@ class Bag:
 
     def decode(self, payload: bytes, kind: str) -> Any:
         """Message object of rosbags from its serialised form."""
-        store = _typestore(self.ros1)
+        store = typestore(ros1=self.ros1)
         read = store.deserialize_ros1 if self.ros1 else store.deserialize_cdr
         return read(payload, kind)
 
