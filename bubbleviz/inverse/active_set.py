@@ -1,6 +1,6 @@
 """Eq. 24: the problem in p_c alone, solved by an active set that starts from the last frame.
 
-Eliminating u leaves a dense Hessian MᵀQM + λL. It is that of the reference configuration with every
+Eliminating u leaves the Hessian MᵀQM + λL. It is that of the reference configuration with every
 pixel valid, formed once; what a frame changes (missing pixels, robust weights, rays re-cast at the
 current shape) enters through the exact gradient, and a few corrections take the rest out.
 """
@@ -10,22 +10,26 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.pivoting import nonnegative_qp
+from bubbleviz.inverse.landmark_hessian import LandmarkHessian
+from bubbleviz.inverse.pivoting import Quadratic, nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.reduced_hessian import ReducedHessian
 
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
 
-_FIRST_GUESS = 100
-"""Nodes with which a frame without contact before it starts."""
+_FIRST_GUESS = 0.05
+"""Share of the nodes with which a frame without contact before it starts."""
+
+_DENSE_LIMIT = 3_000
+"""Nodes up to which the whole Hessian is faster than landmarks."""
 
 _SELECTIONS = 8
 """Corrections that selecting a support is worth; the next frame goes on from there."""
 
 
 class ActiveSetSolver:
-    """Warm-started active set with a dense model Hessian.
+    """Warm-started active set with a model Hessian.
 
     Parameters
     ----------
@@ -51,7 +55,8 @@ class ActiveSetSolver:
         self._equilibrium = equilibrium
         self._diagonal = reference_Q.diagonal()
         self._tolerance, self._corrections = tolerance, corrections
-        self._hessian = ReducedHessian(equilibrium, reference_Q, lambda_)
+        kind = ReducedHessian if len(equilibrium.A) <= _DENSE_LIMIT else LandmarkHessian
+        self._hessian = kind(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
         self._scaled_for, self._scale = reference_Q, 1.0
 
@@ -98,11 +103,11 @@ class ActiveSetSolver:
     def _pulled(self, gradient: np.ndarray, pressure: np.ndarray) -> np.ndarray:
         """The nodes with the strongest pull, as many as are in contact: the others come later."""
         slope = gradient / self._equilibrium.A
-        most = max(_FIRST_GUESS, int(np.count_nonzero(pressure)))
+        most = max(int(_FIRST_GUESS * len(slope)), int(np.count_nonzero(pressure)))
         bound = min(0.0, np.partition(slope, most)[most]) if most < len(slope) else 0.0
         return slope < bound
 
-    def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
+    def _model(self, problem: FrameProblem, work: np.ndarray) -> Quadratic:
         """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels.
 
         To that of the better-seen nodes: a model too stiff is slow, one too soft overshoots.
@@ -113,14 +118,14 @@ class ActiveSetSolver:
             ratio = diagonal[seen] / self._diagonal[seen]
             self._scale = float(np.percentile(ratio, 95.0)) if ratio.size else 1.0
             self._scaled_for = problem.Q
-        return self._scale * self._hessian.block(work, problem.measured_gas is not None)
+        return self._hessian.block(work, problem.measured_gas is not None, self._scale)
 
     def _near(self, mask: np.ndarray) -> np.ndarray:
         return mask | (self._neighbours @ mask.astype(float) > 0.0)
 
 
 def _correct(
-    H: np.ndarray, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
+    H: Quadratic, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Minimise over the nodes `work` with the gradient at `pressure` and the model Hessian H."""
     here, slope = pressure[work], gradient[work]

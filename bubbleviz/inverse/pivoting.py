@@ -1,6 +1,8 @@
-"""Block principal pivoting for dense bound-constrained least squares."""
+"""Block principal pivoting for bound-constrained least squares."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -8,8 +10,39 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 _FULL_EXCHANGES = 3
 
 
+class Quadratic(Protocol):
+    """A symmetric positive definite matrix (c, c)."""
+
+    def __matmul__(self, x: np.ndarray, /) -> np.ndarray:
+        """Product with a vector (c,)."""
+
+    def solve(self, inside: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+        """Solve with the rows and columns `inside` (k,); LinAlgError where that cannot be done."""
+
+
+class DenseQuadratic:
+    """A matrix (c, c) that is all there.
+
+    Parameters
+    ----------
+    H : (c, c) array
+    """
+
+    def __init__(self, H: np.ndarray) -> None:
+        self._H = H
+
+    def __matmul__(self, x: np.ndarray) -> np.ndarray:
+        used = np.flatnonzero(x)
+        return self._H[:, used] @ x[used]
+
+    def solve(self, inside: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+        """Solve with the rows and columns `inside` by Cholesky."""
+        part = self._H[np.ix_(inside, inside)]
+        return cho_solve(cho_factor(part, overwrite_a=True, check_finite=False), rhs)
+
+
 def nonnegative_qp(
-    H: np.ndarray, f: np.ndarray, start: np.ndarray, tolerance: float = 1e-9, limit: int = 100
+    H: Quadratic, f: np.ndarray, start: np.ndarray, tolerance: float = 1e-9, limit: int = 100
 ) -> tuple[np.ndarray, int, bool]:
     """Minimise ½ xᵀHx + fᵀx over x ≥ 0 by exchanging all violated indices at a time.
 
@@ -19,8 +52,7 @@ def nonnegative_qp(
 
     Parameters
     ----------
-    H : (c, c) array
-        Symmetric positive definite.
+    H : Quadratic
     f : (c,) array
     start : (c,) bool array
         Guess of the indices with x > 0; the solution of the last frame costs one or two pivots.
@@ -45,11 +77,10 @@ def nonnegative_qp(
         multiplier = f
         if inside.size:
             try:
-                factor = cho_factor(H[np.ix_(inside, inside)], overwrite_a=True, check_finite=False)
+                x[inside] = -H.solve(inside, f[inside])
             except LinAlgError:  # not positive definite to working precision
                 return np.zeros_like(f), pivot, False
-            x[inside] = -cho_solve(factor, f[inside], check_finite=False)
-            multiplier = H[:, inside] @ x[inside] + f
+            multiplier = H @ x + f
         violated = np.where(positive, x < 0.0, multiplier < -slack)
         count = int(np.count_nonzero(violated))
         if count == 0:

@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from bubbleviz.errors import InputError
+from bubbleviz.inverse import active_set
 from bubbleviz.inverse.estimator import Estimator
 from tests.inverse.conftest import SENSOR, TENSION, estimator
 
@@ -63,6 +64,19 @@ def test_an_interior_point_certifies_the_active_set(sphere):
     a, b = (estimator(300, solver).estimate(depth) for solver in ("active-set", "clarabel"))
     top = np.max(b.contact_pressure_pa)
     assert np.max(np.abs(a.contact_pressure_pa - b.contact_pressure_pa)) < 0.02 * top
+
+
+def test_landmarks_change_the_way_and_not_the_answer(sphere, monkeypatch):
+    """A fine mesh has a model Hessian of few columns; the KKT conditions are the same."""
+    whole = estimator(900)
+    monkeypatch.setattr(active_set, "_DENSE_LIMIT", 10)
+    landmarks = estimator(900)
+    for seed in range(2):
+        depth = sphere.depth(0.01, seed)
+        a, b = whole.estimate(depth), landmarks.estimate(depth)
+        assert b.status == "ok" and b.kkt_residual <= 1e-3
+        top = np.max(a.contact_pressure_pa)
+        assert np.max(np.abs(a.contact_pressure_pa - b.contact_pressure_pa)) < 0.02 * top
 
 
 def test_warm_frames_end_where_cold_ones_do(sphere, untouched):

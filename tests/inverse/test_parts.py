@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import eigh
 from scipy.optimize import nnls
+from scipy.spatial.distance import cdist
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.operators import range_jacobian
-from bubbleviz.inverse import reduced_hessian
+from bubbleviz.inverse.landmark_hessian import LandmarkHessian, farthest_points
 from bubbleviz.inverse.normal import NormalEquations
 from bubbleviz.inverse.patch import area_above
-from bubbleviz.inverse.pivoting import nonnegative_qp
+from bubbleviz.inverse.pivoting import DenseQuadratic, nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium
 from bubbleviz.inverse.reduced_hessian import ReducedHessian
 from bubbleviz.inverse.scales import Scales
@@ -31,7 +35,7 @@ def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
     rng = np.random.default_rng(seed)
     B, b = rng.standard_normal((n + 5, n)), rng.standard_normal(n + 5)
     start = rng.random(n) < 0.5 if warm else np.zeros(n, bool)
-    x, _, converged = nonnegative_qp(B.T @ B, -B.T @ b, start)
+    x, _, converged = nonnegative_qp(DenseQuadratic(B.T @ B), -B.T @ b, start)
     assert converged
     assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
 
@@ -79,21 +83,53 @@ def test_area_above_a_level_of_one_triangle(values, level):
     assert area_above(mesh, np.array(values), level) == pytest.approx(expected, abs=3e-3)
 
 
-def test_hessian_in_pieces_equals_the_whole(monkeypatch):
-    """On a large mesh columns come when they are asked for, and go when there are too many."""
+def _hessian(lambda_):
     eq = Equilibrium(MESH, Gas.of(SENSOR.pneumatics, MESH), Scales.of(MESH, TENSION))
     observer = RangeObserver(CAMERA, MESH, 0.01, block=4)
     Q, _ = NormalEquations(MESH).assemble(observer.observe_everything(), observer.linearise())
-    whole = ReducedHessian(eq, Q, 0.1)
-    monkeypatch.setattr(reduced_hessian, "DENSE_LIMIT", 10)
-    monkeypatch.setattr(reduced_hessian, "CACHED_COLUMNS", 90)
-    pieces = ReducedHessian(eq, Q, 0.1)
+    Q = Q * Scales.of(MESH, TENSION).length_m ** 2
+
+    def exact(nodes, measured):
+        M = eq.response(np.eye(len(eq.A)), measured)
+        return (M.T @ (Q @ M) + lambda_ * eq.L)[np.ix_(nodes, nodes)]
+
+    return eq, Q, exact
+
+
+@pytest.mark.parametrize("measured", [True, False])
+@pytest.mark.parametrize("make", [ReducedHessian, partial(LandmarkHessian, within=0.0)])
+def test_model_hessian_is_the_definition(make, measured):
+    eq, Q, exact = _hessian(0.1)
+    hessian = make(eq, Q, 0.1)
     rng = np.random.default_rng(0)
     for size in (3, 20, 60, 80, 5, len(eq.A)):
         nodes = rng.permutation(len(eq.A))[:size]
-        for measured in (True, False):
-            M = eq.response(np.eye(len(eq.A)), measured)
-            exact = (M.T @ (Q @ M) + 0.1 * eq.L)[np.ix_(nodes, nodes)]
-            scale = np.abs(exact).max()
-            assert whole.block(nodes, measured) == pytest.approx(exact, abs=1e-9 * scale)
-            assert pieces.block(nodes, measured) == pytest.approx(exact, abs=1e-9 * scale)
+        H, block = exact(nodes, measured), hessian.block(nodes, measured, 2.0)
+        x = rng.standard_normal(size)
+        assert block @ x == pytest.approx(2.0 * H @ x, rel=1e-6, abs=1e-6 * np.abs(H @ x).max())
+        inside = rng.permutation(size)[: max(1, size // 2)]
+        y = block.solve(inside, x[inside])
+        back = 2.0 * H[np.ix_(inside, inside)] @ y
+        assert back == pytest.approx(x[inside], abs=1e-5 * np.abs(x).max())
+
+
+def test_landmarks_leave_out_less_than_the_prior():
+    """What the columns at a few landmarks miss of the camera's part is small against λL."""
+    eq, Q, exact = _hessian(lambda_ := 100.0)
+    hessian = LandmarkHessian(eq, Q, lambda_)
+    everything = np.arange(len(eq.A))
+    block = hessian.block(everything, True)
+    approximate = np.column_stack([block @ e for e in np.eye(len(eq.A))])
+    missed = eigh(exact(everything, True) - approximate, exact(everything, True))[0]
+    assert missed.min() > -1e-3 and missed.max() < 0.5
+    assert block._C.shape[1] < 0.5 * len(eq.A)
+
+
+@given(st.integers(1, 60), st.floats(0.05, 2.0))
+def test_landmarks_are_near_everything_and_apart(count, within):
+    points = np.random.default_rng(count).random((count, 3))
+    chosen = farthest_points(points, within)
+    apart = cdist(points[chosen], points)
+    assert np.min(apart, axis=0).max() <= within
+    between = apart[:, chosen][np.triu_indices(len(chosen), 1)]
+    assert np.all(between > within)
