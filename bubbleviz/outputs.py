@@ -35,7 +35,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         _publish(temporary, path)
     except OSError as error:
         if error.errno in _CANNOT_WRITE:
-            raise _cannot_write(path, error) from error
+            raise cannot_write(path, error) from error
         raise
     finally:
         _discard(temporary)
@@ -47,7 +47,7 @@ def refuse_existing(path: str | Path) -> None:
     try:
         exists, parent_exists = os.path.lexists(path), path.parent.is_dir()
     except (OSError, ValueError) as error:
-        raise _cannot_write(path, error) from error
+        raise cannot_write(path, error) from error
     if exists:
         raise _exists(path)
     if not parent_exists:
@@ -86,6 +86,7 @@ def _exists(path: Path) -> InputError:
     return InputError(f"{path}: exists already; choose another name or delete it first")
 
 
-def _cannot_write(path: Path, error: Exception) -> InputError:
+def cannot_write(path: Path, error: Exception) -> InputError:
+    """The error to raise where the disk refuses `path`."""
     reason = getattr(error, "strerror", None) or error
     return InputError(f"{path}: cannot be written ({reason}); choose another place")

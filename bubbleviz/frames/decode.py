@@ -100,6 +100,23 @@ def _distortion(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, l
     return _MODELS[key], [float(c) for c in coefficients[:5]]
 
 
+def pressure_of(message: Any) -> np.ndarray:
+    """Gas pressure of a `sensor_msgs/FluidPressure`, (1,), Pa; ValueError unless finite."""
+    value = float(message.fluid_pressure)
+    if not np.isfinite(value):
+        raise ValueError("the gas pressure is not finite")
+    return np.array([value])
+
+
+def wrench_of(message: Any) -> np.ndarray:
+    """Force and torque of a `geometry_msgs/WrenchStamped`, (6,); ValueError unless finite."""
+    force, torque = message.wrench.force, message.wrench.torque
+    values = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z], dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("the wrench is not finite")
+    return values
+
+
 def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
     """Time stamp in ns of a serialised message that begins with a header; 0 when unset.
 

@@ -61,6 +61,8 @@ class RecordingInfo:
         Lowest and highest recorded gas pressure, absolute, Pa.
     wrench : bool
         Whether a wrench was recorded.
+    note : str
+        What is missing of the recording, in words; empty when it is whole.
     """
 
     path: str
@@ -78,6 +80,7 @@ class RecordingInfo:
     intrinsics: Intrinsics | None
     gas_pressure_pa: tuple[float, float] | None
     wrench: bool
+    note: str = ""
 
     def to_json(self) -> str:
         """JSON object with the attributes as keys."""
@@ -96,6 +99,8 @@ class RecordingInfo:
             ("wrench", "recorded" if self.wrench else "not recorded"),
             ("size", f"{self.size_bytes / 1e6:.1f} MB"),
         ]
+        if self.note:
+            facts.append(("note", self.note))
         lines = [f"{label:<13} {text}" for label, text in facts]
         width = max(len(topic.name) for topic in self.topics)
         lines += ["topics"]
@@ -150,6 +155,7 @@ def recording_info(recording: Recording | str | Path) -> RecordingInfo:
         intrinsics=recording.intrinsics,
         gas_pressure_pa=extremes,
         wrench=recording.has_wrench,
+        note=recording.bag.note,
     )
 
 

@@ -13,7 +13,7 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Messages, Topic
 from bubbleviz.frames.bags.bag import damage
-from bubbleviz.frames.decode import decode_depth
+from bubbleviz.frames.decode import decode_depth, pressure_of, wrench_of
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.series import Series
 from bubbleviz.frames.topics import (
@@ -25,6 +25,7 @@ from bubbleviz.frames.topics import (
 )
 
 _SAMPLED_ABOVE = 4096
+_GARBAGE_NS = 3_600_000_000_000
 
 
 class Recording:
@@ -83,8 +84,8 @@ class Recording:
             self.intrinsics: Intrinsics | None = find_intrinsics(
                 self.bag, self.depth_topic, self.size, info_topic
             )
-            self._pressure = self._series(PRESSURE, pressure_topic, _pressure_of)
-            self._wrench = self._series(WRENCH, wrench_topic, _wrench_of)
+            self._pressure = self._series(PRESSURE, pressure_topic, pressure_of)
+            self._wrench = self._series(WRENCH, wrench_topic, wrench_of)
         except BaseException:
             self.bag.close()
             raise
@@ -159,7 +160,7 @@ class Recording:
         first = self._images.message(0)
         self.size = (int(first.width), int(first.height))
         self.encoding = str(first.encoding)
-        stamps = _header_stamps(self._images)
+        stamps = _without_garbage(_header_stamps(self._images), self._images.log_ns)
         self._by_log = not stamps.all()
         if self._by_log:
             stamps = self._images.log_ns
@@ -175,6 +176,17 @@ class Recording:
         return Series(messages, value, by_log=self._by_log) if len(messages) else None
 
 
+def _without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
+    """Stamps, but for the few that are an hour and more from where the others are.
+
+    A camera whose clock was lost for a moment would else end the recording in 1970, or 2100.
+    """
+    ahead = stamps_ns - log_ns
+    usual = int(np.median(ahead))
+    garbage = (np.abs(ahead - usual) > _GARBAGE_NS) & (stamps_ns != 0)
+    return np.where(garbage, log_ns + usual, stamps_ns)
+
+
 def _header_stamps(images: Messages) -> np.ndarray:
     """Header stamps of the images, ns; 0 where unset.
 
@@ -186,18 +198,3 @@ def _header_stamps(images: Messages) -> np.ndarray:
         if all(images.stamp_ns(int(k)) == images.log_ns[k] for k in sample):
             return images.log_ns
     return np.array([images.stamp_ns(k) for k in range(len(images))], dtype=np.int64)
-
-
-def _pressure_of(message: Any) -> np.ndarray:
-    value = float(message.fluid_pressure)
-    if not np.isfinite(value):
-        raise ValueError("the gas pressure is not finite")
-    return np.array([value])
-
-
-def _wrench_of(message: Any) -> np.ndarray:
-    force, torque = message.wrench.force, message.wrench.torque
-    values = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z], dtype=np.float64)
-    if not np.isfinite(values).all():
-        raise ValueError("the wrench is not finite")
-    return values

@@ -10,7 +10,8 @@ import numpy as np
 
 from bubbleviz.frames.bags import Messages
 
-_NEAREST_NS = 100_000_000
+NEAREST_NS = 100_000_000
+"""Beyond the first and the last value the nearest one counts, within this time."""
 
 
 class Series:
@@ -51,7 +52,7 @@ class Series:
         if 0 < k < len(self):
             return self._between(k - 1, k, t)
         nearest = min(k, len(self) - 1)
-        return self.values(nearest) if abs(self._time(nearest) - t) <= _NEAREST_NS else None
+        return self.values(nearest) if abs(self._time(nearest) - t) <= NEAREST_NS else None
 
     def values(self, k: int) -> np.ndarray:
         """Values of message `k`."""

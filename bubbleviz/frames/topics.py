@@ -65,7 +65,7 @@ def find_intrinsics(
     if name is not None:
         first_of_type(bag, CAMERA_INFO, name)
     infos = of_type(bag, CAMERA_INFO, name)
-    infos.sort(key=lambda topic: _common_prefix(topic.name, depth.name), reverse=True)
+    infos.sort(key=lambda topic: common_prefix(topic.name, depth.name), reverse=True)
     for topic in infos:
         message = bag.messages(topic).message(0)
         if (message.width, message.height) == size:
@@ -74,6 +74,7 @@ def find_intrinsics(
     return None
 
 
-def _common_prefix(a: str, b: str) -> int:
+def common_prefix(a: str, b: str) -> int:
+    """Number of name parts that two topics share from the left."""
     parts = zip(a.split("/"), b.split("/"), strict=False)
     return next((k for k, (x, y) in enumerate(parts) if x != y), 99)

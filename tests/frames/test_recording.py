@@ -230,3 +230,14 @@ def test_closing_lets_go_of_the_file(tmp_path: Path, kind: str) -> None:
         recording[0]
         assert len(list(descriptors.iterdir())) > before
     assert len(list(descriptors.iterdir())) == before
+
+
+@pytest.mark.parametrize("garbage", [5, 86_400 * SECOND, 2_100_000_000 * SECOND])
+def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path: Path, garbage: int) -> None:
+    bag = BagMaker("mcap file")
+    for k in range(7):
+        log = START + k * PERIOD
+        bag.image(garbage if k == 3 else log - SECOND, depth_image(k), log=log)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(recording.times_s, np.arange(7) * PERIOD * 1e-9)
+        np.testing.assert_array_equal(recording[3].depth_m, depth_image(3))

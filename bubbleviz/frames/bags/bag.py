@@ -13,6 +13,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
+from bubbleviz.frames.bags.cut_mcap import MAGIC, CutMcapReader
 from bubbleviz.frames.bags.storage import Entries, Storage
 from bubbleviz.frames.decode import header_stamp_ns
 
@@ -75,10 +76,13 @@ class Bag:
         Size of the recording's files.
     ros1 : bool
         Whether messages are serialised as in ROS 1.
+    note : str
+        What is missing of the recording, in words; empty when it is whole.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.note = ""
         self._storages: list[tuple[Any, Storage]] = []
         self._reader: Any = None
         try:
@@ -96,7 +100,8 @@ class Bag:
             raise
         if not any(topic.count for topic in self.topics):
             self.close()
-            raise InputError(f"{self.path}: the recording has no messages; record it again")
+            what = "is truncated before its first whole chunk" if self.note else "has no messages"
+            raise InputError(f"{self.path}: the recording {what}; copy or record it again")
 
     def close(self) -> None:
         """Let go of files."""
@@ -171,8 +176,9 @@ class Bag:
             for file in self._bare_files():
                 readers.append(_open_bare(file))
                 self._reader.append(readers[-1])
+                self.note = self.note or _what_is_missing(readers[-1])
         for reader in readers:
-            mcap = type(reader).__name__ == "McapReader"
+            mcap = type(reader).__name__ in ("McapReader", "CutMcapReader")
             self._storages.append((reader, McapStorage(reader) if mcap else SqliteStorage(reader)))
 
     def _bare_files(self) -> list[Path]:
@@ -212,16 +218,23 @@ def _open_bare(file: Path) -> Any:
         raise InputError(
             f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
         )
-    if file.suffix == ".mcap":
-        _check_whole_mcap(file)
-    reader = kinds[file.suffix](file)
+    whole = file.suffix != ".mcap" or _is_whole_mcap(file)
+    reader = kinds[file.suffix](file) if whole else CutMcapReader(file)
     reader.open()
     return reader
 
 
-def _check_whole_mcap(file: Path) -> None:
-    """Tell a recorder that was killed from a file that is something else."""
-    magic = b"\x89MCAP0\r\n"
+def _what_is_missing(reader: Any) -> str:
+    if not isinstance(reader, CutMcapReader):
+        return ""
+    return (
+        f"{reader.path.name} ends early, as when recording was cut off; all but its last "
+        f"{reader.lost_bytes / 1e3:.3g} kB is here"
+    )
+
+
+def _is_whole_mcap(file: Path) -> bool:
+    """Tell a recorder that was killed from a whole file, and both from something else."""
     size = file.stat().st_size
     with file.open("rb") as stream:
         begin = stream.read(8)
@@ -229,10 +242,9 @@ def _check_whole_mcap(file: Path) -> None:
         end = stream.read(8)
     if size == 0:
         raise InputError(f"{file}: the file is empty; record or copy it again")
-    if begin != magic:
+    if begin != MAGIC:
         raise InputError(f"{file}: not an MCAP file; check what it is")
-    if end != magic or size < 16:
-        raise InputError(f"{file}: the MCAP file is truncated; copy it again or `mcap recover` it")
+    return end == MAGIC and size >= 16
 
 
 class Messages:

@@ -1,0 +1,285 @@
+"""Messages to frames: depth decoded, gas pressure and wrench at its time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.frames.decode import decode_depth, decode_intrinsics, pressure_of, wrench_of
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH, common_prefix
+from bubbleviz.live.counters import Counters
+from bubbleviz.live.decode import decode
+from bubbleviz.live.message import RawMessage
+from bubbleviz.live.point_cloud import decode_cloud
+from bubbleviz.live.samples import Samples
+from bubbleviz.live.stamps import StampClock
+from bubbleviz.live.topics import POINT_CLOUD, TopicNames
+
+WAIT_NS = 20_000_000
+"""How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""
+
+_SERIES = {PRESSURE: pressure_of, WRENCH: wrench_of}
+
+
+class _WrongSizeError(ValueError):
+    pass
+
+
+class _Pending(NamedTuple):
+    frame: Frame
+    time_ns: int
+
+
+class _Series:
+    """One topic beside the depth images."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.clock = StampClock()
+        self.samples = Samples()
+
+
+class FrameAssembler:
+    """Takes every message of a source and gives back frames. One thread at a time.
+
+    Nothing that arrives makes it raise: what is wrong is counted and said in `counters`.
+
+    Parameters
+    ----------
+    names : TopicNames
+    size : (int, int), optional
+        Width and height of the sensor's images; of the first image that arrives by default.
+    camera : Intrinsics, optional
+        Of the sensor file, for point clouds without a camera info.
+    lag_s : float
+        How much later than the depth images' the stamps of gas pressure and wrench are for the
+        same moment, s.
+
+    Attributes
+    ----------
+    counters : Counters
+    lag_s : float
+        May be set at any time.
+    """
+
+    def __init__(
+        self,
+        names: TopicNames | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        camera: Intrinsics | None = None,
+        lag_s: float = 0.0,
+    ) -> None:
+        self.counters = Counters()
+        self.lag_s = lag_s
+        self._names = names or TopicNames()
+        self._size, self._camera = size, camera
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the stream, keep the counts."""
+        self._depth = self._names.depth or ""
+        self._types: dict[str, str] = {}
+        self._cameras: dict[str, Intrinsics] = {}
+        self._series: dict[str, _Series] = {}
+        self._clock = StampClock()
+        self._first_ns: int | None = None
+        self._pending: _Pending | None = None
+        self._round = 0
+
+    def push(self, message: RawMessage) -> list[Frame]:
+        """Take a message; the frames that are complete now, oldest first."""
+        self.counters.received += 1
+        if message.round != self._round:
+            first = self._first_ns
+            released = self.flush()
+            self._begin()
+            self._round, self._first_ns = message.round, first
+            return released + self._push(message)
+        return self._push(message)
+
+    def _push(self, message: RawMessage) -> list[Frame]:
+        """As `push`, uncounted and within one round."""
+        try:
+            if not self._is_ours(message):
+                return []
+            if message.type == CAMERA_INFO:
+                self._take_camera(message)
+            elif message.type in _SERIES:
+                self._take_values(message)
+            else:
+                return self._take_depth(message)
+        except _WrongSizeError as error:
+            self.counters.wrong_size += 1
+            self._note(message, str(error))
+        except Exception as error:  # garbage may be wrong in any way
+            self.counters.undecodable += 1
+            self._note(message, " ".join(str(error).split())[:120] or type(error).__name__)
+        return self._released(message.arrival_ns)
+
+    def flush(self, now_ns: int | None = None) -> list[Frame]:
+        """The frame that waits, if it waited long enough by now; in any case when None."""
+        pending = self._pending
+        if pending is None:
+            return []
+        if now_ns is not None and now_ns < pending.frame.arrival_ns + WAIT_NS:
+            return []
+        self._pending = None
+        self.counters.frames += 1
+        return [self._finished(pending)]
+
+    @property
+    def waits_until_ns(self) -> int | None:
+        """When the frame that waits gives up waiting; None when none waits."""
+        return None if self._pending is None else self._pending.frame.arrival_ns + WAIT_NS
+
+    # -- which messages ---------------------------------------------------------------------
+
+    def _is_ours(self, message: RawMessage) -> bool:
+        topic, kind = message.topic, message.type
+        expected = self._names.expected_type(topic) or self._types.get(topic)
+        if expected is not None and kind != expected:
+            self.counters.wrong_type += 1
+            self._note(message, f"a {kind} where {expected} is expected")
+            return False
+        if not self._names.wants(topic, kind):
+            return False
+        if kind in (IMAGE, POINT_CLOUD):
+            return self._may_be_depth(topic, kind)
+        if kind in _SERIES:
+            series = self._series.setdefault(kind, _Series(topic))
+            return series.topic == topic
+        return True
+
+    def _may_be_depth(self, topic: str, kind: str) -> bool:
+        """The topic in use; none in use yet; or one called depth where the one in use is not."""
+        if self._names.depth is not None or topic == self._depth:
+            return True
+        called, ours = "depth" in topic.lower(), "depth" in self._depth.lower()
+        return kind == IMAGE and called and not ours if self._depth else True
+
+    def _use(self, message: RawMessage) -> None:
+        """Settle on the topic of an image that turned out to be depth."""
+        if self._depth != message.topic:
+            self._depth, self._clock = message.topic, StampClock()
+        self._types[message.topic] = message.type
+
+    # -- what they say ----------------------------------------------------------------------
+
+    def _take_camera(self, message: RawMessage) -> None:
+        camera = decode_intrinsics(decode(message))
+        if camera is not None:
+            self._cameras[message.topic] = camera
+
+    def _take_values(self, message: RawMessage) -> None:
+        values = _SERIES[message.type](decode(message))
+        series = self._series[message.type]
+        if message.stamp_ns == 0:
+            series.samples.by_arrival = True
+            series.samples.add(message.arrival_ns, values)
+            return
+        verdict, time_ns = series.clock.judge(message.stamp_ns, message.arrival_ns)
+        if verdict == "jump":
+            series.samples.clear()
+        if verdict == "bad":
+            self.counters.bad_stamps += 1
+            self._note(message, _bad_stamp(message))
+        series.samples.by_arrival = False
+        series.samples.add(time_ns, values)
+
+    def _take_depth(self, message: RawMessage) -> list[Frame]:
+        depth = self._decoded_depth(message)
+        self._use(message)
+        verdict, time_ns = self._clock.judge(message.stamp_ns, message.arrival_ns)
+        if verdict == "bad":
+            self.counters.bad_stamps += 1
+            self._note(message, _bad_stamp(message))
+        elif verdict == "jump":
+            self.counters.clock_jumps += 1
+            self._first_ns = None
+        elif verdict == "duplicate":
+            self.counters.duplicate += 1
+        elif verdict == "out_of_order":
+            self.counters.out_of_order += 1
+        if verdict in ("duplicate", "out_of_order"):
+            return self._released(message.arrival_ns)
+        released = self.flush()  # a newer one is there: the older waits no more
+        if self._first_ns is None:
+            self._first_ns = time_ns
+        frame = Frame(
+            index=self.counters.frames,
+            time_s=(time_ns - self._first_ns) * 1e-9,
+            depth_m=depth,
+            intrinsics=self._intrinsics((depth.shape[1], depth.shape[0])),
+            stamp_ns=message.stamp_ns,
+            arrival_ns=message.arrival_ns,
+        )
+        self._pending = _Pending(frame, time_ns)
+        return released + self._released(message.arrival_ns)
+
+    def _decoded_depth(self, message: RawMessage) -> np.ndarray:
+        content: Any = decode(message)
+        if message.type == POINT_CLOUD:
+            camera = next(iter(self._cameras.values()), self._camera)
+            depth = decode_cloud(content, camera)
+        else:
+            depth = decode_depth(content)
+        size = (depth.shape[1], depth.shape[0])
+        if self._size is None:
+            self._size = size
+        if size != self._size:
+            raise _WrongSizeError(
+                f"image is {size[0]}×{size[1]}, not {self._size[0]}×{self._size[1]} pixels"
+            )
+        return depth
+
+    def _intrinsics(self, size: tuple[int, int]) -> Intrinsics | None:
+        """Of the camera info nearest to the depth topic by name that is of the image's size."""
+        if self._names.info is not None:
+            return self._cameras.get(self._names.info)
+        fitting = [t for t, c in self._cameras.items() if (c.width, c.height) == size]
+        if not fitting:
+            return None
+        return self._cameras[max(fitting, key=lambda topic: common_prefix(topic, self._depth))]
+
+    # -- when they are complete -------------------------------------------------------------
+
+    def _released(self, now_ns: int) -> list[Frame]:
+        pending = self._pending
+        if pending is None:
+            return []
+        if all(s.samples.covers(self._time_for(s, pending)) for s in self._series.values()):
+            return self.flush()
+        return self.flush(now_ns)
+
+    def _time_for(self, series: _Series, pending: _Pending) -> int:
+        """A frame's time on the clock of a series, ns."""
+        by_arrival = series.samples.by_arrival
+        time_ns = pending.frame.arrival_ns if by_arrival else pending.time_ns
+        return time_ns + round(self.lag_s * 1e9)
+
+    def _finished(self, pending: _Pending) -> Frame:
+        values = {
+            kind: series.samples.at(self._time_for(series, pending))
+            for kind, series in self._series.items()
+        }
+        pressure = values.get(PRESSURE)
+        return replace(
+            pending.frame,
+            gas_pressure_pa=None if pressure is None else float(pressure[0]),
+            wrench=values.get(WRENCH),
+        )
+
+    def _note(self, message: RawMessage, problem: str) -> None:
+        self.counters.problem = f"{message.topic}: {problem}"
+
+
+def _bad_stamp(message: RawMessage) -> str:
+    if message.stamp_ns == 0:
+        return "no time stamp"
+    off = (message.stamp_ns - message.arrival_ns) * 1e-9
+    return f"time stamp {abs(off):.3g} s {'ahead of' if off > 0 else 'behind'} this clock"

@@ -1,0 +1,71 @@
+"""The gas pressure's zero: weather and sensor offset are not contact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bubbleviz.frames.frame import Frame
+
+ENOUGH = 15
+"""Contact-free frames whose median is a zero: half a second at 30 Hz."""
+
+
+class PressureZero:
+    """Shifts the measured gas pressure so that its contact-free level is the sensor file's.
+
+    The sensor file has the gauge pressure and the atmospheric pressure of the day it was made.
+    Another day's weather (±3 kPa) and the offset of a pressure sensor would be read as contact.
+    What is constant without contact says nothing, hence it is taken away.
+
+    Parameters
+    ----------
+    reference_pa : float
+        Absolute gas pressure of the inflated, untouched bubble in the sensor file, Pa.
+
+    Attributes
+    ----------
+    offset_pa : float or None
+        Taken from every measured pressure, Pa; None until it is known, and nothing is shifted.
+    """
+
+    def __init__(self, reference_pa: float) -> None:
+        self.reference_pa = reference_pa
+        self.offset_pa: float | None = None
+        self._free: list[float] = []
+        self._asked = True
+
+    @property
+    def waiting(self) -> bool:
+        """Whether contact-free frames are still being collected."""
+        return self._asked
+
+    def zero_now(self) -> None:
+        """Begin anew with the contact-free frames that come; the present offset stays till then."""
+        self._free, self._asked = [], True
+
+    def learn(self, raw_pressure_pa: float | None, *, contact_free: bool) -> None:
+        """Take note of a frame's measured pressure, Pa, as it was before `applied`.
+
+        Parameters
+        ----------
+        raw_pressure_pa : float or None
+        contact_free : bool
+            Whether its depth image alone says that nothing touches.
+        """
+        if not self._asked or raw_pressure_pa is None:
+            return
+        if not contact_free:
+            self._free.clear()  # a zero is learned in one rest, not from scraps of many
+            return
+        self._free.append(raw_pressure_pa)
+        if len(self._free) >= ENOUGH:
+            self.offset_pa = float(np.median(self._free)) - self.reference_pa
+            self._free, self._asked = [], False
+
+    def applied(self, frame: Frame) -> Frame:
+        """The frame with its gas pressure shifted."""
+        if self.offset_pa is None or frame.gas_pressure_pa is None:
+            return frame
+        return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
