@@ -130,6 +130,10 @@ class Controller(QObject):
 
         self._open_again(path.name, lambda: load_sensor(path))
 
+    def use_sensor(self, sensor: Sensor) -> None:
+        """Use another sensor, which is loaded already, with the present source."""
+        self._open_again(sensor.name, lambda: sensor)
+
     def _open_again(self, what: str, open_sensor: Callable[[], Sensor]) -> None:
         """Open the present source anew, at the present frame."""
         if self._open_source is not None and self.state.facts is not None:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.result import Result
+from ui.calibration.session import Calibration
 from ui.controller import Controller
 from ui.menus import Menus
+from ui.panels.gamma0.panel import Gamma0Panel
 from ui.panels.kappa import KappaPanel
 from ui.panels.layers import LayersPanel
 from ui.panels.message import MessageBar
@@ -54,6 +58,10 @@ class MainWindow(QMainWindow):
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
         self.playback = PlaybackPanel(state)
+        self.undo_stack = QUndoStack(self)
+        self.gamma0 = Gamma0Panel(
+            Calibration(controller, self.undo_stack), state.units, self.playback.strip
+        )
         self._lay_out()
         self.menus = Menus(self)
         self._rates = QTimer(self)
@@ -83,6 +91,7 @@ class MainWindow(QMainWindow):
         """Stop the timers and the solver thread, then let go of VTK."""
         self._rates.stop()
         self.state.unsubscribe_all()
+        self.gamma0.close_all()
         self.controller.close()
         self.view.close()
         super().closeEvent(event)
@@ -108,10 +117,13 @@ class MainWindow(QMainWindow):
         bottom = Qt.DockWidgetArea.BottomDockWidgetArea
         self.layers_dock = self._dock("Layers", self.layers, right)
         self.kappa_dock = self._dock("Contact patch", self.kappa, right)
+        self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
+        self.gamma0_dock.hide()
         self.playback_dock = self._dock("Playback", self.playback, bottom)
         self.panels: dict[str, QWidget] = {
             "layers": self.layers_dock,
             "kappa": self.kappa_dock,
+            "calibration": self.gamma0_dock,
             "playback": self.playback_dock,
             "status": self.status,
         }
@@ -133,6 +145,7 @@ class MainWindow(QMainWindow):
         self.kappa_dock.visibilityChanged.connect(
             lambda on: self.state.choose_panel("kappa_panel", on)
         )
+        self.gamma0.painted.connect(self._paint)
         self._rates.timeout.connect(self.show_rates)
         self._rates.start()
         self.state.subscribe(self._on_event)
@@ -168,6 +181,16 @@ class MainWindow(QMainWindow):
         self.kappa.show_result(result)
         if self.state.facts is not None:
             self.status.show_result(result, self.state.facts)
+
+    def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
+        """Draw points with a length each in place of the measured ones, until the next frame."""
+        result = self.controller.result
+        if result is None:
+            return
+        self.state.set_playing(False)
+        self.state.choose(layers=self.state.choices.layers | {"cloud"}, cloud_colour="residual")
+        painted = replace(result, cloud_m=points_m, cloud_pixels=None, cloud_residual_m=values_m)
+        self.scene.show(painted, self.state.choices)
 
     def _on_failed(self, failed: Failed) -> None:
         message = failed.message

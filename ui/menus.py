@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from PySide6.QtGui import QAction, QKeySequence
-from PySide6.QtWidgets import QFileDialog, QMenu
+from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
 
 from ui.presets import load_scene, scene_names
 
@@ -25,6 +25,7 @@ class Menus:
         self._window = window
         bar = window.menuBar()
         self._file(bar.addMenu("&File"))
+        self._edit(bar.addMenu("&Edit"))
         self._playback(bar.addMenu("&Playback"))
         self._view(bar.addMenu("&View"))
 
@@ -35,6 +36,13 @@ class Menus:
         self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
         menu.addSeparator()
         self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
+
+    def _edit(self, menu: QMenu) -> None:
+        stack = self._window.undo_stack
+        undo, redo = stack.createUndoAction(menu, "&Undo"), stack.createRedoAction(menu, "&Redo")
+        undo.setShortcut("Ctrl+Z")
+        redo.setShortcut("Ctrl+Shift+Z")
+        menu.addActions([undo, redo])
 
     def _playback(self, menu: QMenu) -> None:
         state = self._window.state
@@ -52,7 +60,8 @@ class Menus:
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
         menu.addSeparator()
-        for dock in (window.layers_dock, window.kappa_dock, window.playback_dock):
+        for name in ("layers", "kappa", "calibration", "playback"):
+            dock = cast(QDockWidget, window.panels[name])
             menu.addAction(dock.toggleViewAction())
         status = self._add(menu, "Status bar", self._toggle_status)
         status.setCheckable(True)

@@ -43,6 +43,14 @@ class Unit:
         sign = "+" if signed else ""
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
 
+    def with_interval(self, si: float | None, half_width: float | None) -> str:
+        """Number ± half of its 95 % interval, and unit."""
+        if si is None or half_width is None:
+            return self.text(si)
+        return (
+            f"{self.of(si):.{self.digits}f} ± {self.of(half_width):.{self.digits}f} {self.symbol}"
+        )
+
 
 @dataclass(frozen=True)
 class Units:
@@ -54,6 +62,10 @@ class Units:
     area: Unit = Unit("mm²", 1e6, 0)
     length: Unit = Unit("mm", 1e3, 2)
     time: Unit = Unit("s", 1.0, 3)
+    fine_length: Unit = Unit("mm", 1e3, 3)
+    tension: Unit = Unit("N/m", 1.0, 2)
+    volume: Unit = Unit("cm³", 1e6, 1)
+    share: Unit = Unit("%", 100.0, 1)
     rate: Unit = Unit("Hz", 1.0, 1)
     render_rate: Unit = Unit("fps", 1.0, 0)
     duration: Unit = Unit("ms", 1.0, 1)

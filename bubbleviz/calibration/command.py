@@ -4,20 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from datetime import UTC, datetime
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import click
 
 from bubbleviz.errors import InputError
-
-if TYPE_CHECKING:
-    from bubbleviz.calibration.identify import Identification
-    from bubbleviz.calibration.progress import Progress
-    from bubbleviz.calibration.wrench_tension import WrenchTension
-    from bubbleviz.frames.source import FrameSource
 
 
 @click.command()
@@ -45,55 +36,22 @@ def identify(
 ) -> None:
     """Identify γ0, reference surface and pixels of a sensor nobody touches."""
     from bubbleviz.calibration.identify import identify as run
-    from bubbleviz.calibration.report import summary, write_report
-    from bubbleviz.calibration.sensor_files import Origin, file_hash, output_files, write_sensor
+    from bubbleviz.calibration.save import check_outputs, save
     from bubbleviz.frames.recording import Recording
-    from bubbleviz.outputs import refuse_existing
     from bubbleviz.sensor import load_sensor
 
-    output_files(out)  # before the work, not after it
-    if report is not None:
-        refuse_existing(report)
+    check_outputs(out, report)
     given = load_sensor(sensor)
     frames = None if contact_free is None else parse_frames(contact_free)
     with Recording(recording) as source, _Bar() as bar:
         found = run(source, given, frames, nodes=nodes, surface=surface, progress=bar)  # type: ignore[arg-type]
-        origin = Origin(
-            recording=source.name,
-            recording_sha256=file_hash(source.path),
-            sensor_file=sensor,
-            date=datetime.now(UTC).isoformat(timespec="seconds"),
-            report=None if report is None else str(report / "report.html"),
-        )
-        numbers = summary(found, origin, _by_wrench(source, found, bar))
-    if report is not None:
-        write_report(found, numbers, report)
-    write_sensor(found, out, origin)
+        numbers = save(found, source, sensor, out, report, bar)
     if as_json:
         click.echo(json.dumps(numbers, indent=2, ensure_ascii=False))
         return
     verdict = numbers["verdict"]
     click.echo("\n".join([verdict["summary"], *(f"- {line}" for line in verdict["advice"])]))
     click.echo(f"wrote {out}" + (f" and {report / 'report.html'}" if report else ""))
-
-
-def _by_wrench(
-    source: FrameSource, found: Identification, progress: Progress
-) -> WrenchTension | None:
-    """The second estimate of γ0, where the recording has a press with a wrench."""
-    from bubbleviz.calibration.sensor_files import write_sensor
-    from bubbleviz.calibration.wrench_tension import press_halves, tension_by_wrench
-    from bubbleviz.sensor import load_sensor
-
-    halves = press_halves(source, found.samples.frames)
-    if halves is None:
-        return None
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "sensor.toml"
-        write_sensor(found, file)
-        return tension_by_wrench(
-            source, load_sensor(file), found.samples.frames, *halves, progress=progress
-        )
 
 
 def parse_frames(text: str) -> range:

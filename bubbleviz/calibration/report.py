@@ -14,12 +14,11 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identify import Identification
+from bubbleviz.calibration.images import before_after, local_tension_image
 from bubbleviz.calibration.pictures import coloured, data_uri
 from bubbleviz.calibration.sensor_files import Origin
-from bubbleviz.calibration.tension import local_tension
 from bubbleviz.calibration.verdict import judge
 from bubbleviz.calibration.wrench_tension import WrenchTension
-from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.outputs import whole_file
 
 _STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;
@@ -240,12 +239,10 @@ def _pictures(found: Identification) -> list[tuple[str, str, str]]:
     """Title, explanation and data URI of every picture."""
     statistics, residual, mask = found.statistics, found.surfaces.residual_m, found.pixels.mask
     limit = 3.0 * float(np.std(residual[mask]))
-    frame = found.camera.range_image(found.samples.depth_m[-1])
-    rectified = np.where(mask, frame - found.modelled_range_m - found.pixels.bias_m, np.nan)
-    before = np.where(mask, frame - found.modelled_range_m, np.nan)
+    last = before_after(found)
     noise = statistics.noise_m
     top = float(np.nanpercentile(noise[mask], 99.0))
-    local = _in_image(found, _local(found))
+    local = local_tension_image(found)
     centre = found.tension_n_per_m
     span = f"{1e3 * limit:.2f} mm"
     return [
@@ -260,12 +257,12 @@ def _pictures(found: Identification) -> list[tuple[str, str, str]]:
         (
             "Last frame before rectification",
             f"range minus surface, ±{span}",
-            _uri(before, -limit, limit, True),
+            _uri(last.before_m, -limit, limit, True),
         ),
         (
             "Last frame after rectification",
             f"the same less each pixel's offset, ±{span}",
-            _uri(rectified, -limit, limit, True),
+            _uri(last.after_m, -limit, limit, True),
         ),
         (
             "Local γ0",
@@ -277,20 +274,3 @@ def _pictures(found: Identification) -> list[tuple[str, str, str]]:
 
 def _uri(image: np.ndarray, low: float, high: float, diverging: bool = False) -> str:
     return data_uri(coloured(image, low, high, diverging))
-
-
-def _local(found: Identification) -> np.ndarray:
-    scale = 0.1 * float(np.sqrt(found.mesh.areas.sum()))
-    return local_tension(found.mesh, found.tension.gauge_pressure_pa, scale)
-
-
-def _in_image(found: Identification, field: np.ndarray) -> np.ndarray:
-    """A nodal field as the camera sees it, (H, W)."""
-    camera, mesh = found.camera, found.mesh
-    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
-        mesh.nodes, mesh.normals
-    )
-    image = np.full(found.pixels.mask.shape, np.nan)
-    at = field[mesh.triangles[hits.triangle]]
-    image.ravel()[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, at)
-    return image

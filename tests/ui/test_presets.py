@@ -17,6 +17,7 @@ from ui.state import Choices
 
 Drive = Callable[..., Driver]
 RUNS = {
+    "calibrate": {"estimate", "patch", "cloud", "residual"},
     "press": {"estimate", "patch"},
     "cloud": {"cloud"},
     "residual": {"estimate", "patch", "cloud", "residual"},

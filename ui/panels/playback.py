@@ -11,9 +11,11 @@ from PySide6.QtWidgets import (
     QLabel,
     QSlider,
     QToolButton,
+    QVBoxLayout,
     QWidget,
 )
 
+from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.icons import icon
 from ui.panels.keys import keep_keys
 from ui.state import (
@@ -31,7 +33,7 @@ SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
 class PlaybackPanel(QWidget):
-    """Buttons, seek slider, speed, loop, and the frame's number and time."""
+    """Buttons, seek slider with contact-free ranges, speed, loop, the frame's number and time."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -44,6 +46,8 @@ class PlaybackPanel(QWidget):
         self.last = self._button("last", "Last frame (End)")
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setObjectName("seek")
+        self.strip = RangeStrip()
+        self.strip.hide()
         self.readout = QLabel()
         self.speed = QComboBox()
         for speed in SPEEDS:
@@ -70,7 +74,11 @@ class PlaybackPanel(QWidget):
         row.setContentsMargins(10, 8, 10, 8)
         for button in (self.first, self.back, self.play, self.forward, self.last):
             row.addWidget(button)
-        row.addWidget(self.slider, 1)
+        timeline = QVBoxLayout()
+        timeline.setSpacing(0)
+        timeline.addWidget(self.slider)
+        timeline.addWidget(self.strip)
+        row.addLayout(timeline, 1)
         row.addWidget(self.readout)
         row.addWidget(self.speed)
         row.addWidget(self.loop)

@@ -1,0 +1,97 @@
+"""Save an identification: sensor file, mesh, pixels and report, all of them or none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from bubbleviz.calibration.identify import Identification
+from bubbleviz.calibration.progress import Progress, quiet
+from bubbleviz.calibration.report import summary, write_report
+from bubbleviz.calibration.sensor_files import Origin, file_hash, output_files, write_sensor
+from bubbleviz.calibration.wrench_tension import WrenchTension, press_halves, tension_by_wrench
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.outputs import refuse_existing
+from bubbleviz.sensor import Sensor, load_sensor
+
+
+def check_outputs(out: Path, report: Path | None) -> None:
+    """Refuse, before the work, what could not be written after it."""
+    output_files(out)
+    if report is not None:
+        refuse_existing(report)
+
+
+def save(
+    found: Identification,
+    source: FrameSource,
+    sensor_file: str,
+    out: Path,
+    report: Path | None,
+    progress: Progress = quiet,
+) -> dict[str, Any]:
+    """Write the sensor at `out` and its report; the numbers of the report.
+
+    Parameters
+    ----------
+    found : Identification
+    source : FrameSource
+        What it was made from; hashed where it is a file.
+    sensor_file : str
+        What it started from.
+    out : path
+        SENSOR.toml; its mesh and pixels go beside it.
+    report : path, optional
+        New folder.
+
+    Raises
+    ------
+    InputError
+        Something exists or cannot be written; nothing is written then.
+    Cancelled
+        By `progress`; nothing is written then.
+    """
+    check_outputs(out, report)
+    path = getattr(source, "path", None)
+    origin = Origin(
+        recording=source.name,
+        recording_sha256=None if path is None else file_hash(path),
+        sensor_file=sensor_file,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        report=None if report is None else str(report / "report.html"),
+    )
+    numbers = summary(found, origin, _by_wrench(source, found, progress))
+    progress("writing", 0.0)
+    write_sensor(found, out, origin)
+    if report is not None:
+        try:
+            write_report(found, numbers, report)
+        except BaseException:
+            for each in (out, out.with_suffix(".ply"), out.with_suffix(".npz")):
+                each.unlink(missing_ok=True)  # none of them was there before
+            raise
+    return numbers
+
+
+@contextmanager
+def written(found: Identification) -> Iterator[Sensor]:
+    """The identified sensor as loaded from files that are gone afterwards."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "sensor.toml"
+        write_sensor(found, file)
+        yield load_sensor(file)
+
+
+def _by_wrench(
+    source: FrameSource, found: Identification, progress: Progress
+) -> WrenchTension | None:
+    """The second estimate of γ0, where the recording has a press with a wrench."""
+    halves = press_halves(source, found.samples.frames)
+    if halves is None:
+        return None
+    with written(found) as sensor:
+        return tension_by_wrench(source, sensor, found.samples.frames, *halves, progress=progress)

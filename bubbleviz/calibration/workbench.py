@@ -1,0 +1,231 @@
+"""An identification that goes step by step, and does again only what a change asks for.
+
+`identify` runs everything once. A person at a window takes a sample out, moves a threshold, goes
+a step back: `Workbench.work` answers each such choice with a `Draft`, and remembers the last few
+results of every step by what they rest on.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import TypeVar
+
+import numpy as np
+
+from bubbleviz.calibration.contact_free import ContactFree, find_contact_free
+from bubbleviz.calibration.frame_ranges import Ranges, as_ranges, numbers, tidy
+from bubbleviz.calibration.identify import (
+    Identification,
+    assemble,
+    check_dome,
+    measure_chamber,
+    rest_gauge_pressure,
+)
+from bubbleviz.calibration.motion import check_still
+from bubbleviz.calibration.pixels import PixelStatistics, select_pixels
+from bubbleviz.calibration.progress import Progress, quiet
+from bubbleviz.calibration.samples import Samples, collect
+from bubbleviz.calibration.surfaces import Name, Surfaces, fit_surfaces, segment_membrane
+from bubbleviz.calibration.uncertainty import TensionEstimate, estimate_tension
+from bubbleviz.errors import InputError
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.sensor import Sensor
+
+_KEPT = 3  # results of a step: the present one, the one undone, and one more
+
+T = TypeVar("T")
+
+
+class Step(IntEnum):
+    """The steps in their order."""
+
+    START = 0
+    FRAMES = 1
+    PIXELS = 2
+    SURFACE = 3
+    TENSION = 4
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a person decides; the rest follows.
+
+    Attributes
+    ----------
+    reached : Step
+        The last step to do.
+    ranges : tuple of (int, int) or None
+        Contact-free frames, first and one after the last of each range; None: found.
+    min_validity : float or None
+        Share of the frames in which a pixel must have a return; None: nine tenths of the usual.
+    deviations : float
+        Robust standard deviations beyond which a pixel is too noisy, or too far off.
+    surface : {"sphere", "ellipsoid", "free-form"} or None
+        None: the data choose.
+    nodes : int
+        Target number of nodes of the mesh.
+    """
+
+    reached: Step = Step.START
+    ranges: Ranges | None = None
+    min_validity: float | None = None
+    deviations: float = 3.0
+    surface: Name | None = None
+    nodes: int = 1000
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What is known after the steps so far; None where a step was not reached.
+
+    Attributes
+    ----------
+    settings : Settings
+    ranges : tuple of (int, int)
+        Contact-free frames in use.
+    contact_free : ContactFree or None
+        What was found, whether or not it is used.
+    samples : Samples or None
+    pixels : PixelStatistics or None
+        Of the step SURFACE on less its bias; before, by validity and noise alone.
+    surfaces : Surfaces or None
+    tension : TensionEstimate or None
+    found : Identification or None
+    """
+
+    settings: Settings
+    ranges: Ranges = ()
+    contact_free: ContactFree | None = None
+    samples: Samples | None = None
+    pixels: PixelStatistics | None = None
+    surfaces: Surfaces | None = None
+    tension: TensionEstimate | None = None
+    found: Identification | None = None
+
+
+class Workbench:
+    """One source and the sensor file to start from.
+
+    Parameters
+    ----------
+    source : FrameSource
+    sensor : Sensor
+    """
+
+    def __init__(self, source: FrameSource, sensor: Sensor) -> None:
+        self.source, self.sensor = source, sensor
+        self._kept: dict[str, OrderedDict[Hashable, object]] = {}
+
+    def work(self, settings: Settings, progress: Progress = quiet) -> Draft:
+        """Do the steps up to the one reached.
+
+        Raises
+        ------
+        InputError
+            Whatever makes the answer worthless, as in `identify`.
+        Cancelled
+            By `progress`; what was finished before is remembered, nothing else has changed.
+        """
+        try:
+            return self._work(settings, progress)
+        except InputError as error:  # of a step that does not know the source
+            if self.source.name in str(error):
+                raise
+            raise InputError(f"{self.source.name}: {error}") from error
+
+    def _work(self, settings: Settings, progress: Progress) -> Draft:
+        draft = Draft(settings)
+        if settings.reached >= Step.FRAMES:
+            draft = self._frames(draft, progress)
+        if settings.reached >= Step.PIXELS:
+            draft = self._pixels(draft, progress)
+        if settings.reached >= Step.SURFACE:
+            draft = self._surface(draft, progress)
+        if settings.reached >= Step.TENSION:
+            draft = self._tension(draft, progress)
+        progress("done", 1.0)
+        return draft
+
+    def _frames(self, draft: Draft, progress: Progress) -> Draft:
+        try:
+            found = self._once("contact free", (), lambda: find_contact_free(self.source, progress))
+        except InputError:
+            if draft.settings.ranges is None:
+                raise
+            found = None  # the operator knows better, and has said so
+        if draft.settings.ranges is None and found is not None:
+            return replace(draft, ranges=as_ranges(found.frames), contact_free=found)
+        ranges = tidy(draft.settings.ranges or (), len(self.source))
+        return replace(draft, ranges=ranges, contact_free=found)
+
+    def _pixels(self, draft: Draft, progress: Progress) -> Draft:
+        chosen = draft.ranges
+        samples = self._once(
+            "samples",
+            chosen,
+            lambda: collect(self.source, self.sensor, numbers(chosen), progress),
+        )
+        membrane, _ = self._once("membrane", chosen, lambda: segment_membrane(samples))
+        nothing = np.where(membrane, 0.0, np.nan)  # no surface yet to be off from
+        return replace(
+            draft, samples=samples, pixels=self._select(draft, samples, membrane, nothing)
+        )
+
+    def _surface(self, draft: Draft, progress: Progress) -> Draft:
+        settings, samples = draft.settings, _known(draft.samples)
+        key = (draft.ranges, settings.nodes, settings.surface)
+        self._once("still", draft.ranges, lambda: check_still(samples))
+        surfaces = self._once(
+            "surfaces",
+            key,
+            lambda: fit_surfaces(samples, settings.nodes, settings.surface, progress),
+        )
+        pixels = self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
+        return replace(draft, surfaces=surfaces, pixels=pixels)
+
+    def _tension(self, draft: Draft, progress: Progress) -> Draft:
+        settings, samples = draft.settings, _known(draft.samples)
+        surfaces, pixels = _known(draft.surfaces), _known(draft.pixels)
+        key = (draft.ranges, settings.nodes, settings.surface)
+        seen = self._once("seen", key, lambda: check_dome(samples, surfaces))
+        wander = self._once("still", draft.ranges, lambda: check_still(samples))
+        gauge = rest_gauge_pressure(samples, self.sensor)
+        tension = self._once(
+            "tension",
+            key,
+            lambda: estimate_tension(samples, surfaces, gauge, progress=progress),
+        )
+        chamber = self._once(
+            "chamber",
+            (*key, settings.min_validity, settings.deviations),
+            lambda: measure_chamber(self.source, samples, surfaces, pixels, tension, progress),
+        )
+        found = assemble(self.sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
+        return replace(draft, tension=tension, found=found)
+
+    def _select(
+        self, draft: Draft, samples: Samples, membrane: np.ndarray, residual_m: np.ndarray
+    ) -> PixelStatistics:
+        settings = draft.settings
+        return select_pixels(
+            samples.statistics, membrane, residual_m, settings.min_validity, settings.deviations
+        )
+
+    def _once(self, step: str, key: Hashable, make: Callable[[], T]) -> T:
+        """Result of a step for what it rests on: remembered, or made now."""
+        kept = self._kept.setdefault(step, OrderedDict())
+        if key not in kept:
+            kept[key] = make()
+            while len(kept) > _KEPT:
+                kept.popitem(last=False)
+        kept.move_to_end(key)
+        return kept[key]  # type: ignore[return-value]
+
+
+def _known(value: T | None) -> T:
+    if value is None:
+        raise AssertionError("steps are done in their order")
+    return value
