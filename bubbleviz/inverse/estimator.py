@@ -22,7 +22,8 @@ from bubbleviz.result import Estimate, Status
 
 PRESSURE_SCALE = 3.0
 """Contact pressure in gauge pressures that the prior expects: P (1 + R/r) on an object with a
-radius of curvature r half that of the bubble, R (Young–Laplace on both sides)."""
+radius of curvature r half that of the bubble, R (Young–Laplace on both sides). The λ that follows
+is compared with those of the discrepancy principle and the L-curve in `study accuracy`."""
 
 MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""
@@ -43,11 +44,14 @@ class EstimatorOptions:
         How often rays may be re-cast at the current shape within one frame.
     nodes : int or None
         Size of the mesh of an analytic dome; None for the sensor file's.
+    pressure_scale : float
+        Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
     """
 
     solver: str | None = None
     relinearisations: int = 2
     nodes: int | None = None
+    pressure_scale: float = PRESSURE_SCALE
 
     @classmethod
     def named(cls, name: str | None) -> EstimatorOptions:
@@ -129,7 +133,8 @@ class Estimator:
         Q, _ = self._normal.assemble(observer.observe_everything(), observer.linearise())
         reference_Q = Q * self.scales.length_m**2
         self.solver_name = self.options.solver or DEFAULT
-        self._lambda = 1.0 / (PRESSURE_SCALE * self._held) ** 2
+        expected = self.options.pressure_scale
+        self._lambda = 1.0 / (expected * self._held) ** 2
         self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q, self._lambda)
         self._gas_limit = GAS_LINEAR * gas.P0 / self.scales.pressure_pa
         self._weight = float(reference_Q.diagonal().sum())
@@ -138,7 +143,7 @@ class Estimator:
         self._gas_noise = GAS_NOISE * gas.P0 / self.scales.pressure_pa
         self._gas_tau = 3.0 * self._gas_noise * self._equilibrium.adjoint(pull, gas_measured=True)
         self.resolution_m = resolution_m(
-            1.0 / (PRESSURE_SCALE * self.held_pressure_pa) ** 2,
+            1.0 / (expected * self.held_pressure_pa) ** 2,
             tension_n_per_m,
             information_density(Q, self.mesh.areas[self.mesh.free]),
         )

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 SENSOR = "pico_flexx_75mm"
+DEPTH_OF_SWEEP_M = 0.015
 
 
 @click.group()
@@ -44,7 +45,7 @@ def accuracy(
     import numpy as np
 
     from bubbleviz.sensor import load_sensor
-    from bubbleviz.study import accuracy_report, linear_model
+    from bubbleviz.study import accuracy_report, linear_model, regularisation
     from bubbleviz.study.accuracy import full_grid, quick_grid, run_accuracy
     from bubbleviz.study.report import out_folder, to_json
 
@@ -57,20 +58,30 @@ def accuracy(
         out_folder(out)
         accuracy_report.check_free(out)
         linear_model.check_free(out)
+        regularisation.check_free(out)
         parts = out_folder(out / "accuracy_parts")
     with _progress(len(grid.setups), "setup") as bar:
         found = run_accuracy(own, grid, parts, lambda _: bar.update())
+    strengths = regularisation.sweep(
+        own,
+        [press for press in grid.presses() if press.depth_m == DEPTH_OF_SWEEP_M],
+        np.logspace(-1, 1, 3) if quick else np.logspace(-3, 4, 15),
+        seed=seed,
+        truth_nodes=grid.truth_nodes,
+    )
     written: list[Path] = []
     if out is not None:
-        written = accuracy_report.write(found, out)
+        written = accuracy_report.write(found, out) + regularisation.write(strengths, out)
         bubble = linear_model.bubble_of(own)
         if bubble is not None:
             depths = np.linspace(0.04, 0.6, 3 if quick else 15) * bubble.height_m
             compared = linear_model.compare(bubble, depths, 1_500 if quick else 6_000)
             written += linear_model.write(compared, out)
-    click.echo(
-        to_json(accuracy_report.as_dict(found)) if as_json else accuracy_report.to_text(found)
-    )
+    if as_json:
+        lambdas = regularisation.as_dict(strengths)
+        click.echo(to_json({**accuracy_report.as_dict(found), "regularisation": lambdas}))
+    else:
+        click.echo(accuracy_report.to_text(found) + "\n\n" + regularisation.to_text(strengths))
     _name(written, as_json)
 
 
