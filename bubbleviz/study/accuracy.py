@@ -102,7 +102,8 @@ class Row:
     """One press at one noise level with one setup: means over the warm frames.
 
     `warm_ms` is the median time from depth image in to patch pixels out; `cold_ms` that of the
-    first frame of the press. A setup or press without an answer has a status that says why.
+    first frame of the press; `patch_width_m` the mean width of the true patch and `resolution_m`
+    that of the estimate's response. A setup or press without an answer has a status that says why.
     """
 
     object_name: str
@@ -114,6 +115,8 @@ class Row:
     nodes: int
     pixel_stride: int
     relinearisations: int
+    patch_width_m: float
+    resolution_m: float
     status: str
     iou: float = np.nan
     iou_best_threshold: float = np.nan
@@ -280,11 +283,24 @@ def _row(
         nodes=len(pipeline.mesh.nodes),
         pixel_stride=setup.stride,
         relinearisations=estimator.options.relinearisations,
+        patch_width_m=patch_width_m(sighting, pipeline.camera.intrinsics.fx * setup.stride),
+        resolution_m=estimator.resolution_m,
         status=bad[0] if bad else "ok",
         kkt_residual=max(estimate.kkt_residual for estimate in estimates),
         cold_ms=cold.times_ms["total"],
         warm_ms=_median_ms(warm),
     )
+
+
+def patch_width_m(sighting: Sighting, focal_px: float) -> float:
+    """Mean width of the true patch, m: four times the mean distance to its edge, as of a strip."""
+    from scipy.ndimage import distance_transform_edt
+
+    mask = sighting.truth.patch_mask
+    if not mask.any():
+        return 0.0
+    pixel = float(np.median(sighting.range_m[mask])) / focal_px
+    return 4.0 * pixel * float(distance_transform_edt(mask)[mask].mean())
 
 
 def _median_ms(results: list[Result]) -> float:

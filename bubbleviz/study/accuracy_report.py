@@ -182,10 +182,33 @@ def to_text(accuracy: Accuracy) -> str:
         "",
         "Shipped default",
         table(("target", "value", "limit", ""), aims),
+        "",
+        "Shipped default by object, 10–20 mm, 1 % noise; ℓ: width of the estimate's response",
+        table(("object", "", "IoU", "at best level", "patch width / ℓ"), _by_object(accuracy)),
         *([""] if accuracy.omitted else []),
         *(f"left out: {line}" for line in accuracy.omitted),
     ]
     return "\n".join(parts)
+
+
+def _by_object(accuracy: Accuracy) -> list[tuple[str, ...]]:
+    """Rows that show why some objects fare worse: their patches are narrow."""
+    found: list[tuple[str, ...]] = []
+    label = accuracy.grid.setups[0].label
+    for held_out in (False, True):
+        rows = selected(accuracy, label, TARGET_NOISE, held_out=held_out)
+        for name in dict.fromkeys(row.object_name for row in rows):
+            own = [row for row in rows if row.object_name == name]
+            found.append(
+                (
+                    name,
+                    "held out" if held_out else "grid",
+                    f"{np.mean([row.iou for row in own]):.3f}",
+                    f"{np.mean([row.iou_best_threshold for row in own]):.3f}",
+                    f"{np.mean([row.patch_width_m / row.resolution_m for row in own]):.1f}",
+                )
+            )
+    return found
 
 
 def check_free(folder: Path) -> None:
@@ -207,8 +230,9 @@ def write(accuracy: Accuracy, folder: Path) -> list[Path]:
 def _plot(accuracy: Accuracy, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 5), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = Figure(figsize=(17, 5), layout="constrained")
+    left, right, width = figure.subplots(1, 3)
+    _width_panel(width, accuracy)
     found = points(accuracy)
     _panel(left, found, [p.iou_mean for p in found], -1.0)
     base = [b.iou for b in accuracy.baselines if not b.blur_px and b.noise_relative == TARGET_NOISE]
@@ -225,6 +249,27 @@ def _plot(accuracy: Accuracy, path: Path) -> None:
         axes.legend(fontsize=8)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=130)
+
+
+def _width_panel(axes: Any, accuracy: Accuracy) -> None:
+    """IoU of the shipped default against how wide the true patch is."""
+    label = accuracy.grid.setups[0].label
+    noises = [noise for noise in accuracy.grid.noises_relative if noise > 0.0]
+    for k, noise in enumerate(noises):
+        for held_out, marker in ((False, "o"), (True, "^")):
+            rows = selected(accuracy, label, noise, held_out=held_out, deep=False)
+            axes.scatter(
+                [row.patch_width_m / row.resolution_m for row in rows],
+                [row.iou for row in rows],
+                color=f"C{k}",
+                marker=marker,
+                label=f"{100 * noise:g} % noise, {'held out' if held_out else 'grid'}",
+            )
+    axes.axhline(0.75, color="tab:green", lw=0.8)
+    axes.set(xlabel="mean width of the true patch, ℓ", ylabel="patch IoU", title="Why: width")
+    axes.set(xscale="log")
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3)
 
 
 def _panel(axes: Any, found: list[Point], values: list[float], sign: float) -> None:

@@ -12,7 +12,15 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor import load_sensor
 from bubbleviz.study import accuracy_report, linear_model
-from bubbleviz.study.accuracy import PRODUCTS, Grid, Row, Setup, run_accuracy, strided
+from bubbleviz.study.accuracy import (
+    PRODUCTS,
+    Grid,
+    Row,
+    Setup,
+    patch_width_m,
+    run_accuracy,
+    strided,
+)
 from bubbleviz.study.baseline import THRESHOLDS_M, _iou_by_threshold
 from bubbleviz.study.metrics import Judge, iou
 from bubbleviz.study.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press, made, presses
@@ -60,6 +68,18 @@ def test_cross_is_watertight_with_its_volume():
     assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
     volume = np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
     assert volume == pytest.approx((2 * 0.040 * 0.010 - 0.010**2) * 0.020, rel=1e-5)
+
+
+def test_patch_width_of_a_strip(bank):
+    sighting = bank.sighting(Press("sphere", 0.012, False))
+    mask = np.zeros((171, 224), bool)
+    mask[60:68, 20:200] = True
+    level = replace(sighting, range_m=np.full(mask.shape, 0.1))
+    level = replace(level, truth=replace(sighting.truth, patch_mask=mask))
+    # 8 pixels of 0.1 m / 200: 4 mm; pixel centres and the two short ends take a little
+    assert patch_width_m(level, 200.0) == pytest.approx(0.004, rel=0.3)
+    mask[60:92] = True
+    assert patch_width_m(level, 200.0) > 0.008
 
 
 def test_held_out_objects_are_marked():
@@ -177,8 +197,8 @@ def test_report_files(study, tmp_path):
 
 
 def row(setup, ms, overlap, force):
-    return Row("sphere", False, 0.015, 0.01, setup, "x", 800, 1, 2, "ok", overlap, overlap, force,
-               1e-3, 1e-4, 1.0, 0.0, 100.0, ms)  # fmt: skip
+    return Row("sphere", False, 0.015, 0.01, setup, "x", 800, 1, 2, 0.01, 0.003, "ok",
+               overlap, overlap, force, 1e-3, 1e-4, 1.0, 0.0, 100.0, ms)  # fmt: skip
 
 
 def test_front_and_targets_on_known_rows(study):
