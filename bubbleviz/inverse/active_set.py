@@ -15,6 +15,8 @@ from bubbleviz.inverse.pivoting import Quadratic, nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.reduced_hessian import ReducedHessian
 
+KKT_TOLERANCE = 1e-3
+
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
 
@@ -49,7 +51,7 @@ class ActiveSetSolver:
         equilibrium: Equilibrium,
         reference_Q: sparse.csr_array,
         lambda_: float,
-        tolerance: float = 1e-3,
+        tolerance: float = KKT_TOLERANCE,
         corrections: int = 30,
     ) -> None:
         self._equilibrium = equilibrium

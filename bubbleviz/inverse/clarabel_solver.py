@@ -16,10 +16,12 @@ class ClarabelSolver:
     Parameters
     ----------
     equilibrium : Equilibrium
+    tolerance : float, optional
+        Relative and absolute gap and infeasibility; None for Clarabel's own.
     """
 
-    def __init__(self, equilibrium: Equilibrium) -> None:
-        self._equilibrium = equilibrium
+    def __init__(self, equilibrium: Equilibrium, tolerance: float | None = None) -> None:
+        self._equilibrium, self._tolerance = equilibrium, tolerance
 
     def __call__(self, problem: FrameProblem) -> Pressure:
         """Solve one problem; every call starts cold."""
@@ -43,6 +45,8 @@ class ClarabelSolver:
         b[n] = problem.measured_gas or 0.0
         settings = clarabel.DefaultSettings()
         settings.verbose = False
+        if self._tolerance is not None:
+            settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._tolerance
         cones = [clarabel.ZeroConeT(n + 1), clarabel.NonnegativeConeT(k)]
         result = clarabel.DefaultSolver(
             sparse.csc_matrix(sparse.triu(P)),

@@ -44,6 +44,8 @@ class EstimatorOptions:
         How often rays may be re-cast at the current shape within one frame.
     nodes : int or None
         Size of the mesh of an analytic dome; None for the sensor file's.
+    tolerance : float or None
+        Of the solver, in its own terms; None for its default.
     pressure_scale : float
         Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
     """
@@ -51,6 +53,7 @@ class EstimatorOptions:
     solver: str | None = None
     relinearisations: int = 2
     nodes: int | None = None
+    tolerance: float | None = None
     pressure_scale: float = PRESSURE_SCALE
 
     @classmethod
@@ -135,7 +138,9 @@ class Estimator:
         self.solver_name = self.options.solver or DEFAULT
         expected = self.options.pressure_scale
         self._lambda = 1.0 / (expected * self._held) ** 2
-        self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q, self._lambda)
+        self._solver = make_solver(
+            self.solver_name, self._equilibrium, reference_Q, self._lambda, self.options.tolerance
+        )
         self._gas_limit = GAS_LINEAR * gas.P0 / self.scales.pressure_pa
         self._weight = float(reference_Q.diagonal().sum())
         self._tau = detection_threshold(self._equilibrium, reference_Q)

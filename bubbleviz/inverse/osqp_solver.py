@@ -9,6 +9,8 @@ from scipy import sparse
 
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
+TOLERANCE = 1e-5
+
 
 class OsqpSolver:
     """Set up once, factorised once, then only values change from frame to frame.
@@ -16,18 +18,21 @@ class OsqpSolver:
     Parameters
     ----------
     equilibrium : Equilibrium
-    tolerance : float
+    tolerance : float, optional
         Absolute and relative tolerance of OSQP on the dimensionless problem.
     max_iterations : int
     """
 
     def __init__(
-        self, equilibrium: Equilibrium, tolerance: float = 1e-5, max_iterations: int = 10_000
+        self,
+        equilibrium: Equilibrium,
+        tolerance: float | None = None,
+        max_iterations: int = 10_000,
     ) -> None:
         self._equilibrium = equilibrium
         self._settings = {
-            "eps_abs": tolerance,
-            "eps_rel": tolerance,
+            "eps_abs": tolerance or TOLERANCE,
+            "eps_rel": tolerance or TOLERANCE,
             "max_iter": max_iterations,
             "verbose": False,
             "polishing": False,
@@ -103,14 +108,15 @@ class ColdOsqp:
     Parameters
     ----------
     equilibrium : Equilibrium
+    tolerance : float, optional
     """
 
-    def __init__(self, equilibrium: Equilibrium) -> None:
-        self._equilibrium = equilibrium
+    def __init__(self, equilibrium: Equilibrium, tolerance: float | None = None) -> None:
+        self._equilibrium, self._tolerance = equilibrium, tolerance
 
     def __call__(self, problem: FrameProblem) -> Pressure:
         """Set up, factorise and solve one problem."""
-        return OsqpSolver(self._equilibrium)(problem)
+        return OsqpSolver(self._equilibrium, self._tolerance)(problem)
 
 
 def _for_osqp(matrix: sparse.sparray) -> sparse.csc_matrix:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -26,37 +27,43 @@ class InverseSolver(Protocol):
         """Solve on the problem's support without the L1 term, from a selection."""
 
 
+Make = Callable[[Equilibrium, sparse.csr_array, float, float | None], InverseSolver]
+"""Makes a solver: equilibrium, Q of every pixel valid, λ, tolerance (None: the solver's own)."""
+
+
 def _active_set(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
-    from bubbleviz.inverse.active_set import ActiveSetSolver
+    from bubbleviz.inverse.active_set import KKT_TOLERANCE, ActiveSetSolver
 
-    return ActiveSetSolver(equilibrium, reference_Q, lambda_)
+    return ActiveSetSolver(equilibrium, reference_Q, lambda_, tolerance or KKT_TOLERANCE)
 
 
-def _osqp(equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float) -> InverseSolver:
+def _osqp(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
+) -> InverseSolver:
     from bubbleviz.inverse.osqp_solver import OsqpSolver
 
-    return TwoStage(equilibrium, OsqpSolver)
+    return TwoStage(equilibrium, partial(OsqpSolver, tolerance=tolerance))
 
 
 def _osqp_cold(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
     from bubbleviz.inverse.osqp_solver import ColdOsqp
 
-    return TwoStage(equilibrium, ColdOsqp)
+    return TwoStage(equilibrium, partial(ColdOsqp, tolerance=tolerance))
 
 
 def _clarabel(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
     from bubbleviz.inverse.clarabel_solver import ClarabelSolver
 
-    return TwoStage(equilibrium, ClarabelSolver)
+    return TwoStage(equilibrium, partial(ClarabelSolver, tolerance=tolerance))
 
 
-SOLVERS: dict[str, Callable[[Equilibrium, sparse.csr_array, float], InverseSolver]] = {
+SOLVERS: dict[str, Make] = {
     "active-set": _active_set,
     "osqp": _osqp,
     "osqp-cold": _osqp_cold,
@@ -69,7 +76,11 @@ SOLVER_NAMES = (*SOLVERS, "fast")
 
 
 def make_solver(
-    name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
+    name: str,
+    equilibrium: Equilibrium,
+    reference_Q: sparse.csr_array,
+    lambda_: float,
+    tolerance: float | None = None,
 ) -> InverseSolver:
     """Solver of the given name.
 
@@ -80,4 +91,4 @@ def make_solver(
     """
     if name not in SOLVERS:
         raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVER_NAMES)}")
-    return SOLVERS[name](equilibrium, reference_Q, lambda_)
+    return SOLVERS[name](equilibrium, reference_Q, lambda_, tolerance)

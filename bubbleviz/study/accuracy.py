@@ -39,12 +39,14 @@ class Setup:
     stride : int
         Every stride-th pixel of every stride-th row.
     relinearisations : int or None
+    tolerance : float or None
     """
 
     solver: str | None = None
     nodes: int | None = None
     stride: int = 1
     relinearisations: int | None = None
+    tolerance: float | None = None
 
     @property
     def label(self) -> str:
@@ -54,14 +56,13 @@ class Setup:
             f"n{self.nodes}" if self.nodes else "",
             f"stride{self.stride}" if self.stride > 1 else "",
             f"relin{self.relinearisations}" if self.relinearisations is not None else "",
+            f"eps{self.tolerance:.0e}" if self.tolerance is not None else "",
         ]
         return "_".join(filter(None, parts))
 
     def pipeline(self, sensor: Sensor) -> Pipeline:
         """Pipeline with these settings."""
-        options = EstimatorOptions()
-        if self.solver is not None:
-            options = replace(options, solver=self.solver)
+        options = EstimatorOptions(solver=self.solver, tolerance=self.tolerance)
         if self.relinearisations is not None:
             options = replace(options, relinearisations=self.relinearisations)
         return Pipeline(strided(with_nodes(sensor, self.nodes), self.stride), options=options)

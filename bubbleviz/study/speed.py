@@ -26,6 +26,7 @@ SOURCE_NODES = 1_000
 """The simulated press has four times as many, whatever the estimator has."""
 ROUND = 150
 """Frames of the moving press."""
+BASELINE_FRAMES = 12
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Run:
 
     Attributes
     ----------
-    sweep : {"stream", "nodes", "pixels"}
+    sweep : {"stream", "baseline", "nodes", "pixels"}
     setup : Setup
     pixels : int or None
         Number of pixels of a scaled camera; None for the sensor's own.
@@ -81,30 +82,36 @@ class SpeedRow:
 
 
 def full_runs() -> list[Run]:
-    """Streams of every solver; nodes 200 … 20,000 and pixels 5k … 1M for default and sparse."""
+    """Streams of every solver, the baseline, nodes 200 … 20,000 and pixels 5k … 1M."""
     streams = [
         Run("stream", Setup(), frames=ROUND),
         Run("stream", Setup(relinearisations=0), frames=ROUND),
-        *(Run("stream", Setup(s), frames=ROUND) for s in ("active-set", "osqp")),
-        Run("stream", Setup("osqp-cold"), frames=12),
-        Run("stream", Setup("osqp-cold", relinearisations=0), frames=12),
-        Run("stream", Setup("clarabel"), frames=12),
+        Run("stream", Setup("osqp"), frames=40),
+        Run("stream", Setup("clarabel"), frames=BASELINE_FRAMES),
+        *baseline_runs(BASELINE_FRAMES, (1e-3, 1e-4, 1e-5, 1e-6)),
     ]
+    sizes_n = (200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
     nodes = [
-        Run("nodes", Setup(solver, n), frames=8, limit_s=60.0)
-        for solver in (None, "osqp")
-        for n in (200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
+        *(Run("nodes", Setup(None, n), frames=8) for n in sizes_n),
+        *(Run("nodes", Setup("osqp", n), frames=8, limit_s=60.0) for n in sizes_n[:5]),
     ]
     sizes = (5_000, 20_000, 38_304, 150_000, 500_000, 1_000_000)
     return [*streams, *nodes, *(Run("pixels", Setup(), p, limit_s=300.0) for p in sizes)]
+
+
+def baseline_runs(frames: int, tolerances: tuple[float, ...]) -> list[Run]:
+    """The default and `osqp-cold` on the same few frames, the latter to several tolerances."""
+    cold = [Setup("osqp-cold", relinearisations=0, tolerance=eps) for eps in tolerances]
+    recast = [Setup("osqp-cold", tolerance=eps) for eps in tolerances]
+    return [Run("baseline", setup, frames=frames) for setup in (Setup(), *cold, *recast)]
 
 
 def quick_runs() -> list[Run]:
     """Less than a minute's worth."""
     return [
         Run("stream", Setup(), frames=40),
-        Run("stream", Setup("osqp-cold"), frames=6),
-        *(Run("nodes", Setup("osqp", n), frames=4) for n in (800, 2_000)),
+        *baseline_runs(6, (1e-3, 1e-5)),
+        *(Run("nodes", Setup(None, n), frames=4) for n in (800, 5_000)),
         *(Run("pixels", Setup(), p, frames=4) for p in (38_304, 300_000)),
     ]
 
@@ -205,7 +212,7 @@ def _frames_of(run: Run, source: SyntheticSource) -> list[int]:
     if run.frames >= len(source):
         return list(range(len(source)))
     deepest = round(0.4 * len(source))
-    if run.sweep == "stream":
+    if run.sweep in ("stream", "baseline"):
         start = max(0, deepest - run.frames // 2)
         return list(range(start, min(start + run.frames, len(source))))
     return list(range(deepest, deepest + run.frames))

@@ -105,10 +105,11 @@ def test_growth_of_known_rows():
 
 def test_targets_of_known_rows(measured, tmp_path):
     fast = replace(measured, setup="default", total_ms=6.0, total_p95_ms=12.0)
-    slow = replace(measured, setup="osqp-cold", total_ms=90.0)
+    base = replace(fast, sweep="baseline", iou_mean=0.8)
+    loose = replace(base, setup="osqp-cold_eps1e-03", total_ms=30.0, iou_mean=0.7)
+    same = replace(base, setup="osqp-cold_eps1e-05", total_ms=90.0, iou_mean=0.795)
     rows = [
-        fast,
-        slow,
+        *(fast, base, loose, same),
         *rows_of("nodes", (1_000, 20_000), 1.5),
         *rows_of("pixels", (38_304, 10**6), 0.5),
     ]
@@ -116,10 +117,10 @@ def test_targets_of_known_rows(measured, tmp_path):
     aims = speed_report.targets(found)
     assert len(aims) == 5
     assert all(aim.met for aim in aims)
+    assert "eps1e-05" in aims[2].name and aims[2].value == pytest.approx(15.0)
     slower = replace(fast, total_ms=9.5, total_p95_ms=17.0)
     rows = [
-        slower,
-        slow,
+        *(slower, replace(base, total_ms=9.5), loose, same),
         *rows_of("nodes", (1_000, 20_000), 1.7),
         *rows_of("pixels", (38_304, 10**6), 0.9),
     ]
