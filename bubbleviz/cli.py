@@ -225,6 +225,25 @@ def simulate(
     write_simulation(source, out, truth)
 
 
+@main.command()
+@click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap or a folder.")
+@click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor that synthetic: simulates.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def record(source: str, out: Path, duration: float | None, sensor: str, as_json: bool) -> None:
+    """Record every message of a live source.
+
+    ^C ends the recording; the file is whole. Should the machine stop, it opens up to the last
+    second.
+    """
+    from bubbleviz.live.record import record_source
+    from bubbleviz.sensor import load_sensor
+
+    summary = record_source(source, load_sensor(sensor), out, duration)
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
 # -- the inverse problem: estimate --------------------------------------------------------------
 
 

@@ -185,7 +185,7 @@ def default_press(sensor: Sensor, frames: int = 150, rate_hz: float = 30.0) -> S
     """
     noise = DepthNoise(relative=sensor.camera.noise_relative)
     obj = load_object("two_legged_toy")
-    height, width = _dome_size(sensor)
+    height, width = dome_size(sensor)
     poses = default_path(height, width, frames)
     return SyntheticSource(sensor, obj, poses, noise, rate_hz)
 
@@ -195,9 +195,9 @@ def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     t = np.arange(frames) / frames
-    depth = 0.25 * height_m * (_ease(t, 0.12, 0.35) - _ease(t, 0.75, 0.92))
-    above = 0.1 * height_m * (1.0 - _ease(t, 0.05, 0.12) + _ease(t, 0.92, 0.98))
-    turn = _ease(t, 0.35, 0.75)
+    depth = 0.25 * height_m * (ease(t, 0.12, 0.35) - ease(t, 0.75, 0.92))
+    above = 0.1 * height_m * (1.0 - ease(t, 0.05, 0.12) + ease(t, 0.92, 0.98))
+    turn = ease(t, 0.35, 0.75)
     round_trip = 2.0 * np.pi * turn
     radius = 0.05 * width_m
     poses = np.tile(np.eye(4), (frames, 1, 1))
@@ -210,14 +210,14 @@ def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:
     return poses
 
 
-def _dome_size(sensor: Sensor) -> tuple[float, float]:
+def dome_size(sensor: Sensor) -> tuple[float, float]:
     """Height of the dome and the narrower width of its rim, m."""
     mesh = build_mesh(sensor)
     rim = np.ptp(mesh.nodes[mesh.rim, :2], axis=0)
     return float(mesh.nodes[:, 2].max()), float(rim.min())
 
 
-def _ease(t: np.ndarray, start: float, end: float) -> np.ndarray:
+def ease(t: np.ndarray, start: float, end: float) -> np.ndarray:
     """Rise from 0 to 1 between `start` and `end`, smooth at both."""
     s = np.clip((t - start) / (end - start), 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)

@@ -98,6 +98,7 @@ class McapFile:
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
+        self.synced_bytes = self._stream.tell()
         self._stream.close()
         if self._folder is not None:
             (self._folder / "metadata.yaml").write_text(metadata_yaml(self._facts), "utf-8")

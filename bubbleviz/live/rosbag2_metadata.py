@@ -87,5 +87,6 @@ def _yaml(content: dict[str, Any]) -> str:
     stream = io.StringIO()
     writer = YAML(typ="safe")
     writer.default_flow_style = False
+    writer.width = 1000
     writer.dump(content, stream)
     return stream.getvalue()

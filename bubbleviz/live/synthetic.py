@@ -97,14 +97,16 @@ class SyntheticLive:
         simulation: FrameSource,
         frames: list[Frame | None],
     ) -> None:
-        start, sent = time.monotonic(), 0
+        first = frames[0] = frames[0] or simulation[0]
+        # once for nothing: rosbags compiles what it needs for the first message
+        self._topics = tuple(OfferedTopic(m.topic, m.type) for m in self._messages.of(first))
+        start, epoch, sent = time.monotonic(), time.time_ns(), 0
         total = np.inf if self._rounds is None else self._rounds * len(frames)
         while sent < total and pace.wait_until(start + sent / self._rate):
             k = sent % len(frames)
             frame = frames[k] = frames[k] or simulation[k]
-            found = list(self._messages.of(frame, time.time_ns()))
-            self._topics = self._topics or tuple(OfferedTopic(m.topic, m.type) for m in found)
-            for message in found:
+            stamp = epoch + round(sent / self._rate * 1e9)
+            for message in self._messages.of(frame, stamp):
                 deliver(_raw(message, sent))
             sent += 1
 

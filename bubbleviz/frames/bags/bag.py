@@ -227,9 +227,10 @@ def _open_bare(file: Path) -> Any:
 def _what_is_missing(reader: Any) -> str:
     if not isinstance(reader, CutMcapReader):
         return ""
+    lost = f"; {reader.lost_bytes / 1e3:.3g} kB behind it are lost" if reader.lost_bytes else ""
     return (
-        f"{reader.path.name} ends early, as when recording was cut off; all but its last "
-        f"{reader.lost_bytes / 1e3:.3g} kB is here"
+        f"{reader.path.name} ends early, as when recording is cut off: it is here up to its last "
+        f"whole chunk{lost}"
     )
 
 
