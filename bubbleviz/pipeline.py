@@ -127,7 +127,8 @@ class Pipeline:
         with self._timed("total", times):
             if self._wanted("estimate", products):
                 with self._timed("estimate", times):
-                    estimate = self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa)
+                    depth = self._straightened(frame)
+                    estimate = self.estimator.estimate(depth, frame.gas_pressure_pa)
                 result = replace(result, estimate=estimate)
             if self._wanted("patch", products) and result.estimate is not None:
                 with self._timed("patch", times):
@@ -183,7 +184,15 @@ class Pipeline:
         model[np.searchsorted(pixels, hits.ray)] = hits.range_m
         if self.pixels is not None:
             model += np.where(self.pixels.mask, self.pixels.bias_m, np.nan).ravel()[pixels]
-        return self.camera.range_image(frame.depth_m).ravel()[pixels] - model
+        return self.camera.range_image(self._straightened(frame)).ravel()[pixels] - model
+
+    def _straightened(self, frame: Frame) -> np.ndarray:
+        """z-depth (H, W) as calibrated at several inflation levels, m; else as it is."""
+        line = self.pixels.line if self.pixels is not None else None
+        if line is None:
+            return frame.depth_m
+        ranges = line.straighten(self.camera.range_image(frame.depth_m))
+        return self.camera.depth_image(ranges).astype(np.float32)
 
     @staticmethod
     def _wanted(stage: str, products: frozenset[Product]) -> bool:

@@ -30,8 +30,12 @@ class BeforeAfter:
 def before_after(found: Identification) -> BeforeAfter:
     """The last contact-free frame, before rectification and after it."""
     frame = found.camera.range_image(found.samples.depth_m[-1])
-    before = np.where(found.pixels.mask, frame - found.modelled_range_m, np.nan)
-    return BeforeAfter(before, before - found.pixels.bias_m)
+    pixels, line = found.pixels, found.pixels.line
+    straight = frame if line is None else line.straighten(frame)
+    before, after = (
+        np.where(pixels.mask, image - found.modelled_range_m, np.nan) for image in (frame, straight)
+    )
+    return BeforeAfter(before, after - pixels.bias_m)
 
 
 def local_tension_image(found: Identification) -> np.ndarray:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bubbleviz.calibration.depth_statistics import DepthStatistics
 from bubbleviz.calibration.robust import robust_sigma, upper_fence
 from bubbleviz.calibration.segment import away_from_edges
+from bubbleviz.camera.pixels import RangeLine
 
 _MICROMETRE = 1e-6
 """Step of the stored images: far below the noise, and it makes them compress to a third."""
@@ -33,6 +35,8 @@ class PixelStatistics:
         Pixels that each reason removed; the first that applies counts.
     correlated_pixels : float
         Pixels that are worth one independent sample.
+    line : RangeLine or None
+        From several inflation levels, where there are (`rectification.rectify`).
     """
 
     mask: np.ndarray
@@ -40,6 +44,7 @@ class PixelStatistics:
     noise_m: np.ndarray
     removed: dict[str, int]
     correlated_pixels: float = 1.0
+    line: RangeLine | None = None
 
     def save(self, path: str | Path) -> None:
         """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images.
@@ -55,7 +60,17 @@ class PixelStatistics:
                 correlated_pixels=np.float32(self.correlated_pixels),
                 removed_reasons=np.array(list(self.removed), dtype=str),
                 removed_pixels=np.array(list(self.removed.values()), dtype=np.int64),
+                **self._line_images(),
             )
+
+    def _line_images(self) -> dict[str, Any]:
+        if self.line is None:
+            return {}
+        images = {
+            name: getattr(self.line, name).astype(np.float32)
+            for name in ("slope", "rest_m", "nearest_m", "farthest_m")
+        }
+        return images | {"levels": np.int64(self.line.levels)}
 
 
 def select_pixels(

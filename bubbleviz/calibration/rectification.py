@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.calibration.identify import Identification
+from bubbleviz.calibration.contact_free import find_contact_free
+from bubbleviz.calibration.identify import Identification, check_dome
+from bubbleviz.calibration.motion import check_still
+from bubbleviz.calibration.pixels import select_pixels
+from bubbleviz.calibration.progress import Progress, quiet
+from bubbleviz.calibration.robust import robust_sigma
+from bubbleviz.calibration.samples import collect
+from bubbleviz.calibration.surfaces import fit_surfaces
+from bubbleviz.camera.pixels import RangeLine
 from bubbleviz.errors import InputError
+from bubbleviz.frames.source import FrameSource
+from bubbleviz.sensor import Sensor
 
 _TOLERANCE = 3.0  # standard deviations of a sample at the outermost level
 _APART = 10.0  # standard deviations of a sample that levels must differ by
@@ -24,11 +34,14 @@ class Level:
         Mean range along the ray, and that of the surface fitted to it, m; NaN: none.
     noise_m : (H, W) array
         Standard deviation of one sample, m.
+    frames : float
+        Independent samples that the mean is worth.
     """
 
     measured_m: np.ndarray
     modelled_m: np.ndarray
     noise_m: np.ndarray
+    frames: float = 1.0
 
     @classmethod
     def of(cls, found: Identification) -> Level:
@@ -38,6 +51,32 @@ class Level:
             measured_m=np.where(mask, found.statistics.range_m, np.nan),
             modelled_m=np.where(mask, found.modelled_range_m, np.nan),
             noise_m=found.pixels.noise_m,
+            frames=found.statistics.effective_frames,
+        )
+
+    @classmethod
+    def measure(
+        cls, source: FrameSource, sensor: Sensor, nodes: int = 1000, progress: Progress = quiet
+    ) -> Level:
+        """Level of a recording that begins untouched; its gauge pressure need not be known.
+
+        Raises
+        ------
+        InputError
+            As in `identify`.
+        """
+        chosen = find_contact_free(source, progress).frames
+        samples = collect(source, sensor, chosen, progress)
+        check_still(samples)
+        surfaces = fit_surfaces(samples, nodes, progress=progress)
+        check_dome(samples, surfaces)
+        pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
+        measured = np.where(pixels.mask, samples.statistics.range_m, np.nan)
+        return cls(
+            measured,
+            measured - surfaces.residual_m,
+            pixels.noise_m,
+            samples.statistics.effective_frames,
         )
 
 
@@ -52,6 +91,8 @@ class Rectification:
     nearest_m, farthest_m : (H, W) array
         Measured ranges between which the line holds, m; from one level alone there is no line
         and so no limit: −inf and inf.
+    slope_sigma : (H, W) array
+        Standard error of the slope; 0 for one level.
     levels : int
     """
 
@@ -59,6 +100,7 @@ class Rectification:
     slope: np.ndarray
     nearest_m: np.ndarray
     farthest_m: np.ndarray
+    slope_sigma: np.ndarray
     levels: int
 
     def apply(self, range_m: np.ndarray) -> np.ndarray:
@@ -87,17 +129,74 @@ def fit_rectification(levels: Sequence[Level]) -> Rectification:
         everywhere = np.full(measured.shape[1:], np.inf)
         offset = (modelled - measured)[0]
         slope = np.where(np.isfinite(offset), 1.0, np.nan)
-        return Rectification(offset, slope, -everywhere, everywhere, 1)
+        return Rectification(offset, slope, -everywhere, everywhere, np.zeros(offset.shape), 1)
     nearest, farthest = measured.min(axis=0), measured.max(axis=0)
     _check_apart(farthest - nearest, noise.max(axis=0))
+    frames = np.array([level.frames for level in levels])[:, None, None]
     with np.errstate(invalid="ignore", divide="ignore"):
-        weights = 1.0 / noise**2
-        weights /= weights.sum(axis=0)
+        precision = frames / noise**2
+        weights = precision / precision.sum(axis=0)
         x, y = (np.sum(weights * image, axis=0) for image in (measured, modelled))
-        slope = np.sum(weights * (measured - x) * (modelled - y), axis=0)
-        slope /= np.sum(weights * (measured - x) ** 2, axis=0)
+        lever = np.sum(weights * (measured - x) ** 2, axis=0)
+        slope = np.sum(weights * (measured - x) * (modelled - y), axis=0) / lever
+        sigma = 1.0 / np.sqrt(lever * precision.sum(axis=0))
         margin = _TOLERANCE * noise.max(axis=0)
-    return Rectification(y - slope * x, slope, nearest - margin, farthest + margin, len(levels))
+    return Rectification(
+        y - slope * x, slope, nearest - margin, farthest + margin, sigma, len(levels)
+    )
+
+
+def _steady_slope(fitted: Rectification) -> np.ndarray:
+    """Slopes (H, W) drawn to 1 by as much as noise has spread them; NaN where nothing is known.
+
+    Towards the rim the levels differ by little. The mean of the posterior, with the slopes'
+    own spread over the better half of the pixels as the prior's.
+    """
+    known = np.isfinite(fitted.slope)
+    change, sigma = fitted.slope - 1.0, fitted.slope_sigma
+    better = known & (sigma <= np.median(sigma[known]))
+    spread = robust_sigma(change[better], center=0.0) ** 2 - float(np.mean(sigma[better] ** 2))
+    prior = max(spread, 0.0)
+    steady: np.ndarray = 1.0 + change * prior / np.maximum(prior + sigma**2, 1e-300)
+    return steady
+
+
+def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
+    """Identification whose pixels know, from further inflation levels, how errors change.
+
+    The bias stays that of its own level, so that the untouched sensor shows no contact; pixels
+    that are not seen at every level are left out.
+
+    Raises
+    ------
+    InputError
+        As `fit_rectification`.
+    """
+    if not levels:
+        return found
+    fitted = fit_rectification([Level.of(found), *levels])
+    pixels, slope = found.pixels, _steady_slope(fitted)
+    known = np.isfinite(slope)
+    mask = pixels.mask & known
+    lost = int(np.count_nonzero(pixels.mask & ~known))
+    line = RangeLine(
+        slope=np.where(mask, slope, 1.0),
+        rest_m=np.where(mask, found.statistics.range_m, 0.0),
+        nearest_m=np.where(mask, fitted.nearest_m, 0.0),
+        farthest_m=np.where(mask, fitted.farthest_m, 0.0),
+        levels=fitted.levels,
+    )
+    return replace(
+        found,
+        pixels=replace(
+            pixels,
+            mask=mask,
+            bias_m=np.where(mask, pixels.bias_m, 0.0).astype(np.float32),
+            noise_m=np.where(mask, pixels.noise_m, np.inf).astype(np.float32),
+            removed=pixels.removed | {"not_at_every_level": lost},
+            line=line,
+        ),
+    )
 
 
 def _check_apart(span_m: np.ndarray, noise_m: np.ndarray) -> None:

@@ -17,6 +17,13 @@ from bubbleviz.calibration.identify import Identification
 from bubbleviz.calibration.images import before_after, local_tension_image
 from bubbleviz.calibration.pictures import coloured, data_uri
 from bubbleviz.calibration.sensor_files import Origin
+from bubbleviz.calibration.validation import Validation
+from bubbleviz.calibration.validation_report import (
+    validation_advice,
+    validation_numbers,
+    validation_pictures,
+    validation_rows,
+)
 from bubbleviz.calibration.verdict import judge
 from bubbleviz.calibration.wrench_tension import WrenchTension
 from bubbleviz.outputs import whole_file
@@ -29,7 +36,10 @@ color:#555}.good{color:#1a7f37}.usable{color:#9a6700}.doubtful{color:#b42318}cod
 
 
 def summary(
-    found: Identification, origin: Origin, by_wrench: WrenchTension | None = None
+    found: Identification,
+    origin: Origin,
+    by_wrench: WrenchTension | None = None,
+    validation: Validation | None = None,
 ) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON.
 
@@ -39,13 +49,21 @@ def summary(
     origin : Origin
     by_wrench : WrenchTension, optional
         The second estimate of γ0, where there is one.
+    validation : Validation, optional
+        By a known object at a known pose, where there is one.
     """
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, fits = found.statistics, found.fits
     chamber = found.chamber
     return {
         "verdict": asdict(verdict)
-        | {"advice": [*verdict.advice, *_wrench_advice(by_wrench, tension.tension.value)]},
+        | {
+            "advice": [
+                *verdict.advice,
+                *_wrench_advice(by_wrench, tension.tension.value),
+                *validation_advice(validation),
+            ]
+        },
         "origin": asdict(origin),
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
@@ -56,6 +74,8 @@ def summary(
         "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
         "tension_per_pascal_m": tension.per_pascal,
         "tension_by_wrench": _wrench(by_wrench),
+        "validation": validation_numbers(validation),
+        "rectification": _rectification(found),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
@@ -91,7 +111,12 @@ def versions() -> dict[str, str]:
     return {"bubbleviz": bubbleviz.__version__, "python": platform.python_version(), **packages}
 
 
-def write_report(found: Identification, numbers: dict[str, Any], folder: str | Path) -> None:
+def write_report(
+    found: Identification,
+    numbers: dict[str, Any],
+    folder: str | Path,
+    validation: Validation | None = None,
+) -> None:
     """Write `report.html` and `report.json` in a new folder, both or none.
 
     Parameters
@@ -100,6 +125,8 @@ def write_report(found: Identification, numbers: dict[str, Any], folder: str | P
     numbers : dict
         Its `summary`.
     folder : path
+    validation : Validation, optional
+        For its pictures.
 
     Raises
     ------
@@ -111,7 +138,7 @@ def write_report(found: Identification, numbers: dict[str, Any], folder: str | P
         (temporary / "report.json").write_text(
             json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
         )
-        (temporary / "report.html").write_text(_html(found, numbers), encoding="utf-8")
+        (temporary / "report.html").write_text(_html(found, numbers, validation), encoding="utf-8")
 
 
 def _wrench_advice(by_wrench: WrenchTension | None, tension_n_per_m: float) -> list[str]:
@@ -151,14 +178,14 @@ def _interval(quantity: Any) -> dict[str, float]:
     return {"value": quantity.value, "low": quantity.low, "high": quantity.high}
 
 
-def _html(found: Identification, numbers: dict[str, Any]) -> str:
+def _html(found: Identification, numbers: dict[str, Any], validation: Validation | None) -> str:
     verdict = numbers["verdict"]
     name = escape(found.sensor.name)
     advice = "".join(f"<li>{escape(line)}</li>" for line in verdict["advice"])
     pictures = "".join(
         f'<figure><img alt="{escape(title)}" src="{uri}"><figcaption><b>{escape(title)}</b><br>'
         f"{escape(text)}</figcaption></figure>"
-        for title, text, uri in _pictures(found)
+        for title, text, uri in (*_pictures(found), *validation_pictures(validation))
     )
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Calibration of {name}'
@@ -188,6 +215,8 @@ def _rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
         for name, value in numbers["left_out_rms_m"].items()
     ]
     rows += _wrench_rows(numbers["tension_by_wrench"])
+    rows += validation_rows(numbers["validation"])
+    rows += _rectification_rows(numbers["rectification"])
     contact_free, pixels = numbers["contact_free"], numbers["pixels"]
     rows += [
         ("surface", numbers["surface"]),
@@ -217,6 +246,35 @@ def _wrench_rows(wrench: dict[str, Any] | None) -> list[tuple[str, str]]:
         ("error of its force on frames not used", f"{wrench['tested_rms_n']:.2f} N rms"),
         ("the same with γ0 by Young–Laplace", f"{wrench['given_rms_n']:.2f} N rms"),
         ("mean force there", f"{wrench['measured_mean_n']:.2f} N"),
+    ]
+
+
+def _rectification(found: Identification) -> dict[str, Any]:
+    """Levels, and what the line through them says; an offset from one level has no limits."""
+    line, mask = found.pixels.line, found.pixels.mask
+    if line is None:
+        return {"levels": 1}
+    return {
+        "levels": line.levels,
+        "slope_median": float(np.median(line.slope[mask])),
+        "slope_spread": float(np.std(line.slope[mask])),
+        "span_median_m": float(np.median((line.farthest_m - line.nearest_m)[mask])),
+    }
+
+
+def _rectification_rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
+    if numbers["levels"] == 1:
+        return [("rectification", "offset of each pixel, from one inflation level")]
+    return [
+        ("rectification", f"line of each pixel through {numbers['levels']} inflation levels"),
+        (
+            "true change of range per measured one",
+            f"{numbers['slope_median']:.4f}, spread {numbers['slope_spread']:.4f}",
+        ),
+        (
+            "the line holds over",
+            f"{1e3 * numbers['span_median_m']:.2f} mm; beyond, the nearest level's offset",
+        ),
     ]
 
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from bubbleviz.calibration.identify import Identification
 from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.report import summary, write_report
-from bubbleviz.calibration.sensor_files import Origin, file_hash, output_files, write_sensor
+from bubbleviz.calibration.sensor_files import (
+    Origin,
+    file_hash,
+    output_files,
+    write_sensor,
+    written,
+)
+from bubbleviz.calibration.validation import Validation
 from bubbleviz.calibration.wrench_tension import WrenchTension, press_halves, tension_by_wrench
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.outputs import refuse_existing
-from bubbleviz.sensor import Sensor, load_sensor
 
 
 def check_outputs(out: Path, report: Path | None) -> None:
@@ -33,6 +36,7 @@ def save(
     out: Path,
     report: Path | None,
     progress: Progress = quiet,
+    validation: Validation | None = None,
 ) -> dict[str, Any]:
     """Write the sensor at `out` and its report; the numbers of the report.
 
@@ -47,6 +51,9 @@ def save(
         SENSOR.toml; its mesh and pixels go beside it.
     report : path, optional
         New folder.
+    progress : Progress
+    validation : Validation, optional
+        By a known press.
 
     Raises
     ------
@@ -64,26 +71,17 @@ def save(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         report=None if report is None else str(report / "report.html"),
     )
-    numbers = summary(found, origin, _by_wrench(source, found, progress))
+    numbers = summary(found, origin, _by_wrench(source, found, progress), validation)
     progress("writing", 0.0)
     write_sensor(found, out, origin)
     if report is not None:
         try:
-            write_report(found, numbers, report)
+            write_report(found, numbers, report, validation)
         except BaseException:
             for each in (out, out.with_suffix(".ply"), out.with_suffix(".npz")):
                 each.unlink(missing_ok=True)  # none of them was there before
             raise
     return numbers
-
-
-@contextmanager
-def written(found: Identification) -> Iterator[Sensor]:
-    """The identified sensor as loaded from files that are gone afterwards."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "sensor.toml"
-        write_sensor(found, file)
-        yield load_sensor(file)
 
 
 def _by_wrench(

@@ -11,11 +11,13 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.view import MembraneView
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.source import FrameSource
 from bubbleviz.frames.synthetic import simulation_mesh
 from bubbleviz.membrane.forward import ForwardModel
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.objects import RigidObject
+from bubbleviz.objects import RigidObject, load_object
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.posefile import parse_pose
 from bubbleviz.sensor import Sensor
 
 
@@ -55,6 +57,51 @@ class Validation:
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
 
+    @property
+    def distance_image_m(self) -> np.ndarray:
+        """Signed distance in the pixel of each point, (H, W), m; NaN where there is none."""
+        image = np.full(self.predicted_patch.shape, np.nan)
+        image.ravel()[self.pixels] = self.distance_m
+        return image
+
+
+@dataclass(frozen=True)
+class KnownPress:
+    """An object held still against the membrane, as a person names it.
+
+    Attributes
+    ----------
+    obj : str
+        Mesh file, or name of an object preset.
+    pose : str
+        T_B_O as "x y z qx qy qz qw", m and unit quaternion; B has its origin in the middle of
+        the rim plane.
+    first, stop : int
+        First frame of the press and the one after its last.
+    """
+
+    obj: str
+    pose: str
+    first: int
+    stop: int
+
+    def validate(self, sensor: Sensor, source: FrameSource) -> Validation:
+        """Predict this press and compare it with its frames in a recording.
+
+        Raises
+        ------
+        InputError, SolveError
+            As `validate`; no such object or frames, or the pose cannot be read.
+        """
+        obj, T_B_O = load_object(self.obj), parse_pose(self.pose)
+        if not 0 <= self.first < self.stop <= len(source):
+            raise InputError(
+                f"{source.name}: pressed frames {self.first}:{self.stop} are outside its"
+                f" {len(source)} frames; name others"
+            )
+        frames = [source[k] for k in range(self.first, self.stop)]
+        return validate(sensor, frames, obj, T_B_O)
+
 
 def validate(
     sensor: Sensor, frames: Sequence[Frame], obj: RigidObject, T_B_O: np.ndarray
@@ -89,9 +136,11 @@ def validate(
         raise SolveError(f"validation: no equilibrium of {obj.name} at this pose")
     view = MembraneView(camera, mesh)
     measured = camera.range_image(frame.depth_m).astype(float)
-    if pipeline.pixels is not None:
-        measured = np.where(pipeline.pixels.mask, measured - pipeline.pixels.bias_m, np.nan)
-    distance, pixels = _distance(view, measured, contact.displacement_m)
+    pixels = pipeline.pixels
+    if pixels is not None:
+        measured = measured if pixels.line is None else pixels.line.straighten(measured)
+        measured = np.where(pixels.mask, measured - pixels.bias_m, np.nan)
+    distance, seen_by = _distance(view, measured, contact.displacement_m)
     untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
     if not len(distance):
         raise InputError("validation: no measured point meets the membrane; check the sensor file")
@@ -104,9 +153,9 @@ def validate(
         seen, force = result.patch.pixel_mask, result.patch.force_n
     union = int(np.count_nonzero(predicted | seen))
     return Validation(
-        points_m=_points(camera, measured, pixels),
+        points_m=_points(camera, measured, seen_by),
         distance_m=distance,
-        pixels=pixels,
+        pixels=seen_by,
         rms_m=_rms(distance),
         p95_m=float(np.percentile(np.abs(distance), 95.0)),
         untouched_rms_m=_rms(untouched),

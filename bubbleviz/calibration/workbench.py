@@ -11,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -27,10 +28,14 @@ from bubbleviz.calibration.identify import (
 from bubbleviz.calibration.motion import check_still
 from bubbleviz.calibration.pixels import PixelStatistics, select_pixels
 from bubbleviz.calibration.progress import Progress, quiet
+from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.samples import Samples, collect
+from bubbleviz.calibration.sensor_files import written
 from bubbleviz.calibration.surfaces import Name, Surfaces, fit_surfaces, segment_membrane
 from bubbleviz.calibration.uncertainty import TensionEstimate, estimate_tension
+from bubbleviz.calibration.validation import KnownPress, Validation
 from bubbleviz.errors import InputError
+from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.sensor import Sensor
 
@@ -67,6 +72,10 @@ class Settings:
         None: the data choose.
     nodes : int
         Target number of nodes of the mesh.
+    levels : tuple of path
+        Recordings of the untouched sensor at other inflation levels.
+    press : KnownPress or None
+        What to validate by, in the same source.
     """
 
     reached: Step = Step.START
@@ -75,6 +84,8 @@ class Settings:
     deviations: float = 3.0
     surface: Name | None = None
     nodes: int = 1000
+    levels: tuple[Path, ...] = ()
+    press: KnownPress | None = None
 
 
 @dataclass(frozen=True)
@@ -94,6 +105,8 @@ class Draft:
     surfaces : Surfaces or None
     tension : TensionEstimate or None
     found : Identification or None
+        Rectified by the other levels, where there are.
+    validation : Validation or None
     """
 
     settings: Settings
@@ -104,6 +117,7 @@ class Draft:
     surfaces: Surfaces | None = None
     tension: TensionEstimate | None = None
     found: Identification | None = None
+    validation: Validation | None = None
 
 
 class Workbench:
@@ -204,7 +218,31 @@ class Workbench:
             lambda: measure_chamber(self.source, samples, surfaces, pixels, tension, progress),
         )
         found = assemble(self.sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
-        return replace(draft, tension=tension, found=found)
+        levels = [self._level(path, progress) for path in settings.levels]
+        found = rectify(found, levels)
+        draft = replace(draft, tension=tension, pixels=found.pixels, found=found)
+        return replace(draft, validation=self._validation(found, settings, progress))
+
+    def _level(self, path: Path, progress: Progress) -> Level:
+        def measure() -> Level:
+            with Recording(path) as level:
+                return Level.measure(level, self.sensor, progress=progress)
+
+        return self._once(f"level {path}", (), measure)
+
+    def _validation(
+        self, found: Identification, settings: Settings, progress: Progress
+    ) -> Validation | None:
+        press = settings.press
+        if press is None:
+            return None
+
+        def validate() -> Validation:
+            progress("predicting the known press", 0.0)
+            with written(found) as sensor:
+                return press.validate(sensor, self.source)
+
+        return self._once("validation", settings, validate)
 
     def _select(
         self, draft: Draft, samples: Samples, membrane: np.ndarray, residual_m: np.ndarray

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -9,6 +10,38 @@ from zipfile import BadZipFile
 import numpy as np
 
 from bubbleviz.errors import InputError
+
+
+@dataclass(frozen=True)
+class RangeLine:
+    """How the error of each pixel changes with range, by several inflation levels; all (H, W).
+
+    Attributes
+    ----------
+    slope : float array
+        True change of range per measured one.
+    rest_m : float array
+        Measured range of the untouched sensor, where `bias_m` holds, m.
+    nearest_m, farthest_m : float array
+        Measured ranges between which the line holds, m.
+    levels : int
+        Inflation levels it was fitted to (scalar).
+    """
+
+    slope: np.ndarray
+    rest_m: np.ndarray
+    nearest_m: np.ndarray
+    farthest_m: np.ndarray
+    levels: int
+
+    def straighten(self, range_m: np.ndarray) -> np.ndarray:
+        """Range (H, W) in m whose change from rest is true; the error at rest stays.
+
+        No line is extrapolated: beyond the levels, the error is that of the nearest one. NaN
+        would hide a press that is deeper than the sensor was ever deflated.
+        """
+        within = np.clip(range_m, self.nearest_m, self.farthest_m)
+        return range_m + (self.slope - 1.0) * (within - self.rest_m)
 
 
 @dataclass(frozen=True)
@@ -25,12 +58,15 @@ class PixelModel:
         Standard deviation σ of the range, m.
     correlated_pixels : float
         Pixels that are worth one independent sample, because the camera filters (scalar).
+    line : RangeLine or None
+        None: the bias is the same at every range.
     """
 
     mask: np.ndarray
     bias_m: np.ndarray
     noise_m: np.ndarray
     correlated_pixels: float = 1.0
+    line: RangeLine | None = None
 
     @classmethod
     def load(cls, path: Path, shape: tuple[int, int] | None = None) -> PixelModel:
@@ -45,11 +81,25 @@ class PixelModel:
             with np.load(path) as data:
                 mask, bias, noise = (data[key] for key in ("mask", "bias_m", "noise_m"))
                 correlated = float(data["correlated_pixels"])
+                line = _line(data)
         except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
             raise InputError(f"{path}: not a pixels file ({error}); calibrate again") from error
-        if mask.ndim != 2 or not mask.shape == bias.shape == noise.shape:
+        same = {mask.shape, bias.shape, noise.shape}
+        if line is not None:
+            same |= {line.slope.shape, line.rest_m.shape}
+            same |= {line.nearest_m.shape, line.farthest_m.shape}
+        if mask.ndim != 2 or len(same) > 1:
             raise InputError(f"{path}: its images differ in size; calibrate again")
         if shape is not None and mask.shape != shape:
             made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
-        return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated)
+        return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated, line)
+
+
+def _line(data: Mapping[str, np.ndarray]) -> RangeLine | None:
+    """The line in a pixels file, where it has one."""
+    if "slope" not in data:
+        return None
+    names = ("slope", "rest_m", "nearest_m", "farthest_m")
+    slope, rest, nearest, farthest = (data[name].astype(float) for name in names)
+    return RangeLine(slope, rest, nearest, farthest, int(data["levels"]))

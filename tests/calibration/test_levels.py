@@ -1,0 +1,186 @@
+"""Several inflation levels and a known press, from recordings to the files that are used."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bubbleviz.calibration.command import identify as command
+from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.rectification import Level, rectify
+from bubbleviz.calibration.sensor_files import written
+from bubbleviz.camera.pixels import PixelModel, RangeLine
+from bubbleviz.errors import InputError
+from bubbleviz.frames.noise import DepthNoise
+from bubbleviz.frames.synthetic import SyntheticSource
+from bubbleviz.frames.writer import RecordingWriter
+from bubbleviz.objects import load_object
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import sensor_to_toml
+
+from .domes import Dome
+
+QUIET = DepthNoise(absolute_m=5e-5)
+STRETCH = 0.02
+"""What the camera adds to a change of range in one pixel, and takes from it in the next."""
+
+
+class Stretched(Dome):
+    """The dome seen by a camera whose every other pixel stretches ranges about 150 mm.
+
+    A stretch that all pixels share is a shape of its own, and no contact-free frame tells it.
+    """
+
+    @property
+    def scale(self):
+        rows, columns = np.indices(self.rest.shape)
+        return 1.0 + STRETCH * (-1.0) ** (rows + columns)
+
+    def __getitem__(self, k):
+        frame = super().__getitem__(k)
+        ranges = self.camera.range_image(frame.depth_m)
+        wrong = 0.15 + self.scale * (ranges - 0.15)
+        depth = self.camera.depth_image(wrong).astype(np.float32)
+        return type(frame)(k, frame.time_s, depth, frame.intrinsics)
+
+
+def stretched(height):
+    """A dome over the same rim of 75 mm radius, inflated to a height."""
+    radius = (0.075**2 + height**2) / (2.0 * height)
+    return Stretched((radius,) * 3, height, QUIET, round(1e4 * height), frames=12)
+
+
+@pytest.fixture(scope="module")
+def found():
+    dome = stretched(0.05)
+    plain = identify(dome, dome.sensor, range(12), nodes=1000)
+    levels = [Level.measure(stretched(height), dome.sensor, 1000) for height in (0.045, 0.055)]
+    return plain, rectify(plain, levels)
+
+
+def test_levels_bring_the_stretch_out(found):
+    """Against the stretch that was put in."""
+    plain, rectified = found
+    line, mask = rectified.pixels.line, rectified.pixels.mask
+    assert line.levels == 3 and plain.pixels.line is None
+    error = line.slope[mask] - 1.0 / stretched(0.05).scale[mask]
+    assert np.median(np.abs(error)) < 0.3 * STRETCH
+    assert mask.mean() > 0.4
+
+
+def test_rest_stays_at_rest(found):
+    plain, rectified = found
+    mask, line = rectified.pixels.mask, rectified.pixels.line
+    rest = np.where(mask, rectified.statistics.range_m, np.nan)
+    np.testing.assert_allclose(line.straighten(rest)[mask], rest[mask], atol=1e-12)
+    assert mask.sum() <= plain.pixels.mask.sum()
+    removed = rectified.pixels.removed
+    assert sum(removed.values()) + mask.sum() == mask.size
+
+
+def test_no_line_is_extrapolated():
+    one = np.ones((2, 2))
+    line = RangeLine(0.98 * one, 0.15 * one, 0.14 * one, 0.16 * one, 3)
+    at_end = line.straighten(0.14 * one) - 0.14
+    np.testing.assert_allclose(line.straighten(0.12 * one) - 0.12, at_end, atol=1e-15)
+    assert abs(at_end[0, 0]) == pytest.approx(0.02 * 0.01)
+
+
+def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found):
+    plain, rectified = found
+    dome = stretched(0.05)
+    frame = dome[0]
+    pushed = dome.camera.depth_image(dome.camera.range_image(frame.depth_m) - 4e-3)
+    pressed = type(frame)(1, 0.0, pushed.astype(np.float32), frame.intrinsics)
+    residuals = []
+    for each in (plain, rectified):
+        with written(each) as sensor:
+            pipeline = Pipeline(sensor, intrinsics=frame.intrinsics)
+            saved = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file))
+            assert (saved.line is None) == (each is plain)
+            wanted = frozenset({"patch"})
+            assert np.linalg.norm(pipeline.process(frame, wanted).patch.force_n) < 0.05
+            residuals.append(pipeline._straightened(pressed) - pressed.depth_m)
+    assert not np.nan_to_num(residuals[0]).any()
+    mask = rectified.pixels.mask
+    moved = dome.camera.range_image(residuals[1])[mask] / -4e-3
+    wanted = (1.0 / dome.scale - 1.0)[mask]
+    assert np.median(np.abs(moved - wanted)) < 0.3 * STRETCH
+
+
+def test_levels_alike_are_refused(found):
+    plain, _ = found
+    with pytest.raises(InputError, match="within the noise"):
+        rectify(plain, [Level.of(plain)])
+
+
+@pytest.fixture(scope="module")
+def press():
+    """A simulated recording: rest, then a cylinder held at a pose that is known."""
+    sensor = stretched(0.05).sensor
+    membrane = sensor.membrane.model_copy(
+        update={"nodes": 300, "rim_radius_m": 0.075, "height_m": 0.05}
+    )
+    camera = sensor.camera.model_copy(update={"position_m": (0.0, 0.0, -0.104)})
+    sensor = sensor.model_copy(update={"membrane": membrane, "camera": camera})
+    obj = load_object("cylinder")
+    poses = np.tile(np.eye(4), (16, 1, 1))
+    poses[:, 2, 3] = 0.05 - np.r_[np.full(12, -0.01), np.full(4, 0.008)] - obj.vertices[:, 2].min()
+    return SyntheticSource(sensor, obj, poses, QUIET, nodes=800)
+
+
+def recorded(source, path):
+    with RecordingWriter(path) as writer:
+        for k in range(len(source)):
+            writer.write(source[k])
+    return path
+
+
+def test_command_validates_by_a_known_press(press, tmp_path):
+    recording = recorded(press, tmp_path / "press.mcap")
+    (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
+    z = press.poses[-1][2, 3]
+    arguments = [
+        str(recording), "--sensor", str(tmp_path / "given.toml"), "--nodes", "300",
+        "--contact-free", "0:12", "--report", str(tmp_path / "report"), "--json",
+        "--object", "cylinder", "--pose", f"0 0 {z} 0 0 0 1",
+    ]  # fmt: skip
+    out = ["--out", str(tmp_path / "new.toml")]
+    missing = CliRunner().invoke(command, [*arguments, *out])
+    assert missing.exit_code == 2 and "--pressed" in missing.output
+    result = CliRunner().invoke(command, [*arguments, *out, "--pressed", "12:16"])
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)["validation"]
+    assert numbers["rms_m"] < 0.15 * numbers["untouched_rms_m"]
+    assert numbers["rms_m"] < numbers["p95_m"] and numbers["patch_overlap"] > 0.5
+    text = (tmp_path / "report" / "report.html").read_text()
+    assert "Known press: distance of the cloud" in text
+    assert f"{1e3 * numbers['rms_m']:.3f} mm rms" in text
+
+
+def test_command_takes_further_levels(tmp_path):
+    domes = [stretched(height) for height in (0.05, 0.045)]
+    files = [recorded(dome, tmp_path / f"{k}.mcap") for k, dome in enumerate(domes)]
+    (tmp_path / "given.toml").write_text(sensor_to_toml(domes[0].sensor))
+    out = tmp_path / "new.toml"
+    result = CliRunner().invoke(command, [
+        str(files[0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "300",
+        "--level", str(files[1]), "--out", str(out), "--json",
+    ])  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["rectification"]["levels"] == 2
+    assert PixelModel.load(out.with_suffix(".npz")).line.levels == 2
+
+
+def test_pressed_frames_outside_are_refused_and_leave_nothing(press, tmp_path):
+    recording = recorded(press, tmp_path / "press.mcap")
+    (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
+    before = sorted(tmp_path.iterdir())
+    result = CliRunner().invoke(command, [
+        str(recording), "--sensor", str(tmp_path / "given.toml"), "--contact-free", "0:12",
+        "--nodes", "300", "--out", str(tmp_path / "new.toml"), "--object", "cylinder",
+        "--pose", "0 0 0.05 0 0 0 1", "--pressed", "90:99",
+    ])  # fmt: skip
+    assert isinstance(result.exception, InputError) and "outside its 16" in str(result.exception)
+    assert sorted(tmp_path.iterdir()) == before
