@@ -158,6 +158,21 @@ def bench_window(
     _print_measured(measured, as_json)
 
 
+@bench.command("live")
+@click.option("--minutes", type=click.FloatRange(0.05, 600.0), default=1.0, help="How long.")
+@click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=60.0, help="Frames a second.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
+@click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def bench_live(minutes: float, rate: float, sensor: str, out: Path | None, as_json: bool) -> int:
+    """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
+    from bubbleviz.live.soak import soak
+
+    report = soak(sensor, 60.0 * minutes, rate, out)
+    click.echo(report.to_json() if as_json else report.to_text())
+    return int(report.missing > 0 or report.repeated > 0)
+
+
 # -- recordings: info, simulate -----------------------------------------------------------------
 
 
@@ -241,6 +256,58 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
     from bubbleviz.sensor import load_sensor
 
     summary = record_source(source, load_sensor(sensor), out, duration)
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+@main.command()
+@click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--publish", metavar="ENDPOINT", help="Publish results, e.g. tcp/127.0.0.1:7448.")
+@click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
+@click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--solver", help="Solver of the inverse problem.")
+@click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
+    """Solve a live source without a window, and publish or record the results."""
+    from bubbleviz.live.watch import WatchOptions, watch_source
+    from bubbleviz.sensor import load_sensor
+
+    options = WatchOptions(
+        out=choices["out"],
+        publish=choices["publish"],
+        duration_s=choices["duration"],
+        solver=choices["solver"],
+        zero=zero,
+    )
+    summary = watch_source(source, load_sensor(sensor), options)
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+@main.command()
+@click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--listen", default="tcp/127.0.0.1:7447", help="Where subscribers connect to.")
+@click.option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
+@click.option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
+@click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor that synthetic: simulates.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def publish(
+    source: str,
+    listen: str,
+    layout: Any,
+    domain: int,
+    duration: float | None,
+    sensor: str,
+    as_json: bool,
+) -> None:
+    """Publish a source over Zenoh, as a robot's ROS 2 nodes would."""
+    from bubbleviz.live.publish import publish_source
+    from bubbleviz.sensor import load_sensor
+
+    summary = publish_source(
+        source, load_sensor(sensor), listen, layout=layout, domain=domain, duration_s=duration
+    )
     click.echo(summary.to_json() if as_json else summary.to_text())
 
 

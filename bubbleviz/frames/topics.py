@@ -14,6 +14,10 @@ PRESSURE = "sensor_msgs/msg/FluidPressure"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 
+RESULTS = "/bubbleviz/"
+"""What the topics of our own results begin with: no measurement, though of the same types."""
+
+
 def find_depth(bag: Bag, name: str | None = None) -> Topic:
     """Topic of the depth images: `name`, or the first image topic with a depth encoding.
 
@@ -43,7 +47,9 @@ def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
     return [
         topic
         for topic in bag.topics
-        if topic.type == kind and topic.count and name in (None, topic.name)
+        if topic.type == kind
+        and topic.count
+        and (topic.name == name or (name is None and not topic.name.startswith(RESULTS)))
     ]
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.messages import FrameMessages
+from bubbleviz.frames.messages import FrameMessages, ros2_types
+from bubbleviz.frames.topics import IMAGE
 from bubbleviz.live.message import RawMessage
 from bubbleviz.live.pace import PacedThread
 from bubbleviz.live.source import Deliver, Link, OfferedTopic
@@ -21,6 +22,7 @@ FILES = (".bag", ".db3")
 """What the SDK records: ROS 1 bags until 2.57, SQLite files since."""
 
 _PATIENCE_MS = 500
+_QUEUE = 64
 _BACK_OFF_S = (0.5, 4.0)
 
 _MODELS: dict[str, DistortionModel] = {
@@ -116,18 +118,19 @@ class RealSenseLive:
 
     def _stream(self, pace: PacedThread, deliver: Deliver) -> None:
         """Until stopped, the recording ended, or the camera is gone."""
-        pipeline = self._sdk.pipeline()
-        profile = pipeline.start(self._config())
+        pipeline, queue = self._sdk.pipeline(), self._sdk.frame_queue(_QUEUE, keep_frames=True)
+        ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
+        profile = pipeline.start(self._config(), queue)
         try:
             unit = float(profile.get_device().first_depth_sensor().get_depth_scale())
             last, played = -1, 0
             while not pace.stopping:
-                found, frames = pipeline.try_wait_for_frames(_PATIENCE_MS)
+                found, frames = queue.try_wait_for_frame(_PATIENCE_MS)
                 if not found:
                     if self._is_gone(profile):
                         return
                     continue
-                depth = frames.get_depth_frame()
+                depth = frames.as_frameset().get_depth_frame()
                 number = int(depth.get_frame_number())
                 if number <= last and self._file is not None:
                     played += 1

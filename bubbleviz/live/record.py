@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +13,7 @@ from typing import Any
 from bubbleviz.errors import InputError
 from bubbleviz.live.opening import open_stream
 from bubbleviz.live.recorder import Recorder, RecorderStatus
+from bubbleviz.live.signals import stopped_by_signals
 from bubbleviz.live.stream import LiveStream
 from bubbleviz.sensor import Sensor
 
@@ -100,7 +98,7 @@ def record_source(
     recorder.start(out)
     first: float | None = None
     try:
-        with _stopped_by_signals() as stop:
+        with stopped_by_signals() as stop:
             try:
                 stream.start()
                 first = _wait(stream, recorder, stop, duration_s)
@@ -172,21 +170,3 @@ def _remove_empty(out: Path) -> None:
         shutil.rmtree(out)
     else:
         out.unlink(missing_ok=True)
-
-
-@contextmanager
-def _stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that ^C and SIGTERM set, in place of what they do else."""
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    former = {
-        number: signal.signal(number, lambda *_: stop.set())
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield stop
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.messages import ros2_types, serialise
+from bubbleviz.frames.topics import RESULTS
 from bubbleviz.live.mcap_file import McapFile
 from bubbleviz.live.message import RawMessage
 
-MARKERS = "/bubbleviz/markers"
+MARKERS = f"{RESULTS}markers"
 """Topic of markers and notes, `std_msgs/msg/String`, logged when they were made."""
 
 _STRING = "std_msgs/msg/String"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
+from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, PRESSURE, RESULTS, WRENCH
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TYPES = (IMAGE, CAMERA_INFO, PRESSURE, WRENCH, POINT_CLOUD)
@@ -46,4 +46,7 @@ class TopicNames:
             PRESSURE: self.pressure,
             WRENCH: self.wrench,
         }
-        return kind in chosen and chosen[kind] in (None, topic)
+        if kind not in chosen:
+            return False
+        name = chosen[kind]
+        return topic == name or (name is None and not topic.startswith(RESULTS))
