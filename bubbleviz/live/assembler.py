@@ -126,7 +126,7 @@ class FrameAssembler:
         pending = self._pending
         if pending is None:
             return []
-        if now_ns is not None and now_ns < pending.frame.arrival_ns + WAIT_NS:
+        if now_ns is not None and now_ns < self._deadline(pending):
             return []
         self._pending = None
         self.counters.frames += 1
@@ -135,7 +135,10 @@ class FrameAssembler:
     @property
     def waits_until_ns(self) -> int | None:
         """When the frame that waits gives up waiting; None when none waits."""
-        return None if self._pending is None else self._pending.frame.arrival_ns + WAIT_NS
+        return None if self._pending is None else self._deadline(self._pending)
+
+    def _deadline(self, pending: _Pending) -> int:
+        return pending.frame.arrival_ns + WAIT_NS + round(max(self.lag_s, 0.0) * 1e9)
 
     # -- which messages ---------------------------------------------------------------------
 

@@ -1,0 +1,54 @@
+"""What tests of live sources share."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from wire import HEIGHT, WIDTH
+
+from bubbleviz.sensor import Sensor, load_sensor
+
+
+@pytest.fixture(scope="session")
+def small_sensor(tmp_path_factory: pytest.TempPathFactory) -> Sensor:
+    """The preset with a coarse mesh and few pixels, looking at the same dome."""
+    sensor = load_sensor("pico_flexx_75mm")
+    scale = WIDTH / sensor.camera.width
+    camera = sensor.camera.model_copy(
+        update={
+            "width": WIDTH,
+            "height": HEIGHT,
+            "fx": sensor.camera.fx * scale,
+            "fy": sensor.camera.fy * HEIGHT / sensor.camera.height,
+            "cx": 0.5 * (WIDTH - 1),
+            "cy": 0.5 * (HEIGHT - 1),
+        }
+    )
+    membrane = sensor.membrane.model_copy(update={"nodes": 300})
+    return sensor.model_copy(update={"camera": camera, "membrane": membrane})
+
+
+@pytest.fixture(scope="session")
+def small_sensor_file(small_sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as a file."""
+    from bubbleviz.sensor import sensor_to_toml
+
+    path = tmp_path_factory.mktemp("sensor") / "small.toml"
+    path.write_text(sensor_to_toml(small_sensor))
+    return path
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], object]], None]:
+    """Wait for something to come true; the limit is for broken code only."""
+
+    def wait(condition: Callable[[], object], limit_s: float = 30.0) -> None:
+        deadline = time.monotonic() + limit_s
+        while not condition():
+            assert time.monotonic() < deadline, "it never came true"
+            time.sleep(0.02)
+
+    return wait

@@ -1,0 +1,275 @@
+"""Messages become frames; what is wrong with them is counted and never raises."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from wire import (
+    CLOUD,
+    HEIGHT,
+    IMAGE,
+    INFO,
+    NOW,
+    PERIOD,
+    PRESSURE,
+    SECOND,
+    WIDTH,
+    WRENCH,
+    arrived,
+    camera_info,
+    cloud,
+    depth,
+    gas,
+    image,
+    pressure,
+    wrench,
+)
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.frames.frame import Frame
+from bubbleviz.live.assembler import WAIT_NS, FrameAssembler
+from bubbleviz.live.message import RawMessage, stamp_of
+from bubbleviz.live.topics import TopicNames
+
+
+def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
+    found = [frame for message in messages for frame in assembler.push(message)]
+    return found + assembler.flush()
+
+
+def test_a_frame_is_what_was_sent() -> None:
+    assembler = FrameAssembler()
+    info = arrived("/cam/camera_info", INFO, camera_info(NOW), NOW)
+    first, second = frames_of(assembler, info, depth(NOW, 3), depth(NOW + PERIOD, 4))
+    np.testing.assert_allclose(first.depth_m, 0.103, rtol=1e-6)
+    assert first.depth_m.shape == (HEIGHT, WIDTH)
+    assert (first.stamp_ns, first.arrival_ns) == (NOW, NOW + 1_000_000)
+    assert first.intrinsics is not None
+    assert (first.intrinsics.fx, first.intrinsics.cy) == (60.0, 23.5)
+    assert (first.index, second.index) == (0, 1)
+    assert second.time_s == pytest.approx(PERIOD * 1e-9)
+    assert assembler.counters.frames == 2
+    assert assembler.counters.received == 3
+
+
+def test_gas_pressure_and_wrench_are_interpolated_at_the_stamp_with_the_lag() -> None:
+    """A ramp of 1 kPa/s: the value tells the time it was taken at."""
+    for lag in (0.0, 0.02, -0.015):
+        assembler = FrameAssembler(lag_s=lag)
+        found = []
+        for k in range(40):
+            t = NOW + k * 10_000_000
+            found += assembler.push(gas(t, 1e5 + 1e3 * k * 0.01))
+            sent = arrived("/ft", WRENCH, wrench(t, [float(k)] * 6), t)
+            found += assembler.push(sent)
+            if k == 20:
+                found += assembler.push(depth(t - 3_000_000, arrival=t + 1_000_000))
+        (frame,) = found
+        at = 0.2 - 0.003 + lag
+        assert frame.gas_pressure_pa == pytest.approx(1e5 + 1e3 * at, abs=1e-3)
+        np.testing.assert_allclose(frame.wrench, np.full(6, at / 0.01), atol=1e-6)
+
+
+def test_a_frame_waits_for_the_pressure_of_its_time_but_not_for_long() -> None:
+    assembler = FrameAssembler()
+    assembler.push(gas(NOW - 10_000_000, 1e5))
+    assert assembler.push(depth(NOW)) == []
+    (frame,) = assembler.push(gas(NOW + 10_000_000, 1.02e5))
+    assert frame.gas_pressure_pa == pytest.approx(1.01e5)
+    assert assembler.push(depth(NOW + PERIOD)) == []
+    until = assembler.waits_until_ns
+    assert until == NOW + PERIOD + 1_000_000 + WAIT_NS
+    assert assembler.flush(until - 1) == []
+    (late,) = assembler.flush(until)
+    assert late.gas_pressure_pa == 1.02e5  # the nearest there is
+
+
+def test_a_pressure_long_silent_is_neither_waited_for_nor_used() -> None:
+    assembler = FrameAssembler()
+    assembler.push(gas(NOW - 5 * SECOND, 1e5))
+    (frame,) = assembler.push(depth(NOW))
+    assert frame.gas_pressure_pa is None
+
+
+def test_topics_without_stamps_are_timed_by_arrival() -> None:
+    assembler = FrameAssembler()
+    for k in range(3):
+        arrival = NOW + k * 10_000_000
+        message = arrived("/gas", PRESSURE, pressure(0, 1e5 + k), 0, arrival)
+        assembler.push(message)
+    (frame,) = frames_of(assembler, depth(NOW - 40 * SECOND, arrival=NOW + 15_000_000))
+    assert frame.gas_pressure_pa == pytest.approx(1e5 + 1.5)
+
+
+def test_duplicates_and_old_frames_are_counted_and_left_out() -> None:
+    assembler = FrameAssembler()
+    order = [0, 1, 2, 2, 1, 3]
+    sent = [depth(NOW + k * PERIOD, k, arrival=NOW + n * PERIOD) for n, k in enumerate(order)]
+    found = frames_of(assembler, *sent)
+    assert [round(1e3 * float(f.depth_m[0, 0])) - 100 for f in found] == [0, 1, 2, 3]
+    counters = assembler.counters
+    assert (counters.duplicate, counters.out_of_order, counters.frames) == (1, 1, 4)
+
+
+@pytest.mark.parametrize("stamp", [0, 5 * SECOND, 2_100_000_000 * SECOND])
+def test_a_garbage_stamp_is_counted_and_the_frame_is_timed_by_its_arrival(stamp: int) -> None:
+    assembler = FrameAssembler()
+    sent = [depth(NOW + k * PERIOD, k) for k in range(6)]
+    sent[3] = depth(stamp, 3, arrival=sent[3].arrival_ns)
+    found = frames_of(assembler, *sent)
+    assert assembler.counters.bad_stamps == 1
+    assert "stamp" in assembler.counters.problem
+    np.testing.assert_allclose([f.time_s for f in found], np.arange(6) * PERIOD * 1e-9, atol=1e-9)
+    assert found[3].stamp_ns == stamp  # its own
+
+
+def test_a_clock_that_was_set_is_followed_after_three_frames() -> None:
+    assembler = FrameAssembler()
+    jump = -3 * 3600 * SECOND
+    sent = [depth(NOW + k * PERIOD, k) for k in range(5)]
+    sent += [
+        depth(NOW + k * PERIOD + jump, k, arrival=NOW + k * PERIOD + 1_000_000)
+        for k in range(5, 12)
+    ]
+    found = frames_of(assembler, *sent)
+    assert assembler.counters.clock_jumps == 1
+    assert assembler.counters.bad_stamps == 2
+    assert len(found) == 12
+    assert found[-1].time_s == pytest.approx(4 * PERIOD * 1e-9)
+
+
+def test_a_replay_that_begins_again_is_no_garbage() -> None:
+    assembler = FrameAssembler()
+    sent = []
+    for played in range(3):
+        for k in range(4):
+            m = depth(NOW + k * PERIOD, k, arrival=NOW + (4 * played + k) * PERIOD)
+            sent.append(
+                RawMessage(m.topic, m.type, m.payload, m.stamp_ns, m.arrival_ns, None, played)
+            )
+    found = frames_of(assembler, *sent)
+    counters = assembler.counters
+    assert len(found) == 12
+    assert (counters.bad_stamps, counters.duplicate, counters.out_of_order) == (0, 0, 0)
+    assert counters.received == 12
+
+
+def test_wrong_sizes_types_and_bytes_are_told_apart() -> None:
+    assembler = FrameAssembler(size=(WIDTH, HEIGHT))
+    stamps = [NOW + k * PERIOD for k in range(8)]
+    found = frames_of(
+        assembler,
+        depth(stamps[0]),
+        arrived("/cam/depth", IMAGE, image(stamps[1], height=24, width=32), stamps[1]),
+        arrived("/cam/depth", "std_msgs/msg/String", b"\0\1\0\0\4\0\0\0abc\0", stamps[2]),
+        arrived("/cam/depth", IMAGE, b"", stamps[3]),
+        arrived("/cam/depth", IMAGE, b"\xff" * 5000, stamps[4]),
+        arrived("/cam/depth", IMAGE, image(stamps[5])[:-100], stamps[5]),
+        arrived("/cam/depth", IMAGE, image(stamps[6], encoding="rgb8"), stamps[6]),
+        depth(stamps[7]),
+    )
+    counters = assembler.counters
+    assert len(found) == 2
+    assert (counters.wrong_size, counters.wrong_type, counters.undecodable) == (1, 1, 4)
+    assert "/cam/depth" in counters.problem
+
+
+def test_a_topic_called_depth_wins_and_infrared_is_left_alone() -> None:
+    assembler = FrameAssembler()
+    sent = []
+    for k in range(3):
+        stamp = NOW + k * PERIOD
+        sent += [depth(stamp, 50, topic="/cam/ir"), depth(stamp, k, topic="/cam/depth/image")]
+    found = frames_of(assembler, *sent)
+    assert [round(1e3 * float(f.depth_m[0, 0])) - 100 for f in found] == [50, 0, 1, 2]
+
+
+def test_another_sensors_topics_and_our_own_results_are_left_alone() -> None:
+    assembler = FrameAssembler(TopicNames(prefix="/left"))
+    found = frames_of(
+        assembler,
+        depth(NOW, 1, topic="/right/depth"),
+        depth(NOW, 2, topic="/left/depth"),
+    )
+    assert len(found) == 1
+    ours = arrived("/bubbleviz/contact_patch", CLOUD, cloud(NOW, np.ones((4, 3)), 2, 2), NOW)
+    assembler = FrameAssembler()
+    assert frames_of(assembler, ours) == []
+    assert assembler.counters.undecodable == 0
+
+
+def test_point_clouds_become_depth_images() -> None:
+    camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)
+    truth = np.linspace(0.1, 0.2, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
+    truth[3, 4] = np.nan
+    points = np.concatenate([camera.slopes(), np.ones((HEIGHT, WIDTH, 1))], -1) * truth[..., None]
+    organised = arrived("/cloud", CLOUD, cloud(NOW, points, HEIGHT, WIDTH), NOW)
+    (frame,) = frames_of(FrameAssembler(), organised)
+    np.testing.assert_array_equal(frame.depth_m, truth)
+    loose = np.random.default_rng(0).permutation(points.reshape(-1, 3))
+    behind = loose * 1.5  # hidden behind the nearer ones
+    both = np.concatenate([loose, behind])
+    message = arrived("/cloud", CLOUD, cloud(NOW, both, 1, len(both)), NOW)
+    (frame,) = frames_of(FrameAssembler(camera=camera), message)
+    np.testing.assert_array_equal(frame.depth_m, truth)
+    blind = FrameAssembler()
+    assert frames_of(blind, message) == []
+    assert blind.counters.undecodable == 1
+    assert "camera info" in blind.counters.problem
+
+
+GOOD = {
+    IMAGE: image(NOW),
+    INFO: camera_info(NOW),
+    PRESSURE: pressure(NOW, 1e5),
+    WRENCH: wrench(NOW, [1.0] * 6),
+    CLOUD: cloud(NOW, np.ones((HEIGHT * WIDTH, 3)), HEIGHT, WIDTH),
+}
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    st.sampled_from(sorted(GOOD)),
+    st.lists(st.tuples(st.integers(0, 400), st.binary(min_size=1, max_size=8)), max_size=4),
+    st.integers(0, 12_000),
+    st.binary(max_size=64),
+)
+def test_whatever_bytes_arrive_nothing_is_raised(
+    kind: str, changes: list[tuple[int, bytes]], cut: int, tail: bytes
+) -> None:
+    data = bytearray(GOOD[kind])
+    for at, new in changes:
+        data[at : at + len(new)] = new
+    payload = bytes(data[:cut]) + tail
+    assembler = FrameAssembler()
+    for k in range(2):
+        assembler.push(RawMessage("/t/depth", kind, payload, stamp_of(payload), NOW + k * PERIOD))
+    assembler.push(depth(NOW + 2 * PERIOD, topic="/t/depth2"))
+    assembler.flush()
+    assert assembler.counters.received == 3
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.sampled_from(sorted(GOOD)), st.binary(max_size=300))
+def test_pure_noise_is_undecodable(kind: str, noise: bytes) -> None:
+    assembler = FrameAssembler()
+    assembler.push(RawMessage("/t", kind, b"\x07" + noise, stamp_of(noise), NOW))
+    assert assembler.counters.undecodable == 1
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.lists(st.integers(-(2**40), 2**63 - 1), min_size=1, max_size=30))
+def test_whatever_stamps_come_times_of_frames_never_fall_between_jumps(stamps: list[int]) -> None:
+    assembler = FrameAssembler()
+    found: list[Frame] = []
+    for k, stamp in enumerate(stamps):
+        found += assembler.push(arrived("/cam/depth", IMAGE, GOOD[IMAGE], stamp, NOW + k * PERIOD))
+    found += assembler.flush()
+    counters = assembler.counters
+    assert len(found) + counters.duplicate + counters.out_of_order == len(stamps)
+    falls = sum(b.time_s < a.time_s for a, b in pairwise(found))
+    assert falls <= 2 * counters.clock_jumps + counters.bad_stamps

@@ -1,0 +1,117 @@
+"""Messages as a robot sends them, made with rosbags alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from bubbleviz.live.message import RawMessage
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+HEIGHT, WIDTH = 48, 64
+SECOND = 1_000_000_000
+NOW = 1_790_000_000 * SECOND
+PERIOD = 33_333_333
+
+IMAGE = "sensor_msgs/msg/Image"
+INFO = "sensor_msgs/msg/CameraInfo"
+PRESSURE = "sensor_msgs/msg/FluidPressure"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+def header(stamp: int) -> Any:
+    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND))
+    return STORE.types["std_msgs/msg/Header"](time, "camera")
+
+
+def cdr(message: Any, kind: str) -> bytes:
+    return bytes(STORE.serialize_cdr(message, kind))
+
+
+def image(
+    stamp: int, k: int = 0, height: int = HEIGHT, width: int = WIDTH, **changes: Any
+) -> bytes:
+    """A 16UC1 image all of whose pixels are 100 + k mm."""
+    pixels = np.full((height, width), 100 + k % 60_000, dtype="<u2")
+    fields = {
+        "header": header(stamp),
+        "height": height,
+        "width": width,
+        "encoding": "16UC1",
+        "is_bigendian": 0,
+        "step": 2 * width,
+        "data": pixels.view(np.uint8).ravel(),
+    }
+    return cdr(STORE.types[IMAGE](**{**fields, **changes}), IMAGE)
+
+
+def number_of(payload: bytes) -> int:
+    """k of an image."""
+    return int(np.frombuffer(payload[-2:], "<u2")[0]) - 100
+
+
+def camera_info(stamp: int, width: int = WIDTH, height: int = HEIGHT) -> bytes:
+    region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    message = STORE.types[INFO](
+        header=header(stamp),
+        height=height,
+        width=width,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=np.array([60.0, 0, 31.5, 0, 61.0, 23.5, 0, 0, 1]),
+        r=np.eye(3).ravel(),
+        p=np.zeros(12),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+    return cdr(message, INFO)
+
+
+def pressure(stamp: int, value: float) -> bytes:
+    return cdr(STORE.types[PRESSURE](header(stamp), value, 0.0), PRESSURE)
+
+
+def wrench(stamp: int, values: list[float]) -> bytes:
+    vector = STORE.types["geometry_msgs/msg/Vector3"]
+    body = STORE.types["geometry_msgs/msg/Wrench"](vector(*values[:3]), vector(*values[3:]))
+    return cdr(STORE.types[WRENCH](header(stamp), body), WRENCH)
+
+
+def cloud(stamp: int, points: np.ndarray, height: int, width: int) -> bytes:
+    field = STORE.types["sensor_msgs/msg/PointField"]
+    table = np.ascontiguousarray(points, dtype="<f4")
+    message = STORE.types[CLOUD](
+        header=header(stamp),
+        height=height,
+        width=width,
+        fields=[field(name, 4 * k, 7, 1) for k, name in enumerate("xyz")],
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * width,
+        data=table.view(np.uint8).ravel(),
+        is_dense=True,
+    )
+    return cdr(message, CLOUD)
+
+
+def arrived(
+    topic: str, kind: str, payload: bytes, stamp: int, arrival: int | None = None
+) -> RawMessage:
+    """As the source of a robot on this clock delivers it, a millisecond after its stamp."""
+    return RawMessage(
+        topic, kind, payload, stamp, stamp + 1_000_000 if arrival is None else arrival
+    )
+
+
+def depth(
+    stamp: int, k: int = 0, arrival: int | None = None, topic: str = "/cam/depth"
+) -> RawMessage:
+    return arrived(topic, IMAGE, image(stamp, k), stamp, arrival)
+
+
+def gas(stamp: int, value: float, arrival: int | None = None) -> RawMessage:
+    return arrived("/gas", PRESSURE, pressure(stamp, value), stamp, arrival)
