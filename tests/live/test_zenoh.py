@@ -1,0 +1,257 @@
+"""Real Zenoh sessions on loopback, with a robot in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from mcap.reader import make_reader
+from robot import KEYS, TOKENS, open_session
+from wire import HEIGHT, IMAGE, WIDTH, image, number_of
+
+from bubbleviz.errors import InputError
+from bubbleviz.live import zenoh_keys
+from bubbleviz.live.message import RawMessage
+from bubbleviz.live.opening import open_stream
+from bubbleviz.live.recorder import Recorder
+from bubbleviz.live.soak import free_port
+from bubbleviz.live.stream import LiveStream
+from bubbleviz.sensor import Sensor
+
+Eventually = Callable[[Callable[[], object]], None]
+SHORT, FULL = 5, 20
+"""How often the robot is killed: here, and when BUBBLEVIZ_FULL is set."""
+
+
+@contextmanager
+def robot(port: int, layout: str, first: int = 0, *mode: str) -> Iterator[subprocess.Popen[str]]:
+    script = Path(__file__).with_name("robot.py")
+    command = [sys.executable, str(script), str(port), layout, str(first), *mode]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def stream_of(port: int, sensor: Sensor, options: str = "") -> LiveStream:
+    return open_stream(f"zenoh:tcp/127.0.0.1:{port}{options}", sensor)
+
+
+@pytest.mark.parametrize("layout", ["rmw", "dds"])
+def test_topics_are_found_and_frames_made(layout: str, small_sensor: Sensor) -> None:
+    port = free_port()
+    with robot(port, layout), stream_of(port, small_sensor) as stream:
+        found = [stream.take(30.0) for _ in range(10)]
+        assert all(frame is not None for frame in found)
+        last = found[-1]
+        assert last is not None
+        assert last.depth_m.shape == (HEIGHT, WIDTH)
+        assert last.intrinsics is not None
+        k = round(1e3 * float(last.depth_m[0, 0])) - 100
+        assert last.gas_pressure_pa == pytest.approx(1e5 + k)
+        assert [tuple(topic) for topic in stream.topics()] == [
+            ("/cam/camera_info", "sensor_msgs/msg/CameraInfo"),
+            ("/cam/depth", IMAGE),
+            ("/gas", "sensor_msgs/msg/FluidPressure"),
+        ]
+        assert stream.status().state == "live"
+        counters = stream.counters()
+        assert (counters.undecodable, counters.bad_stamps, counters.missed) == (0, 0, 0)
+
+
+def test_a_topic_named_needs_no_announcement(small_sensor: Sensor) -> None:
+    port = free_port()
+    with open_session(str(port)) as quiet:
+        with stream_of(port, small_sensor, "?depth=/quiet") as stream:
+            frame = None
+            while frame is None:
+                quiet.put("quiet", image(time.time_ns()))
+                frame = stream.take(0.05)
+        assert frame.depth_m.shape == (HEIGHT, WIDTH)
+
+
+def test_the_robot_is_killed_and_comes_back(
+    small_sensor: Sensor, tmp_path: Path, eventually: Eventually
+) -> None:
+    """Each time frames come again, and every image that arrived is in the file."""
+    port, rng = free_port(), random.Random(5)
+    arrived: list[int] = []
+    recorder = Recorder()
+    recorder.start(tmp_path / "rec.mcap")
+    times = FULL if os.environ.get("BUBBLEVIZ_FULL") else SHORT
+
+    def note(message: RawMessage) -> None:
+        recorder.push(message)
+        if message.type == IMAGE:
+            arrived.append(number_of(message.payload))
+
+    stream = stream_of(port, small_sensor)
+    stream.listen(note)
+    with stream:
+        assert stream.status().state == "connecting"
+        for life in range(times):
+            with robot(port, "rmw", 1000 * life) as process:
+                eventually(lambda life=life: arrived and arrived[-1] >= 1000 * life)
+                stream.take()
+                assert stream.take(30.0) is not None
+                assert stream.status().state == "live"
+                time.sleep(rng.uniform(0.02, 0.4))
+                os.kill(process.pid, signal.SIGKILL)
+                process.wait()
+            eventually(lambda: stream.status().state in ("stale", "reconnecting"))
+    assert recorder.stop().problem == ""
+    with (tmp_path / "rec.mcap").open("rb") as file:
+        recorded = [
+            number_of(message.data)
+            for schema, _, message in make_reader(file).iter_messages(log_time_order=False)
+            if schema is not None and schema.name == IMAGE
+        ]
+    assert recorded == arrived
+    lives = np.array(arrived) // 1000
+    assert set(lives) == set(range(times))
+    for life in range(times):  # within a life nothing is missing
+        own = np.array(arrived)[lives == life]
+        np.testing.assert_array_equal(own, np.arange(own[0], own[0] + len(own)))
+
+
+def test_a_robot_that_hangs_is_stale_and_comes_back(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    port = free_port()
+    with robot(port, "rmw") as process, stream_of(port, small_sensor) as stream:
+        assert stream.take(30.0) is not None
+        os.kill(process.pid, signal.SIGSTOP)
+        eventually(lambda: stream.status().state == "stale")
+        assert "nothing for" in stream.status().text
+        os.kill(process.pid, signal.SIGCONT)
+        stream.take()
+        assert stream.take(30.0) is not None
+        assert stream.status().state == "live"
+
+
+def test_what_no_camera_sends_is_counted_and_survived(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    port = free_port()
+    with robot(port, "rmw", 0, "bad"), stream_of(port, small_sensor) as stream:
+        eventually(
+            lambda: (
+                stream.take(0.05),
+                (c := stream.counters()).undecodable >= 4
+                and c.wrong_size >= 2
+                and c.bad_stamps >= 3,
+            )[1]
+        )
+        assert stream.counters().frames > 10
+        assert "/cam/depth" in stream.counters().problem
+        assert stream.status().state == "live"
+
+
+def test_another_type_under_the_same_name_is_counted(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    port = free_port()
+    with robot(port, "rmw"), stream_of(port, small_sensor) as stream:
+        assert stream.take(30.0) is not None
+        other = f"0/cam/depth/std_msgs::msg::dds_::String_/{'RIHS01_' + '0' * 64}"
+        stream.source._session.put(other, b"\0\1\0\0\4\0\0\0abc\0")  # type: ignore[attr-defined]
+        eventually(lambda: stream.counters().wrong_type == 1)
+
+
+def test_two_sensors_share_nothing(small_sensor: Sensor) -> None:
+    ports = free_port(), free_port()
+    with (
+        robot(ports[0], "rmw", 0),
+        robot(ports[1], "rmw", 30_000),
+        stream_of(ports[0], small_sensor) as left,
+        stream_of(ports[1], small_sensor) as right,
+    ):
+        depths = []
+        for stream in (left, right):
+            frame = stream.take(30.0)
+            assert frame is not None
+            depths.append(float(frame.depth_m[0, 0]))
+        assert depths[0] < 20.0 < depths[1]
+
+
+def test_a_session_listens_on_loopback_only(small_sensor: Sensor) -> None:
+    port = free_port()
+    with stream_of(port, small_sensor):
+        own = {str(inode) for inode in _sockets_of(os.getpid())}
+        listening = [
+            line.split()[1]
+            for name in ("tcp", "tcp6")
+            for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+            if line.split()[3] == "0A" and line.split()[9] in own
+        ]
+    assert listening
+    assert all(address.startswith("0100007F:") for address in listening)
+
+
+def _sockets_of(pid: int) -> Iterator[str]:
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            target = str(link.readlink())
+        except OSError:
+            continue
+        if target.startswith("socket:["):
+            yield target[8:-1]
+
+
+def test_endpoints_are_refused_in_one_line(small_sensor: Sensor) -> None:
+    for source in ("zenoh:nonsense", "zenoh:?listen=tcp/203.0.113.9:7447"):
+        with pytest.raises(InputError, match="no Zenoh session") as caught:
+            open_stream(source, small_sensor).start()
+        assert "\n" not in str(caught.value)
+
+
+def test_our_keys_are_the_ones_robots_use() -> None:
+    """Ours against those spelled out in robot.py."""
+    for layout in ("rmw", "dds"):
+        kinds = {}
+        for key in TOKENS[layout]:
+            announced = zenoh_keys.parse_token(key, 0)
+            if announced is not None:
+                kinds[announced.topic] = announced.type
+        assert sorted(kinds) == ["/cam/camera_info", "/cam/depth", "/gas"]
+        for topic, kind in kinds.items():
+            type_hash = KEYS["rmw"]["/gas"].split("/")[-1]
+            published = zenoh_keys.publication(topic, kind, type_hash, layout, 0)  # type: ignore[arg-type]
+            assert published == KEYS[layout][topic]
+            subscribed = zenoh_keys.subscription(topic, layout, 0)  # type: ignore[arg-type]
+            assert zenoh.KeyExpr(subscribed).includes(published)
+            token = zenoh_keys.announcement(topic, kind, type_hash, layout, 0, "b3f7", 1)  # type: ignore[arg-type]
+            assert zenoh_keys.parse_token(token, 0) == (topic, kind, layout)
+            assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
+
+
+def test_attachments_of_old_and_new_robots() -> None:
+    from robot import attachment
+
+    found = zenoh_keys.unpack_attachment(attachment(77))
+    assert found is not None
+    assert (found.sequence, found.publisher) == (77, bytes(range(16)))
+    assert zenoh_keys.pack_attachment(found._replace(stamp_ns=1))[16:] == attachment(77)[16:]
+    old = (
+        b"\x0fsequence_number"
+        + (5).to_bytes(8, "little")
+        + b"\x10source_timestamp"
+        + (9).to_bytes(8, "little")
+        + b"\x0asource_gid\x10"
+        + bytes(range(16))
+    )
+    assert zenoh_keys.unpack_attachment(old) == (5, 9, bytes(range(16)))
+    for junk in (None, b"", b"x" * 33, b"x" * 77, b"x" * 5):
+        assert zenoh_keys.unpack_attachment(junk) is None
