@@ -12,9 +12,11 @@ from bubbleviz.calibration.robust import robust_sigma
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
 
+SIGNIFICANT = 6.0
+"""Standard deviations: noise does not get there in a recording's lifetime."""
+
 _TILE_PX = 8
 _COVERED = 0.01  # share of the view that a contact must move to count
-_SIGNIFICANT = 6.0  # standard deviations: noise does not get there in a recording's lifetime
 _SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
 _LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
 
@@ -125,7 +127,7 @@ def _score(values: np.ndarray) -> np.ndarray:
 
 def _first_change(score: np.ndarray) -> int:
     """First frame of a sustained departure from rest; the number of frames where there is none."""
-    high = score > _SIGNIFICANT
+    high = score > SIGNIFICANT
     runs = np.lib.stride_tricks.sliding_window_view(high, min(_SUSTAINED, len(high))).all(axis=1)
     starts = np.flatnonzero(runs)
     if not len(starts):

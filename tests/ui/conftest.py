@@ -86,7 +86,7 @@ def press(sensor: Sensor) -> FrameSource:
 
 @pytest.fixture
 def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable[..., Driver]]:
-    """Open windows: `drive(open_source=…, sensor=…, frame=…, playing=…)`."""
+    """Open windows: `drive(open_source=…, sensor=…, frame=…, playing=…, live=…)`."""
     application()
     windows: list[MainWindow] = []
 
@@ -95,11 +95,14 @@ def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable
         sensor: Sensor = sensor,
         frame: int = 0,
         playing: bool = False,
+        live: bool = False,
     ) -> Driver:
         controller = Controller(SessionState(), Worker())
         window = MainWindow(controller.state, controller)
         windows.append(window)
-        controller.open("press", open_source, lambda: sensor, frame=frame, playing=playing)
+        controller.open(
+            "press", open_source, lambda: sensor, frame=frame, playing=playing, live=live
+        )
         window.show()
         driver = Driver(qtbot, window)
         driver.wait(lambda: controller.result is not None)
@@ -123,7 +126,7 @@ def nothing_left() -> Iterator[None]:
     gc.collect()
     left = [object.__repr__(w) for w in QApplication.topLevelWidgets()]
     left += [object.__repr__(o) for o in gc.get_objects() if _is_view(o)]
-    left += [t.name for t in threading.enumerate() if t.name == "solver"]
+    left += [t.name for t in threading.enumerate() if t.name in ("solver", "calibration")]
     assert not left, f"left alive: {left}"
     gc.freeze()  # the next test looks at its own objects only, not at every module's
 

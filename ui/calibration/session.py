@@ -24,8 +24,6 @@ from ui.undo import Change
 REMEMBERED = 4
 """Answers that undo finds again without computing."""
 
-NOTHING = Answer(Work(), Draft(Settings()))
-
 
 class Calibration(QObject):
     """What the γ0 panel shows and changes.
@@ -51,7 +49,8 @@ class Calibration(QObject):
     def __init__(self, controller: Controller, stack: QUndoStack) -> None:
         super().__init__()
         self.controller, self.stack = controller, stack
-        self.work, self.answer = Work(), NOTHING
+        self.work = Work()
+        self.answer = self._nothing = Answer(self.work, Draft(self.settings))
         self.live = False
         self.name = ""
         self.given: Sensor | None = None
@@ -127,7 +126,8 @@ class Calibration(QObject):
         self.work = work
         if self._holding:
             return
-        known = NOTHING if work == NOTHING.work else self._remembered.get(work)
+        nothing = self._nothing if work == self._nothing.work else None
+        known = nothing or self._remembered.get(work)
         if known is not None:
             self.runner.cancel()
             self.answer = known
@@ -164,7 +164,8 @@ class Calibration(QObject):
         self._remembered.clear()
         self._opener, self.given = opened.request.open_source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
-        self.work, self.answer = Work(), NOTHING
+        self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
+        self.answer = self._nothing = Answer(self.work, Draft(self.settings))
         self.changed.emit()
 
 

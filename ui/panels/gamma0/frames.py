@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
-import numpy as np
 from PySide6.QtWidgets import (
     QCheckBox,
     QDoubleSpinBox,
@@ -14,17 +13,16 @@ from PySide6.QtWidgets import (
     QPushButton,
     QSpinBox,
     QVBoxLayout,
-    QWidget,
 )
 
 from bubbleviz.calibration.collected import CollectedFrames
 from bubbleviz.calibration.frame_ranges import Ranges, in_words, numbers, tidy, without
-from bubbleviz.calibration.workbench import Settings, Step
-from ui import theme
+from bubbleviz.calibration.workbench import Step
 from ui.calibration.answer import Answer
 from ui.calibration.collector import Collector
 from ui.calibration.session import Calibration
 from ui.panels.gamma0.page import Page
+from ui.panels.gamma0.scores import ScorePlot
 from ui.panels.gamma0.strip import RangeStrip
 from ui.units import Units
 
@@ -72,7 +70,7 @@ class FramesPage(Page):
         """Show the ranges and what they rest on."""
         ranges = self.ranges(answer)
         self.strip.set_ranges(answer.frames, ranges)
-        self.plot.show_scores(answer)
+        self.plot.show_scores(answer.draft.contact_free)
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))
         count = len(numbers(ranges))
@@ -190,7 +188,10 @@ class CollectBox(QGroupBox):
     def _use(self, frames: CollectedFrames) -> None:
         untouched = self.untouched.isChecked()
         ranges = ((0, len(frames)),) if untouched else None
-        self._calibration.use_collected(frames, Settings(Step.TENSION, ranges))
+        settings = replace(
+            self._calibration.settings, reached=Step.TENSION, ranges=ranges, press=None
+        )
+        self._calibration.use_collected(frames, settings)
 
     def _show(self) -> None:
         collector = self.collector
@@ -208,44 +209,3 @@ class CollectBox(QGroupBox):
             shown = self._units.tension.with_interval(tension.value, tension.half_width)
             text += f" · γ0 so far {shown} ({share})"
         self.said.setText(f"{text} {collector.message}".strip())
-
-
-class ScorePlot(QWidget):
-    """How many standard deviations each frame is from rest, by depth and by gas pressure."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(0, 0, 0, 0)
-        self._plot: Any = None
-        self._shown: object = None
-
-    def show_scores(self, answer: Answer) -> None:
-        """Plot the scores of an answer, if it has any."""
-        found = answer.draft.contact_free
-        self.setVisible(found is not None)
-        if found is None or found is self._shown:
-            return
-        self._shown = found
-        self._prepare()
-        self._plot.clear()
-        for score, colour, name in (
-            (found.depth_score, theme.ACCENT, "depth"),
-            (found.pressure_score, theme.FARTHER, "gas pressure"),
-        ):
-            if score is not None:
-                self._plot.plot(np.maximum(score, 0.1), pen=colour, name=name)
-
-    def _prepare(self) -> None:
-        if self._plot is not None:
-            return
-        import pyqtgraph as pg
-
-        self._plot = pg.PlotWidget(background=theme.VIEW)
-        self._plot.setFixedHeight(150)
-        self._plot.setLogMode(y=True)
-        self._plot.setLabel("bottom", "frame")
-        self._plot.setLabel("left", "from rest (σ)")
-        self._plot.addLegend(offset=(5, 5), labelTextColor=theme.TEXT)
-        self._plot.setMenuEnabled(False)
-        self._column.addWidget(self._plot)

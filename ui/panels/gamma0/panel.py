@@ -11,6 +11,7 @@ from PySide6.QtGui import QKeyEvent, QKeySequence
 from PySide6.QtWidgets import (
     QAbstractSpinBox,
     QButtonGroup,
+    QGraphicsView,
     QHBoxLayout,
     QLabel,
     QLineEdit,
@@ -35,6 +36,7 @@ from ui.panels.gamma0.report import COLOURS, ReportPage
 from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.gamma0.surface import SurfacePage
 from ui.panels.gamma0.tension import TensionPage
+from ui.panels.gamma0.validation import ValidationPage
 from ui.panels.keys import keep_keys
 from ui.undo import Change
 from ui.units import Units
@@ -95,14 +97,15 @@ class Gamma0Panel(QWidget):
         """Write sensor file, mesh, pixels and report in the calibration thread."""
         from bubbleviz.calibration.save import save
 
-        work, found = self.calibration.answer.work, self.calibration.answer.draft.found
+        work, draft = self.calibration.answer.work, self.calibration.answer.draft
+        found, validation = draft.found, draft.validation
         given = self.calibration.given
         if found is None or given is None:
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
 
         def job(progress: Progress) -> Path:
-            save(found, benches.source(work), given.name, path, report, progress)
+            save(found, benches.source(work), given.name, path, report, progress, validation)
             return path
 
         self.calibration.start(job, lambda done: self._say(f"Saved {done} and {report.name}"))
@@ -123,7 +126,9 @@ class Gamma0Panel(QWidget):
         self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
 
     def close_all(self) -> None:
-        """Stop the threads and remove what was written for the time being."""
+        """Stop the threads, let go of the plots, remove what was written for the time being."""
+        for plot in self.findChildren(QGraphicsView):
+            plot.close()  # pyqtgraph's would keep the window alive
         self.frames.collect.collector.close()
         self.calibration.close()
         for folder in self._folders:
@@ -145,6 +150,7 @@ class Gamma0Panel(QWidget):
         self.surface = SurfacePage(calibration, units)
         self.tension = TensionPage(calibration, units)
         self.rectification = RectificationPage(calibration, units)
+        self.validation = ValidationPage(calibration, units)
         self.report = ReportPage(calibration, units)
         self.pages: list[Page] = [
             self.frames,
@@ -152,6 +158,7 @@ class Gamma0Panel(QWidget):
             self.surface,
             self.tension,
             self.rectification,
+            self.validation,
             self.report,
         ]
 
@@ -167,6 +174,7 @@ class Gamma0Panel(QWidget):
         calibration.failed.connect(lambda message, _: self._say(message))
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
+        self.validation.painted.connect(self.painted)
         self.report.use.connect(self.use_it)
         self.report.save.connect(self.save)
 

@@ -1,18 +1,22 @@
-"""Step 5: what each pixel is off by, before and after."""
+"""Step 5: what each pixel is off by, from one inflation level or several, before and after."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QPushButton
 
 from ui.calibration.answer import Answer
 from ui.calibration.session import Calibration
+from ui.menus import RECORDINGS
 from ui.panels.gamma0.images import ImageView
 from ui.panels.gamma0.page import Numbers, Page
 from ui.units import Units
 
 
 class RectificationPage(Page):
-    """Residual of the last frame before and after rectification."""
+    """Residual of the last frame before and after rectification; further inflation levels."""
 
     title = "Rectification"
     next_title = "Look at the rectification"
@@ -20,14 +24,32 @@ class RectificationPage(Page):
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
         self.before, self.after = ImageView(), ImageView()
+        self.levels = QLabel()
+        self.levels.setWordWrap(True)
+        self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
         self.numbers = Numbers()
-        for widget in (self.before, self.after):
-            self.column.addWidget(widget)
+        row = QHBoxLayout()
+        row.addWidget(self.add)
+        row.addWidget(self.drop)
+        self.column.addWidget(self.before)
+        self.column.addWidget(self.after)
         self.column.addWidget(self.numbers)
+        self.column.addWidget(self.levels)
+        self.column.addLayout(row)
         self.column.addStretch(1)
+        self.add.setToolTip("Recording of the untouched sensor at another inflation level")
+        self.add.clicked.connect(self._choose_level)
+        self.drop.clicked.connect(
+            lambda: calibration.edit("Take a level out", levels=calibration.settings.levels[:-1])
+        )
+
+    def add_level(self, path: Path) -> None:
+        """Rectify with another inflation level, too."""
+        levels = (*self.calibration.settings.levels, path)
+        self.calibration.edit(f"Add the level {path.name}", levels=levels)
 
     def show_answer(self, answer: Answer) -> None:
-        """Show both images and their rms."""
+        """Show both images, their rms and the levels."""
         unit, last = self.units.fine_length, answer.last
         before = last.before_m if last is not None else None
         after = last.after_m if last is not None else None
@@ -40,3 +62,26 @@ class RectificationPage(Page):
         for name, image in (("rms before", before), ("rms after", after)):
             rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
             self.numbers.set(name, unit.text(rms))
+        self._show_levels(answer)
+
+    def _show_levels(self, answer: Answer) -> None:
+        levels = self.calibration.settings.levels
+        self.drop.setEnabled(bool(levels))
+        names = ", ".join(path.name for path in levels)
+        self.levels.setText(f"Further levels: {names}" if levels else "One level: an offset each.")
+        line = answer.draft.pixels.line if answer.draft.pixels is not None else None
+        if line is None or answer.draft.found is None:
+            self.numbers.set("line", "offset only")
+            self.numbers.set("holds over", None)
+            return
+        mask = answer.draft.found.pixels.mask
+        slope, spread = float(np.median(line.slope[mask])), float(np.std(line.slope[mask]))
+        self.numbers.set("line", f"slope {slope:.4f}, spread {spread:.4f}, {line.levels} levels")
+        span = float(np.median((line.farthest_m - line.nearest_m)[mask]))
+        text = f"{self.units.length.text(span)}; beyond, the nearest level's offset"
+        self.numbers.set("holds over", text)
+
+    def _choose_level(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self, "Add an inflation level", "", RECORDINGS)
+        if name:
+            self.add_level(Path(name))

@@ -1,0 +1,73 @@
+"""A dome at rest and then pressed, with gas pressure and noise, known exactly."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera.view import MembraneView
+from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.build import build_mesh
+from bubbleviz.sensor import Sensor
+
+REST, FRAMES = 20, 30
+TENSION = 2585.5 * 0.08125 / 2.0
+"""Of the small sensor's dome: P R / 2, N/m."""
+
+
+class RestingSource:
+    """REST frames without contact, then a dent that grows.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    noise_m : float
+    fresh : bool
+        New noise whenever a frame is read, as a camera has; else the same for a frame.
+    slow_s : float
+        How long a frame takes to read.
+    """
+
+    name = "resting"
+
+    def __init__(
+        self, sensor: Sensor, noise_m: float = 1e-4, *, fresh: bool = False, slow_s: float = 0.0
+    ) -> None:
+        self.times_s = np.arange(FRAMES) / 30.0
+        self.reads, self.closed = 0, False
+        self._noise, self._fresh, self._slow = noise_m, fresh, slow_s
+        camera = sensor.camera
+        self._intrinsics = Intrinsics(
+            camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+        )
+        self._camera = DepthCamera.of(camera)
+        self._rest_pa = sensor.pneumatics.reference_pressure_pa
+        mesh = build_mesh(sensor, 3000)
+        view = MembraneView(self._camera, mesh)
+        away = np.linalg.norm(mesh.nodes[:, :2] - [0.02, 0.0], axis=1)
+        dent = -np.exp(-((away / 0.015) ** 2)) * ~mesh.rim
+        self._ranges = [view.range_image(2e-3 * k * dent) for k in range(FRAMES - REST + 1)]
+
+    def __len__(self) -> int:
+        return FRAMES
+
+    def __getitem__(self, index: int) -> Frame:
+        self.reads += 1
+        time.sleep(self._slow)
+        pressed = max(index - REST + 1, 0)
+        rng = np.random.default_rng([index, self.reads if self._fresh else 0])
+        ranges = self._ranges[pressed]
+        ranges = ranges + self._noise * rng.standard_normal(ranges.shape)
+        return Frame(
+            index,
+            float(self.times_s[index]),
+            self._camera.depth_image(ranges).astype(np.float32),
+            self._intrinsics,
+            self._rest_pa + 60.0 * pressed + rng.standard_normal(),
+        )
+
+    def close(self) -> None:
+        self.closed = True
