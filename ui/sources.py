@@ -47,18 +47,18 @@ def synthetic(sensor: Sensor) -> FrameSource:
     """Open the built-in synthetic press, which the window loops as a live sensor.
 
     All its frames are made now, within seconds: a live sensor does not stutter in its first round.
+    Only the noise is new in every round.
     """
+    from bubbleviz.frames.rounds import NoisyRounds
     from bubbleviz.frames.synthetic import SyntheticSource, default_press
 
     press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
     source = MadeOnce(
-        SyntheticSource(
-            sensor, press.obj, press.poses, press.noise, times_s=press.times_s, nodes=nodes
-        )
+        SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
     )
     for index in range(len(source)):
         _ = source[index]
-    return source
+    return NoisyRounds(source, press.camera, press.noise)
 
 
 class MadeOnce:
