@@ -20,8 +20,8 @@ KKT_TOLERANCE = 1e-3
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
 
-_FIRST_GUESS = 0.05
-"""Share of the nodes with which a frame without contact before it starts."""
+_FIRST_NODES, _FIRST_SHARE = 100, 0.05
+"""Nodes with which a frame without contact before it starts; on a fine mesh a share of all."""
 
 _DENSE_LIMIT = 3_000
 """Nodes up to which the whole Hessian is faster than landmarks."""
@@ -105,7 +105,8 @@ class ActiveSetSolver:
     def _pulled(self, gradient: np.ndarray, pressure: np.ndarray) -> np.ndarray:
         """The nodes with the strongest pull, as many as are in contact: the others come later."""
         slope = gradient / self._equilibrium.A
-        most = max(int(_FIRST_GUESS * len(slope)), int(np.count_nonzero(pressure)))
+        first = max(_FIRST_NODES, int(_FIRST_SHARE * len(slope)))
+        most = max(first, int(np.count_nonzero(pressure)))
         bound = min(0.0, np.partition(slope, most)[most]) if most < len(slope) else 0.0
         return slope < bound
 
