@@ -103,6 +103,13 @@ class McapFile:
         if self._folder is not None:
             (self._folder / "metadata.yaml").write_text(metadata_yaml(self._facts), "utf-8")
 
+    def discard(self) -> None:
+        """Remove the file: nothing was worth recording."""
+        self._stream.close()
+        self._file.unlink()
+        if self._folder is not None:
+            self._folder.rmdir()
+
     def abandon(self) -> None:
         """Leave the file as it was synced last: writing failed, and no more can be written."""
         raw = self._stream.detach() if isinstance(self._stream, io.BufferedWriter) else None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import queue
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,9 +20,9 @@ from bubbleviz.live.source import Deliver, Link, OfferedTopic
 from bubbleviz.live.uri import SourceUri
 
 FILES = (".bag", ".db3")
-"""What the SDK records: ROS 1 bags until 2.57, SQLite files since."""
+"""What the SDK records: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
 
-_PATIENCE_MS = 500
+_PATIENCE_S = 0.5
 _QUEUE = 64
 _BACK_OFF_S = (0.5, 4.0)
 
@@ -101,14 +102,17 @@ class RealSenseLive:
         return self._problem or ("" if self._thread is None else self._thread.problem)
 
     def _run(self, pace: PacedThread, deliver: Deliver) -> None:
-        wait = _BACK_OFF_S[0]
+        wait, played = _BACK_OFF_S[0], 0
         while not pace.stopping:
             before = time.monotonic()
             try:
-                self._stream(pace, deliver)
+                self._stream(pace, deliver, played)
             except RuntimeError as error:  # all the SDK raises
                 self._problem = " ".join(str(error).split())[:160]
-            if self._file is not None or pace.stopping:
+            if self._file is not None:
+                if self._loop and not self._problem:
+                    played += 1
+                    continue
                 break
             self._link = "lost" if self._topics else "connecting"
             lasted = time.monotonic() - before
@@ -116,62 +120,147 @@ class RealSenseLive:
             pace.wait_until(time.monotonic() + wait)
         self._link = "ended"
 
-    def _stream(self, pace: PacedThread, deliver: Deliver) -> None:
+    def _stream(self, pace: PacedThread, deliver: Deliver, played: int) -> None:
         """Until stopped, the recording ended, or the camera is gone."""
-        pipeline, queue = self._sdk.pipeline(), self._sdk.frame_queue(_QUEUE, keep_frames=True)
+        pictures: queue.Queue[_Picture] = queue.Queue(_QUEUE)
         ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
-        profile = pipeline.start(self._config(), queue)
+        device = self._device()
+        sensor = device.first_depth_sensor()
+        profile = self._profile(sensor)
+        camera = _intrinsics(profile.as_video_stream_profile().intrinsics)
+        unit = float(sensor.get_depth_scale())
+        sender = _Sender(deliver, self._messages, unit, camera, played)
+        # without the SDK's pipeline, which leaves out frames of a recording that come late
+        sensor.open(profile)
         try:
-            unit = float(profile.get_device().first_depth_sensor().get_depth_scale())
-            last, played = -1, 0
-            while not pace.stopping:
-                found, frames = queue.try_wait_for_frame(_PATIENCE_MS)
-                if not found:
-                    if self._is_gone(profile):
-                        return
-                    continue
-                depth = frames.as_frameset().get_depth_frame()
-                number = int(depth.get_frame_number())
-                if number <= last and self._file is not None:
-                    played += 1
-                elif last >= 0:
-                    self._missed += max(number - last - 1, 0)
-                last = number
-                self._link, self._problem = "up", ""
-                self._send(depth, unit, number, played, deliver)
+            sensor.start(self._receiver(pictures, pace))
+            try:
+                self._send(pace, device, pictures, sender)
+            finally:
+                sensor.stop()
         finally:
-            pipeline.stop()
+            sensor.close()
 
-    def _config(self) -> Any:
-        config = self._sdk.config()
+    def _send(
+        self, pace: PacedThread, device: Any, pictures: queue.Queue[_Picture], sender: _Sender
+    ) -> None:
+        while not pace.stopping:
+            try:
+                picture = pictures.get(timeout=_PATIENCE_S)
+            except queue.Empty:
+                if self._is_gone(device):
+                    return
+                continue
+            if self._file is not None and not pace.wait_until(sender.due_s(picture)):
+                return
+            self._missed += sender.missed(picture)
+            self._topics = sender.send(picture)
+            self._link, self._problem = "up", ""
+
+    def _receiver(self, pictures: queue.Queue[_Picture], pace: PacedThread) -> Any:
+        """What the SDK calls with every frame, in its own thread; a recording waits for us."""
+
+        def receive(frame: Any) -> None:
+            depth = frame.as_depth_frame()
+            if not depth:
+                return
+            picture = _Picture(
+                np.asanyarray(depth.get_data()).copy(),
+                int(depth.get_frame_number()),
+                max(round(float(depth.get_timestamp()) * 1e6), 1),
+                time.time_ns(),
+            )
+            while not pace.stopping:
+                try:
+                    pictures.put(picture, timeout=_PATIENCE_S)
+                    break
+                except queue.Full:
+                    if self._file is None:
+                        break
+
+        return receive
+
+    def _device(self) -> Any:
+        context = self._sdk.context()
         if self._file is not None:
-            config.enable_device_from_file(str(self._file), self._loop)
-            return config
-        if self._serial is not None:
-            config.enable_device(self._serial)
-        width, height = self._size
-        stream, kind = self._sdk.stream.depth, self._sdk.format.z16
-        config.enable_stream(stream, width, height, kind, self._rate)
-        return config
+            device = context.load_device(str(self._file))
+            device.set_real_time(False)
+            return device
+        number = self._sdk.camera_info.serial_number
+        for device in context.query_devices():
+            if self._serial in (None, device.get_info(number)):
+                return device
+        raise RuntimeError("the camera is not plugged in")
 
-    def _is_gone(self, profile: Any) -> bool:
+    def _profile(self, sensor: Any) -> Any:
+        """Depth as asked for; a recording has it as it has it."""
+        offered = [
+            profile
+            for profile in sensor.get_stream_profiles()
+            if profile.stream_type() == self._sdk.stream.depth
+            and profile.format() == self._sdk.format.z16
+        ]
+        for profile in offered:
+            video = profile.as_video_stream_profile()
+            size = (video.width(), video.height())
+            if self._file is not None or (size == self._size and profile.fps() == self._rate):
+                return profile
+        width, height = self._size
+        raise RuntimeError(f"the camera has no depth of {width}×{height} at {self._rate} Hz")
+
+    def _is_gone(self, device: Any) -> bool:
         if self._file is None:
             return self._serial not in (None, *serials(self._sdk)) or not serials(self._sdk)
-        status = profile.get_device().as_playback().current_status()
-        return bool(status == self._sdk.playback_status.stopped) and not self._loop
+        return bool(device.current_status() == self._sdk.playback_status.stopped)
 
-    def _send(self, depth: Any, unit: float, number: int, played: int, deliver: Deliver) -> None:
-        arrival = time.time_ns()
-        raw = np.asanyarray(depth.get_data())
-        depth_m = raw.astype(np.float32) * np.float32(unit)
-        depth_m[raw == 0] = np.nan
-        stamp = max(round(float(depth.get_timestamp()) * 1e6), 1)
-        camera = _intrinsics(depth.profile.as_video_stream_profile().intrinsics)
-        frame = Frame(number, 0.0, depth_m, camera, stamp_ns=stamp)
-        messages = list(self._messages.of(frame))
-        self._topics = tuple(OfferedTopic(m.topic, m.type) for m in messages)
-        for topic, kind, payload, _ in messages:
-            deliver(RawMessage(topic, kind, payload, stamp, arrival, number, played))
+
+class _Picture(NamedTuple):
+    raw: np.ndarray
+    number: int
+    stamp_ns: int
+    arrival_ns: int
+
+
+class _Sender:
+    """Pictures of one stream to messages."""
+
+    def __init__(
+        self,
+        deliver: Deliver,
+        messages: FrameMessages,
+        unit: float,
+        camera: Intrinsics,
+        played: int,
+    ) -> None:
+        self._deliver, self._messages, self._unit, self._camera = deliver, messages, unit, camera
+        self._played = played
+        self._last: _Picture | None = None
+        self._began: tuple[float, int] | None = None
+
+    def due_s(self, picture: _Picture) -> float:
+        """When a recording's picture is due, of `time.monotonic`."""
+        self._began = self._began or (time.monotonic(), picture.stamp_ns)
+        start, first_ns = self._began
+        return start + (picture.stamp_ns - first_ns) * 1e-9
+
+    def missed(self, picture: _Picture) -> int:
+        """Pictures the camera counted between the last one and this."""
+        last, self._last = self._last, picture
+        return 0 if last is None else max(picture.number - last.number - 1, 0)
+
+    def send(self, picture: _Picture) -> tuple[OfferedTopic, ...]:
+        """Deliver a picture's messages; their topics."""
+        depth_m = picture.raw.astype(np.float32) * np.float32(self._unit)
+        depth_m[picture.raw == 0] = np.nan
+        frame = Frame(picture.number, 0.0, depth_m, self._camera, stamp_ns=picture.stamp_ns)
+        arrival = picture.arrival_ns if self._began is None else time.time_ns()
+        topics = []
+        for topic, kind, payload, stamp in self._messages.of(frame):
+            self._deliver(
+                RawMessage(topic, kind, payload, stamp, arrival, picture.number, self._played)
+            )
+            topics.append(OfferedTopic(topic, kind))
+        return tuple(topics)
 
 
 def open_realsense(

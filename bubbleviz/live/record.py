@@ -106,8 +106,6 @@ def record_source(
                 stream.stop()
     finally:
         status = recorder.stop()
-        if not status.messages:
-            _remove_empty(out)
     _check(status, stream, source)
     counters = stream.counters()
     return RecordSummary(
@@ -161,12 +159,3 @@ def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
         offered = ", ".join(topic.name for topic in stream.topics())
         found = f"topics there: {offered}" if offered else "no topics were found"
         raise InputError(f"--source {source}: nothing arrived ({found}); nothing was written")
-
-
-def _remove_empty(out: Path) -> None:
-    if out.is_dir():
-        import shutil
-
-        shutil.rmtree(out)
-    else:
-        out.unlink(missing_ok=True)

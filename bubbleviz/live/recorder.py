@@ -113,7 +113,7 @@ class Recorder:
         return None if session is None else session.status()
 
     def stop(self) -> RecorderStatus:
-        """End the recording, all of it written; how it went."""
+        """End the recording, all of it written; how it went. Without a message no file stays."""
         with self._lock:
             session, self._session = self._session, None
         if session is None:
@@ -177,7 +177,7 @@ class _Session:
     def _run(self) -> None:
         try:
             self._write_all()
-            self._file.close()
+            self._file.close() if self._file.count else self._file.discard()
         except (OSError, InputError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             with self._changed:

@@ -1,0 +1,285 @@
+"""Simulated, replayed and RealSense sources."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wire import IMAGE, NOW, PERIOD, SECOND, depth, gas
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.synthetic import SyntheticSource
+from bubbleviz.live.dual_nut import finger_pose, grip_poses, oversized_nut
+from bubbleviz.live.message import RawMessage
+from bubbleviz.live.opening import open_stream
+from bubbleviz.live.recorder import Recorder
+from bubbleviz.live.replay import Replay
+from bubbleviz.live.session_file import load_session
+from bubbleviz.live.stream import LiveStream
+from bubbleviz.sensor import Sensor, load_sensor
+
+Eventually = Callable[[Callable[[], object]], None]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Ten images and gas pressures, one of each every 33 ms."""
+    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder.start(path)
+    for k in range(10):
+        recorder.push(gas(NOW + k * PERIOD, 1e5 + k))
+        recorder.push(depth(NOW + k * PERIOD, k))
+    recorder.stop()
+    return path
+
+
+def test_the_simulation_streams_stamped_with_the_present(small_sensor: Sensor) -> None:
+    with open_stream("synthetic:?rate=100&frames=4&noise=0", small_sensor) as stream:
+        first = stream.take(60.0)
+        assert first is not None
+        assert abs(time.time_ns() - first.stamp_ns) < 30 * SECOND
+        assert first.gas_pressure_pa is not None
+        assert first.intrinsics is not None
+        later = [stream.take(10.0) for _ in range(12)]
+    assert all(frame is not None for frame in later)
+    assert stream.status().state == "ended"
+    assert stream.take(1.0) is None or stream.take(1.0) is None
+    assert stream.counters().bad_stamps == 0
+
+
+def test_on_the_fly_is_the_same_simulation(small_sensor: Sensor) -> None:
+    depths = []
+    for ahead in (0, 1):
+        source = f"synthetic:sphere?rate=200&frames=3&seed=4&ahead={ahead}&prefix=/left"
+        with open_stream(source, small_sensor) as stream:
+            frame = stream.take(60.0)
+            while frame is not None and frame.index % 3 != 1:
+                frame = stream.take(60.0)
+            assert frame is not None
+            depths.append(frame.depth_m)
+            assert all(topic.name.startswith("/left/") for topic in stream.topics())
+    np.testing.assert_array_equal(depths[0], depths[1])
+
+
+def test_newest_wins_and_what_is_passed_by_is_counted(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    seen: list[RawMessage] = []
+    stream = open_stream("synthetic:?rate=200&frames=3", small_sensor)
+    stream.listen(seen.append)
+    with stream:
+        assert stream.take(60.0) is not None
+        eventually(lambda: stream.counters().frames > 30)
+        frame = stream.take(10.0)
+        assert frame is not None
+        assert frame.index >= 30
+        assert stream.counters().skipped >= 25
+    images = [message.sequence for message in seen if message.type == IMAGE]
+    assert images == list(range(len(images)))  # who listens misses none
+
+
+def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(
+    recording: Path, eventually: Eventually
+) -> None:
+    got: list[RawMessage] = []
+    source = Replay(recording, speed=2.0)
+    source.start(got.append)
+    eventually(lambda: source.link() == "ended")
+    source.stop()
+    assert [m.payload for m in got if m.type == IMAGE] == [
+        depth(NOW + k * PERIOD, k).payload for k in range(10)
+    ]
+    took = got[-1].arrival_ns - got[0].arrival_ns  # half the time, less what starting took
+    assert took >= 0.5 * 9 * PERIOD / 2.0
+    assert source.problem() == ""
+
+
+def test_a_looped_replay_goes_on(recording: Path, small_sensor: Sensor) -> None:
+    stream = open_stream(f"replay:{recording}?loop=1&speed=20", small_sensor, any_size=True)
+    with stream:
+        for _ in range(1000):
+            frame = stream.take(30.0)
+            assert frame is not None
+            if frame.index > 35:
+                break
+        counters = stream.counters()
+    assert (counters.bad_stamps, counters.out_of_order, counters.duplicate) == (0, 0, 0)
+
+
+def test_another_camera_s_recording_is_counted_not_solved(
+    recording: Path, eventually: Eventually
+) -> None:
+    stream = open_stream(f"replay:{recording}?speed=50", load_sensor("pico_flexx_75mm"))
+    with stream:
+        eventually(lambda: stream.status().state == "ended")
+        assert stream.take() is None
+        assert stream.counters().wrong_size == 10
+
+
+# -- two fingers --------------------------------------------------------------------------------
+
+
+def test_the_nut_is_in_one_place_for_both_fingers() -> None:
+    """T_W_O through either finger is the same while they are closed, by the preset's own poses."""
+    session = load_session("dual_nut")
+    left, right = session.sensors
+    height = load_sensor(left.sensor).membrane.height_m
+    assert height is not None
+    poses = {
+        place.name: place.T_W_B @ grip_poses(place.name, height, 60)  # type: ignore[arg-type]
+        for place in (left, right)
+    }
+    closed = slice(20, 44)
+    np.testing.assert_allclose(poses["left"][closed], poses["right"][closed], atol=1e-8)
+    assert np.ptp(poses["left"][closed][:, 0, 1]) > 0.1  # it turns
+    for place in (left, right):
+        np.testing.assert_allclose(
+            place.T_W_B,
+            finger_pose(place.name, height),
+            atol=1e-9,  # type: ignore[arg-type]
+        )
+
+
+def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
+    nut = oversized_nut()
+    assert np.ptp(nut.vertices[:, 1]) == pytest.approx(0.048)
+    forces = []
+    for side in ("left", "right"):
+        poses = grip_poses(side, 0.05, 40)  # type: ignore[arg-type]
+        source = SyntheticSource(small_sensor, nut, poses, nodes=500)
+        open_, closed = source.truth(0), source.truth(13)
+        assert np.linalg.norm(open_.force_n) == 0.0
+        T_W_B = finger_pose(side, 0.05)  # type: ignore[arg-type]
+        forces.append(T_W_B[:3, :3] @ closed.force_n)
+    assert np.linalg.norm(forces[0]) > 1.0
+    # what one finger feels the other feels the other way round
+    np.testing.assert_allclose(forces[0], -forces[1], atol=0.05 * np.linalg.norm(forces[0]))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("schema_version = 2", "schema_version"),
+        ('colour = "red"', "colour"),
+        ("quaternion_xyzw = [1.0, 1.0, 0.0, 0.0]", "normalise"),
+        ("speed = 1", "speed"),
+        ("= =", "not a readable TOML"),
+    ],
+)
+def test_session_files_are_refused_by_key(tmp_path: Path, change: str, says: str) -> None:
+    path = tmp_path / "session.toml"
+    lines = ["schema_version = 1", 'title = "x"', "[[sensors]]", 'name = "a"', 'sensor = "s"']
+    text = "\n".join([*lines, 'source = "synthetic:"', change])
+    if change.startswith("schema"):
+        text = text.replace("schema_version = 1\n", change + "\n", 1).removesuffix(change)
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        load_session(path)
+    with pytest.raises(InputError, match="dual_nut"):
+        load_session("nothing_of_this_name")
+
+
+# -- RealSense ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recorded by the SDK from its own software device: 12 frames, depth unit 0.1 mm."""
+    rs = pytest.importorskip("pyrealsense2")
+    path = tmp_path_factory.mktemp("realsense") / "camera.db3"
+    device = rs.software_device()
+    camera = device.add_sensor("Depth")
+    lens = rs.intrinsics()
+    lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = 64, 48, 60.0, 61.0, 31.5, 23.5
+    lens.model = rs.distortion.inverse_brown_conrady
+    lens.coeffs = [0.1, 0.0, 0.0, 0.0, 0.01]
+    stream = rs.video_stream()
+    stream.type, stream.index, stream.uid, stream.fmt = rs.stream.depth, 0, 0, rs.format.z16
+    stream.width, stream.height, stream.fps, stream.bpp = 64, 48, 30, 2
+    stream.intrinsics = lens
+    profile = camera.add_video_stream(stream)
+    camera.add_read_only_option(rs.option.depth_units, 1e-4)
+    recorder = rs.recorder(str(path), device)
+    recorded = recorder.query_sensors()[0]
+    queue = rs.frame_queue(50)
+    recorded.open(recorded.get_stream_profiles()[0])
+    recorded.start(queue)
+    for k in range(12):
+        frame = rs.software_video_frame()
+        pixels = np.full((48, 64), 1000 + k, np.uint16)
+        pixels[0, 0] = 0
+        frame.pixels, frame.stride, frame.bpp, frame.depth_units = pixels, 128, 2, 1e-4
+        frame.timestamp, frame.domain = 1e6 + 1e3 * k / 30.0, rs.timestamp_domain.system_time
+        frame.frame_number, frame.profile = k, profile.as_video_stream_profile()
+        camera.on_video_frame(frame)
+        assert queue.try_wait_for_frame(5000)[0]
+    recorded.stop()
+    recorded.close()
+    del recorded, recorder
+    return path
+
+
+def test_a_file_of_the_realsense_sdk_is_played(realsense_file: Path, small_sensor: Sensor) -> None:
+    messages: list[RawMessage] = []
+    stream = open_stream(f"realsense:{realsense_file}", small_sensor)
+    stream.listen(messages.append)
+    with stream:
+        frame = stream.take(30.0)
+        while (newer := stream.take(5.0)) is not None:
+            frame = newer
+    assert frame is not None
+    assert frame.depth_m.shape == (48, 64)
+    assert frame.depth_m[5, 5] == pytest.approx(0.1011, abs=1e-6)
+    assert np.isnan(frame.depth_m[0, 0])
+    assert frame.intrinsics is not None
+    assert frame.intrinsics.distortion_model == "inverse_brown_conrady"
+    assert frame.intrinsics.distortion == pytest.approx((0.1, 0, 0, 0, 0.01))
+    images = [message for message in messages if message.type == IMAGE]
+    assert [message.sequence for message in images] == list(range(12))
+    np.testing.assert_allclose(np.diff([m.stamp_ns for m in images]), SECOND / 30, atol=2000)
+    assert stream.status().state == "ended"
+    assert stream.counters().missed == 0
+
+
+def test_a_looped_file_goes_on(realsense_file: Path, small_sensor: Sensor) -> None:
+    with open_stream(f"realsense:{realsense_file}?loop=1", small_sensor) as stream:
+        frame = stream.take(30.0)
+        while frame is not None and frame.index < 30:
+            frame = stream.take(30.0)
+        assert frame is not None
+        assert stream.counters().bad_stamps == 0
+
+
+def test_without_the_package_one_line_says_what_to_install(
+    small_sensor: Sensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(InputError, match=r"bubbleviz\[realsense\]"):
+        open_stream("realsense:", small_sensor)
+
+
+def test_without_a_camera_one_line_says_so(small_sensor: Sensor) -> None:
+    rs = pytest.importorskip("pyrealsense2")
+    if len(rs.context().query_devices()):
+        pytest.skip("a RealSense camera is plugged in")
+    with pytest.raises(InputError, match="no RealSense camera on this computer"):
+        open_stream("realsense:", small_sensor)
+
+
+def test_streams_end_when_their_source_fails(small_sensor: Sensor, eventually: Eventually) -> None:
+    """A simulation that cannot be: the object cuts the rim. The stream says so and ends."""
+    from bubbleviz.live.synthetic import SyntheticLive
+
+    def make() -> SyntheticSource:
+        poses = np.tile(np.eye(4), (2, 1, 1))
+        poses[:, 0, 3] = 0.07
+        return SyntheticSource(small_sensor, oversized_nut(), poses)
+
+    stream = LiveStream(SyntheticLive("broken", make, 30.0))
+    with stream:
+        eventually(lambda: stream.status().state == "ended")
+        assert "rim" in stream.source.problem()
