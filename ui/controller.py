@@ -10,6 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.numbers import Numbers
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -17,6 +18,8 @@ from ui.clock import PlayClock
 from ui.needs import products
 from ui.rates import RateMeter
 from ui.requests import (
+    Analysed,
+    AnalyseRequest,
     Answer,
     Failed,
     FrameRequest,
@@ -26,7 +29,14 @@ from ui.requests import (
     Solved,
     Thresholded,
 )
-from ui.state import ChoicesChanged, Event, FrameChanged, PlayingChanged, SessionState
+from ui.state import (
+    ChoicesChanged,
+    Event,
+    FrameChanged,
+    PlayingChanged,
+    RangeChanged,
+    SessionState,
+)
 from ui.worker import Worker
 
 TICK_MS = 8
@@ -46,6 +56,8 @@ class Controller(QObject):
         A `Result` to draw.
     failed : Signal
         A `Failed` to tell the user about.
+    analysed : Signal
+        Frames done and frames asked for of an analysis of all frames; equal when it is over.
     solves : RateMeter
         Frames that came back from the solver.
     skipped : int
@@ -55,6 +67,7 @@ class Controller(QObject):
     opened = Signal(object)
     shown = Signal(object)
     failed = Signal(object)
+    analysed = Signal(int, int)
 
     def __init__(self, state: SessionState, worker: Worker) -> None:
         super().__init__()
@@ -71,6 +84,9 @@ class Controller(QObject):
         self._asked: frozenset[Product] = frozenset()
         self._clock: PlayClock | None = None
         self._clock_read_s = 0.0
+        self._came = -1
+        self._to_analyse: tuple[int, ...] = ()
+        self._analysing = 0
         self._timer = QTimer(self)
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
         self._timer.setInterval(TICK_MS)
@@ -151,21 +167,36 @@ class Controller(QObject):
         self._timer.stop()
         self.worker.close()
 
+    def analyse(self, needed: frozenset[Product]) -> None:
+        """Compute what is not known yet of all frames while the solver has nothing else to do."""
+        self._to_analyse = tuple(int(k) for k in self.state.history.missing(needed))
+        self._analysing = len(self._to_analyse)
+        self._analysed_products = needed
+        self._ask_analysis()
+
+    def stop_analysis(self) -> None:
+        """Leave the rest; what was computed stays."""
+        self._to_analyse, self._analysing = (), 0
+        self.analysed.emit(0, 0)
+
     # -- events of the model ----------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, FrameChanged):
             self._ask_frame()
-            if not event.by_playback:
+            if not event.by_playback and not self.state.frozen:
                 self._start_clock()
         elif isinstance(event, PlayingChanged):
             self._start_clock()
             self._timer.start() if event.playing else self._timer.stop()
+        elif isinstance(event, RangeChanged) and self.state.facts is not None:
+            self._clock = PlayClock(self.state.facts.times_s, event.frames)
+            self._start_clock()
         elif isinstance(event, ChoicesChanged):
             self._on_choices(event.names)
 
     def _on_choices(self, names: frozenset[str]) -> None:
-        if "speed" in names or "loop" in names:
+        if names & {"speed", "loop", "every_frame"}:
             self._start_clock()
         sensor = self.sensor
         if "solver" in names and sensor is not None:
@@ -178,16 +209,23 @@ class Controller(QObject):
     def _start_clock(self) -> None:
         if self._clock is not None:
             self._clock_read_s = 0.0
-            self._clock.start(self.state.frame, time.perf_counter(), self.state.choices.speed)
+            frame = self.state.now if self.state.frozen else self.state.frame
+            self._clock.start(frame, time.perf_counter(), self.state.choices.speed)
 
     def _tick(self, ahead_s: float = 0.0) -> None:
         if self._clock is None or not self.state.playing:
             return
         now = max(time.perf_counter() + ahead_s, self._clock_read_s)  # never back
         self._clock_read_s = now
-        index, skipped, ended = self._clock.due(now, loop=self.state.choices.loop)
-        self.skipped += skipped
-        self.state.seek(index, by_playback=True)
+        loop = self.state.choices.loop
+        if self.state.choices.every_frame:
+            if self._came != self.state.frame and not self.state.frozen:
+                return
+            index, ended = self._clock.following(now, loop=loop)
+        else:
+            index, skipped, ended = self._clock.due(now, loop=loop)
+            self.skipped += 0 if self.state.frozen else skipped
+        self.state.go_on(index)
         if ended:
             self.state.set_playing(False)
 
@@ -206,19 +244,20 @@ class Controller(QObject):
                 self._asked,
                 self.state.choices.kappa,
                 self.state.choices.cloud_points,
+                time.perf_counter(),
             )
         )
 
     def _ask_patch(self) -> None:
-        estimate = self.result.estimate if self.result is not None else None
-        if estimate is None or "patch" not in self._asked:
+        result = self.result
+        if result is None or result.estimate is None or "patch" not in self._asked:
             return
         self._requests += 1
         self.worker.ask(
             PatchRequest(
                 self._session,
                 self._requests,
-                estimate,
+                result,
                 self.state.choices.kappa,
                 pixel_mask="pixel_mask" in self._asked,
             )
@@ -226,23 +265,60 @@ class Controller(QObject):
 
     def _on_answer(self, answer: Answer) -> None:
         if isinstance(answer, Failed):
+            if isinstance(answer.request, AnalyseRequest):
+                self.stop_analysis()
             self.failed.emit(answer)
         elif isinstance(answer, Opened):
             self._on_opened(answer)
         elif answer.request.session != self._session:
             return
         elif isinstance(answer, Solved):
-            self.solves.tick(time.perf_counter())
-            self._tick(AHEAD_S)
-            self._show(answer.result)
-            if answer.request.kappa != self.state.choices.kappa:
-                self._ask_patch()
+            self._on_solved(answer)
+        elif isinstance(answer, Analysed):
+            self._on_analysed(answer)
         elif (
             isinstance(answer, Thresholded)
             and self.result is not None
-            and self.result.estimate is answer.request.estimate
+            and self.result.estimate is answer.request.result.estimate
         ):
-            self._show(replace(self.result, patch=answer.patch))
+            self._remember(answer.result.frame.index, answer.numbers, answer.request.kappa)
+            self._show(replace(self.result, patch=answer.result.patch))
+
+    def _on_solved(self, answer: Solved) -> None:
+        now = time.perf_counter()
+        self.solves.tick(now)
+        frame, request = answer.result.frame, answer.request
+        self._came = frame.index
+        self._tick(AHEAD_S)
+        waited_s = now - request.asked_s
+        if frame.arrival_ns:
+            waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
+        numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
+        self._remember(frame.index, numbers, request.kappa)
+        self._show(answer.result)
+        if request.kappa != self.state.choices.kappa:
+            self._ask_patch()
+
+    def _remember(self, frame: int, numbers: Numbers, kappa: float | None) -> None:
+        self.state.remember([frame], [numbers], same_patch=kappa == self.state.choices.kappa)
+
+    def _ask_analysis(self) -> None:
+        done = self._analysing - len(self._to_analyse)
+        self.analysed.emit(done, self._analysing)
+        if self._to_analyse:
+            kappa = self.state.choices.kappa
+            wanted = self._analysed_products
+            self.worker.ask(AnalyseRequest(self._session, self._to_analyse, wanted, kappa))
+
+    def _on_analysed(self, answer: Analysed) -> None:
+        frames, count = answer.request.frames, len(answer.numbers)
+        same = answer.request.kappa == self.state.choices.kappa
+        self.state.remember(frames[:count], answer.numbers, same_patch=same)
+        if frames is self._to_analyse:
+            self._to_analyse = frames[count:] if same else frames
+            self._ask_analysis()
+
+    _analysed_products: frozenset[Product] = frozenset()
 
     def _on_opened(self, answer: Opened) -> None:
         self._session = answer.request.session
@@ -250,11 +326,16 @@ class Controller(QObject):
         self._open_source = answer.request.open_source
         self.sensor = answer.sensor
         self._asked = answer.request.products
-        self._clock = PlayClock(answer.facts.times_s)
+        self.stop_analysis()
         self.skipped = self.worker.dropped = 0
         self.opened.emit(answer)
         self.state.set_playing(False)
-        self.state.open(answer.facts, answer.frame, playing=answer.request.playing)
+        self._clock = None
+        self.state.open(answer.facts, answer.frame, playing=False)
+        self._clock = PlayClock(answer.facts.times_s, self.state.play_range)
+        self._remember(answer.frame, answer.numbers, answer.request.kappa)
+        self.state.set_playing(answer.request.playing)
+        self._came = answer.frame
         self._show(answer.result)
         if not products(self.state.choices) <= self._asked:
             self._ask_frame()

@@ -30,6 +30,8 @@ from ui.view import View
 RATES_EVERY_MS = 500
 NUMBERS_EVERY_S = 0.1
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
+UNSEEN = frozenset({"kappa", "speed", "loop", "every_frame"})
+"""Choices that draw nothing by themselves."""
 
 
 class MainWindow(QMainWindow):
@@ -158,7 +160,7 @@ class MainWindow(QMainWindow):
             self.status.show_source(facts)
         elif isinstance(event, PlayingChanged) and self.controller.result is not None:
             self._show_numbers(self.controller.result)
-        elif isinstance(event, ChoicesChanged) and event.names - {"kappa", "speed", "loop"}:
+        elif isinstance(event, ChoicesChanged) and event.names - UNSEEN:
             self.scene.apply(self.state.choices)
 
     def _on_opened(self, opened: Opened) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
 
+from ui.panels.playback import next_speed
 from ui.presets import load_scene, scene_names
 
 if TYPE_CHECKING:
@@ -49,8 +50,30 @@ class Menus:
         self._add(menu, "&Play / pause", lambda: state.set_playing(not state.playing), "Space")
         self._add(menu, "One frame &back", lambda: state.step(-1), "Left")
         self._add(menu, "One frame &on", lambda: state.step(1), "Right")
+        for title, seconds, keys in (
+            ("0.1 s back", -0.1, "Shift+Left"),
+            ("0.1 s on", 0.1, "Shift+Right"),
+            ("1 s back", -1.0, "Ctrl+Left"),
+            ("1 s on", 1.0, "Ctrl+Right"),
+        ):
+            self._add(menu, title, partial(state.jump, seconds), keys)
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
         self._add(menu, "&Last frame", self._last_frame, "End")
+        menu.addSeparator()
+        for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
+            self._add(menu, title, partial(self._change_speed, direction), keys)
+        self._add(menu, "&Every frame / real time", self._change_mode, "E")
+        self._add(menu, "&Loop", lambda: state.choose(loop=not state.choices.loop), "L")
+        self._add(menu, "Range begins here", lambda: self._range_end(0), "[")
+        self._add(menu, "Range ends here", lambda: self._range_end(1), "]")
+        self._add(menu, "Play all frames", lambda: state.choose_range(None), "Backspace")
+        menu.addSeparator()
+        self._add(menu, "&Mark this frame", lambda: state.toggle_marker(state.frame), "M")
+        self._add(menu, "Next marker", lambda: state.seek_marker(1), "PgDown")
+        self._add(menu, "Marker before", lambda: state.seek_marker(-1), "PgUp")
+        menu.addSeparator()
+        self._add(menu, "F&reeze a live source", lambda: state.freeze(not state.frozen), "F")
+        self._add(menu, "Back to &now", lambda: state.freeze(False), "N")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window
@@ -85,6 +108,20 @@ class Menus:
         visible = self._window.status.isHidden()
         self._window.status.setVisible(visible)
         self._window.state.choose_panel("status", visible)
+
+    def _change_speed(self, direction: int) -> None:
+        state = self._window.state
+        state.choose(speed=next_speed(state.choices.speed, direction))
+
+    def _change_mode(self) -> None:
+        state = self._window.state
+        state.choose(every_frame=not state.choices.every_frame)
+
+    def _range_end(self, end: int) -> None:
+        state = self._window.state
+        if state.facts is not None:
+            first, last = state.play_range or (0, state.facts.frames - 1)
+            state.choose_range((first, state.frame) if end else (state.frame, last))
 
     def _last_frame(self) -> None:
         facts = self._window.state.facts

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.numbers import Numbers
 from bubbleviz.pipeline import Product
-from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui.state import SourceFacts
 
@@ -50,7 +51,10 @@ class OpenRequest:
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """Make products of one frame; `id` counts up, so newer answers are told from older ones."""
+    """Make products of one frame; `id` counts up, so newer answers are told from older ones.
+
+    `asked_s` is when it was asked for, by `time.perf_counter`.
+    """
 
     session: int
     id: int
@@ -58,20 +62,31 @@ class FrameRequest:
     products: frozenset[Product]
     kappa: float | None
     cloud_points: int | None = None
+    asked_s: float = float("nan")
+
+
+@dataclass(frozen=True)
+class AnalyseRequest:
+    """Compute the numbers of frames nobody looks at; a part of them at a time."""
+
+    session: int
+    frames: tuple[int, ...]
+    products: frozenset[Product]
+    kappa: float | None
 
 
 @dataclass(frozen=True)
 class PatchRequest:
-    """Threshold an estimate anew at another κ, without solving."""
+    """Threshold the estimate of a result anew at another κ, without solving."""
 
     session: int
     id: int
-    estimate: Estimate
+    result: Result
     kappa: float | None
     pixel_mask: bool
 
 
-Request = OpenRequest | FrameRequest | PatchRequest
+Request = OpenRequest | FrameRequest | PatchRequest | AnalyseRequest
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,7 @@ class Opened:
     mesh: MembraneMesh
     frame: int
     result: Result
+    numbers: Numbers
 
 
 @dataclass(frozen=True)
@@ -92,14 +108,24 @@ class Solved:
 
     request: FrameRequest
     result: Result
+    numbers: Numbers
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """Numbers of the first frames of a request; the others are to be asked for again."""
+
+    request: AnalyseRequest
+    numbers: tuple[Numbers, ...]
 
 
 @dataclass(frozen=True)
 class Thresholded:
-    """The patch of an estimate at another κ."""
+    """A result with its patch at another κ."""
 
     request: PatchRequest
-    patch: Patch
+    result: Result
+    numbers: Numbers
 
 
 @dataclass(frozen=True)
@@ -111,4 +137,4 @@ class Failed:
     details: str
 
 
-Answer = Opened | Solved | Thresholded | Failed
+Answer = Opened | Solved | Thresholded | Analysed | Failed

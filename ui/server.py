@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.numbers import Numbers, numbers_of
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.result import Patch
 from ui.requests import (
+    Analysed,
+    AnalyseRequest,
     Answer,
     Failed,
     FrameRequest,
@@ -23,12 +27,16 @@ from ui.requests import (
 )
 from ui.state import SourceFacts
 
+SLICE_S = 0.03
+"""How long frames nobody looks at may keep the one somebody asks for waiting."""
+
 
 @dataclass(frozen=True)
 class _Session:
     number: int
     source: FrameSource
     pipeline: Pipeline
+    gas: Gas
 
 
 class Server:
@@ -47,7 +55,9 @@ class Server:
                 return None
             session.pipeline.kappa = request.kappa
             if isinstance(request, PatchRequest):
-                return Thresholded(request, self._threshold(session, request))
+                return self._threshold(session, request)
+            if isinstance(request, AnalyseRequest):
+                return self._analyse(session, request)
             return self._solve(session, request)
         except InputError as error:
             return Failed(request, str(error), "")
@@ -63,10 +73,29 @@ class Server:
     def _solve(self, session: _Session, request: FrameRequest) -> Solved:
         frame = session.source[request.index]
         session.pipeline.cloud_points = request.cloud_points
-        return Solved(request, session.pipeline.process(frame, request.products))
+        result = session.pipeline.process(frame, request.products)
+        return Solved(request, result, numbers_of(result, session.gas))
 
-    def _threshold(self, session: _Session, request: PatchRequest) -> Patch:
-        return session.pipeline.patch(request.estimate, pixel_mask=request.pixel_mask)
+    def _threshold(self, session: _Session, request: PatchRequest) -> Thresholded:
+        estimate = request.result.estimate
+        if estimate is None:
+            raise ValueError("no estimate to threshold")
+        patch = session.pipeline.patch(estimate, pixel_mask=request.pixel_mask)
+        result = replace(request.result, patch=patch)
+        return Thresholded(request, result, numbers_of(result, session.gas))
+
+    def _analyse(self, session: _Session, request: AnalyseRequest) -> Analysed:
+        """As many frames as there is time for, and one at least."""
+        end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
+        for index in request.frames:
+            try:
+                result = session.pipeline.process(session.source[index], request.products)
+                numbers.append(numbers_of(result, session.gas))
+            except InputError:
+                numbers.append(Numbers())  # it says so when somebody looks at it
+            if time.perf_counter() > end:
+                break
+        return Analysed(request, tuple(numbers))
 
     def _open(self, request: OpenRequest) -> Opened:
         sensor = request.open_sensor()
@@ -89,9 +118,11 @@ class Server:
             source.close()
             raise
         self.close()
-        self._session = _Session(request.session, source, pipeline)
+        gas = Gas.of(sensor.pneumatics, pipeline.mesh)
+        self._session = _Session(request.session, source, pipeline, gas)
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live)
-        return Opened(request, facts, sensor, pipeline.mesh, index, result)
+        numbers = numbers_of(result, gas)
+        return Opened(request, facts, sensor, pipeline.mesh, index, result, numbers)
 
 
 def _in_words(error: Exception) -> str:

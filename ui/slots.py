@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from threading import Condition
 
-from ui.requests import FrameRequest, OpenRequest, PatchRequest, Request
+from ui.requests import AnalyseRequest, FrameRequest, OpenRequest, PatchRequest, Request
 
 
 class RequestSlots:
-    """One waiting request of each kind, taken in the order open, patch, frame."""
+    """One waiting request of each kind, taken in the order open, patch, frame, all frames."""
 
-    ORDER: tuple[type[Request], ...] = (OpenRequest, PatchRequest, FrameRequest)
+    ORDER: tuple[type[Request], ...] = (OpenRequest, PatchRequest, FrameRequest, AnalyseRequest)
 
     def __init__(self) -> None:
         self._waiting: dict[type[Request], Request] = {}

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from bubbleviz.numbers import Numbers
+from ui.history import History
 from ui.units import Units
 
 CloudColour = Literal["residual", "patch", "plain"]
 
 LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim")
 """Names of the 3-D layers, in the order the panel lists them."""
+
+
+PATCH_CHOICES = frozenset({"kappa"})
+"""Choices that make another patch of the same contact pressure."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +34,10 @@ class Choices:
         Solver of the inverse problem; None for bubbleviz's default.
     speed : float
         Playback speed, 1 = as recorded.
+    every_frame : bool
+        Playback waits for each frame, however slow; else it keeps time and leaves some out.
     loop : bool
-        Begin again after the last frame.
+        Begin again after the last frame, or the last of the looped range.
     layers, panels : frozenset of str
         What is visible.
     cloud_colour : {"residual", "patch", "plain"}
@@ -50,6 +58,7 @@ class Choices:
     kappa: float | None = None
     solver: str | None = None
     speed: float = 1.0
+    every_frame: bool = False
     loop: bool = True
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
@@ -124,7 +133,42 @@ class ChoicesChanged:
     names: frozenset[str]
 
 
-Event = SourceChanged | FrameChanged | PlayingChanged | ChoicesChanged
+@dataclass(frozen=True)
+class RangeChanged:
+    """Another range of frames is played, first and last; None: all."""
+
+    frames: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class MarkersChanged:
+    """Frames the user has marked."""
+
+    frames: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FrozenChanged:
+    """The view of a live source stands still, or goes on."""
+
+    frozen: bool
+
+
+@dataclass(frozen=True)
+class HistoryChanged:
+    """More is known of some frames, or less."""
+
+
+Event = (
+    SourceChanged
+    | FrameChanged
+    | PlayingChanged
+    | ChoicesChanged
+    | RangeChanged
+    | MarkersChanged
+    | FrozenChanged
+    | HistoryChanged
+)
 
 
 class SessionState:
@@ -138,6 +182,16 @@ class SessionState:
     frame : int
         Cursor: the frame the user wants to see.
     playing : bool
+    frozen : bool
+        The cursor stays while the live source goes on.
+    now : int
+        Frame a live source is at.
+    play_range : (int, int) or None
+        First and last frame to play; None for all.
+    markers : tuple of int
+        Marked frames, in order.
+    history : History
+        What was computed so far.
     units : Units
     """
 
@@ -146,6 +200,11 @@ class SessionState:
         self.facts: SourceFacts | None = None
         self.frame = 0
         self.playing = False
+        self.frozen = False
+        self.now = 0
+        self.play_range: tuple[int, int] | None = None
+        self.markers: tuple[int, ...] = ()
+        self.history = History(0)
         self.units = Units()
         self._observers: list[Callable[[Event], None]] = []
 
@@ -159,15 +218,22 @@ class SessionState:
 
     def open(self, facts: SourceFacts, frame: int = 0, *, playing: bool) -> None:
         """Change to another source: choices stay, the cursor goes to `frame`."""
+        same = self.facts is not None and self.facts.title == facts.title
+        if not same or (self.facts is not None and self.facts.frames != facts.frames):
+            self.play_range, self.markers = None, ()
         self.facts = facts
-        self.frame = min(max(frame, 0), facts.frames - 1)
+        self.history = History(facts.frames)
+        self.frame = self.now = min(max(frame, 0), facts.frames - 1)
+        self.frozen = False
         self._tell(SourceChanged(facts))
         self.set_playing(playing)
 
     def seek(self, index: int, *, by_playback: bool = False) -> None:
-        """Move the cursor, held inside the recording."""
+        """Move the cursor, held inside the recording; a live source goes on without it."""
         if self.facts is None:
             return
+        if self.facts.live and self.playing and not by_playback:
+            self.freeze(True)
         index = min(max(index, 0), self.facts.frames - 1)
         if index == self.frame:
             return
@@ -176,15 +242,71 @@ class SessionState:
 
     def step(self, frames: int) -> None:
         """Stop playing and move the cursor by a number of frames."""
-        self.set_playing(False)
+        if self.facts is not None and not self.facts.live:
+            self.set_playing(False)
         self.seek(self.frame + frames)
+
+    def jump(self, seconds: float) -> None:
+        """Stop playing and move the cursor by a time, by one frame at least."""
+        if self.facts is None:
+            return
+        times = self.facts.times_s
+        nearest = int(np.abs(times - (times[self.frame] + seconds)).argmin())
+        away = nearest - self.frame
+        self.step(away if away * seconds > 0 else int(np.sign(seconds)))
+
+    def go_on(self, index: int) -> None:
+        """Take the frame that playback, or a live source, is at now."""
+        self.now = index
+        if not self.frozen:
+            self.seek(index, by_playback=True)
+
+    def freeze(self, frozen: bool) -> None:
+        """Let a live source go on unseen, or come back to now."""
+        if self.facts is None or not self.facts.live or frozen == self.frozen:
+            return
+        self.frozen = frozen
+        self._tell(FrozenChanged(frozen))
+        if not frozen:
+            self.seek(self.now, by_playback=True)
+
+    def choose_range(self, frames: tuple[int, int] | None) -> None:
+        """Play only from one frame to another."""
+        if frames is not None and self.facts is not None:
+            first, last = sorted(min(max(k, 0), self.facts.frames - 1) for k in frames)
+            frames = (first, last) if first < last else None
+        if frames != self.play_range:
+            self.play_range = frames
+            self._tell(RangeChanged(frames))
+
+    def toggle_marker(self, frame: int) -> None:
+        """Mark a frame, or take its mark away."""
+        marked = set(self.markers) ^ {frame}
+        self.markers = tuple(sorted(marked))
+        self._tell(MarkersChanged(self.markers))
+
+    def seek_marker(self, direction: int) -> None:
+        """Go to the next marker (1) or the one before (-1)."""
+        ahead = [k for k in self.markers if (k - self.frame) * direction > 0]
+        if ahead:
+            self.step(min(ahead, key=lambda k: abs(k - self.frame)) - self.frame)
+
+    def remember(
+        self, frames: Sequence[int], numbers: Sequence[Numbers], *, same_patch: bool
+    ) -> None:
+        """Keep what was computed of some frames; of the patch only where it is the present one."""
+        for frame, known in zip(frames, numbers, strict=True):
+            self.history.take(frame, known, patch=same_patch)
+        self._tell(HistoryChanged())
 
     def set_playing(self, playing: bool) -> None:
         """Start or stop playback; starting at the end begins at the first frame."""
         if self.facts is None or playing == self.playing:
             return
-        if playing and not self.choices.loop and self.frame == self.facts.frames - 1:
-            self.seek(0)
+        first, last = self.play_range or (0, self.facts.frames - 1)
+        outside = not first <= self.frame <= last
+        if playing and (outside or (not self.choices.loop and self.frame == last)):
+            self.seek(first)
         self.playing = playing
         self._tell(PlayingChanged(playing))
 
@@ -196,6 +318,8 @@ class SessionState:
         )
         if names:
             self.choices = new
+            if names & PATCH_CHOICES:
+                self.history.forget_patches()
             self._tell(ChoicesChanged(names))
 
     def choose_layer(self, name: str, visible: bool) -> None:

@@ -182,14 +182,6 @@ def test_space_on_a_check_box_reached_by_tab_toggles_it(drive: Drive) -> None:
     assert box.isChecked() and not driver.state.playing
 
 
-def test_seek_slider_seeks(drive: Drive) -> None:
-    driver = drive()
-    slider = driver.window.playback.slider
-    driver.bot.mouseClick(slider, LEFT, pos=QPoint(slider.width() - 5, slider.height() // 2))
-    assert driver.state.frame > 0
-    driver.settle()
-
-
 def test_every_number_has_a_unit(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     driver.window.show_rates()
@@ -316,4 +308,4 @@ def test_numbers_follow_when_playback_stops(drive: Drive) -> None:
     driver.settle()
     shown = driver.window.controller.result.frame.index
     assert driver.window.status.labels["frame"].text().startswith(f"frame {shown}/")
-    assert driver.window.playback.slider.value() == shown
+    assert f"frame {shown} /" in driver.window.playback.readout.text()

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
     QLabel,
-    QSlider,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -18,22 +17,24 @@ from PySide6.QtWidgets import (
 from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.icons import icon
 from ui.panels.keys import keep_keys
-from ui.state import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    PlayingChanged,
-    SessionState,
-    SourceChanged,
-)
+from ui.panels.timeline import Timeline
+from ui.state import Event, FrameChanged, HistoryChanged, SessionState, SourceChanged
 
 EVERY_S = 0.1
 """While playing: nobody reads faster."""
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+MODES = {False: "real time", True: "every frame"}
+JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
+JUMP_KEYS = {-1.0: "Ctrl+←", -0.1: "Shift+←", 0.1: "Shift+→", 1.0: "Ctrl+→"}
+
+
+def next_speed(speed: float, direction: int) -> float:
+    """The next faster (1) or slower (-1) playback speed."""
+    return SPEEDS[min(max(SPEEDS.index(speed) + direction, 0), len(SPEEDS) - 1)]
 
 
 class PlaybackPanel(QWidget):
-    """Buttons, seek slider with contact-free ranges, speed, loop, the frame's number and time."""
+    """Timeline with contact-free ranges; below it how to move in time, the frame and its time."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -44,19 +45,27 @@ class PlaybackPanel(QWidget):
         self.play = self._button("play", "Play or pause (Space)")
         self.forward = self._button("forward", "One frame on (→)")
         self.last = self._button("last", "Last frame (End)")
-        self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setObjectName("seek")
+        self.jumps = {seconds: self._jump(text, seconds) for text, seconds in JUMPS_S.items()}
+        self.timeline = Timeline(state)
         self.strip = RangeStrip()
         self.strip.hide()
         self.readout = QLabel()
         self.speed = QComboBox()
         for speed in SPEEDS:
             self.speed.addItem(f"{speed:g}×", speed)
-        self.speed.setToolTip("Playback speed")
-        self.loop = QToolButton()
-        self.loop.setText("Loop")
-        self.loop.setCheckable(True)
-        self.loop.setToolTip("Begin again after the last frame")
+        self.speed.setToolTip("Playback speed (Ctrl+↑, Ctrl+↓)")
+        self.mode = QComboBox()
+        for every_frame, title in MODES.items():
+            self.mode.addItem(title, every_frame)
+        self.mode.setToolTip(
+            "Keep time and leave frames out, or wait for every frame however slow (E)"
+        )
+        self.loop = self._switch("Loop", "Begin again after the last frame, or the range's (L)")
+        self.mark = self._switch("Mark", "Mark this frame (M); PgUp, PgDn go to marked frames")
+        self.freeze = self._switch("Freeze", "Stand still while the live source goes on (F)")
+        self.now = QToolButton()
+        self.now.setText("Now")
+        self.now.setToolTip("Back to what the live source shows now (N)")
         self._lay_out()
         self._show_all()
         self._connect()
@@ -69,20 +78,40 @@ class PlaybackPanel(QWidget):
         button.setToolTip(tip)
         return button
 
+    def _jump(self, text: str, seconds: float) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setToolTip(f"{text.replace(' s', '')} seconds ({JUMP_KEYS[seconds]})")
+        button.clicked.connect(lambda: self._state.jump(seconds))
+        return button
+
+    def _switch(self, text: str, tip: str) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setCheckable(True)
+        button.setToolTip(tip)
+        return button
+
     def _lay_out(self) -> None:
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 8, 10, 8)
-        for button in (self.first, self.back, self.play, self.forward, self.last):
+        column = QVBoxLayout(self)
+        column.setContentsMargins(10, 4, 10, 6)
+        column.setSpacing(0)
+        column.addWidget(self.timeline)
+        column.addWidget(self.strip)
+        row = QHBoxLayout()
+        row.setContentsMargins(0, 4, 0, 0)
+        row.setSpacing(4)
+        back, on = list(self.jumps.values())[:2], list(self.jumps.values())[2:]
+        for button in (self.first, *back, self.back, self.play, self.forward, *on, self.last):
             row.addWidget(button)
-        timeline = QVBoxLayout()
-        timeline.setSpacing(0)
-        timeline.addWidget(self.slider)
-        timeline.addWidget(self.strip)
-        row.addLayout(timeline, 1)
+        row.addStretch(1)
         row.addWidget(self.readout)
-        row.addWidget(self.speed)
-        row.addWidget(self.loop)
-        self.readout.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        row.addStretch(1)
+        for widget in (self.mark, self.loop, self.freeze, self.now, self.mode, self.speed):
+            row.addWidget(widget)
+        column.addLayout(row)
+        column.addStretch(1)
+        self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
 
     def _connect(self) -> None:
         state = self._state
@@ -91,37 +120,49 @@ class PlaybackPanel(QWidget):
         self.back.clicked.connect(lambda: state.step(-1))
         self.forward.clicked.connect(lambda: state.step(1))
         self.play.clicked.connect(lambda: state.set_playing(not state.playing))
-        self.slider.valueChanged.connect(state.seek)
         self.speed.currentIndexChanged.connect(
             lambda _: state.choose(speed=self.speed.currentData())
         )
-        self.loop.toggled.connect(lambda on: state.choose(loop=on))
+        self.mode.currentIndexChanged.connect(
+            lambda _: state.choose(every_frame=self.mode.currentData())
+        )
+        self.loop.clicked.connect(lambda on: state.choose(loop=on))
+        self.mark.clicked.connect(lambda: state.toggle_marker(state.frame))
+        self.freeze.clicked.connect(state.freeze)
+        self.now.clicked.connect(lambda: state.freeze(False))
 
     def _on_event(self, event: Event) -> None:
-        if isinstance(event, FrameChanged):
+        if isinstance(event, FrameChanged | HistoryChanged):
             now = time.perf_counter()
-            if not event.by_playback or now - self._shown_at >= EVERY_S:
+            steady = isinstance(event, FrameChanged) and not event.by_playback
+            if steady or not self._state.playing or now - self._shown_at >= EVERY_S:
                 self._shown_at = now
                 self._show_frame()
-        elif isinstance(event, PlayingChanged | SourceChanged | ChoicesChanged):
+        else:
+            if isinstance(event, SourceChanged):
+                self.timeline.show_source()
             self._show_all()
 
     def _show_all(self) -> None:
-        facts, choices = self._state.facts, self._state.choices
+        facts, choices, live = self._state.facts, self._state.choices, False
         self.setEnabled(facts is not None)
-        with QSignalBlocker(self.slider):
-            self.slider.setRange(0, facts.frames - 1 if facts else 0)
         self.play.setIcon(icon("pause" if self._state.playing else "play"))
         self.speed.setCurrentIndex(self.speed.findData(choices.speed))
+        self.mode.setCurrentIndex(self.mode.findData(choices.every_frame))
         self.loop.setChecked(choices.loop)
+        self.freeze.setChecked(self._state.frozen)
+        self.now.setEnabled(self._state.frozen)
         if facts is not None:
+            live = facts.live
             widest = self._text(facts.frames - 1)
             self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 12)
+        for widget in (self.freeze, self.now):
+            widget.setVisible(live)
         self._show_frame()
 
     def _show_frame(self) -> None:
-        with QSignalBlocker(self.slider):
-            self.slider.setValue(self._state.frame)
+        self.timeline.update()
+        self.mark.setChecked(self._state.frame in self._state.markers)
         self.readout.setText(self._text(self._state.frame))
 
     def _text(self, frame: int) -> str:

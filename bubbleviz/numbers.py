@@ -1,0 +1,83 @@
+"""The few numbers of a frame that are worth keeping and plotting over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.result import Patch, Result
+
+NOTHING = float("nan")
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers of one frame, SI but for the times; NaN where nobody asked or nothing is known.
+
+    Attributes
+    ----------
+    status : str
+        Of the estimate; empty without one.
+    gas_change_pa : float
+        p_v of the estimate: measured where the recording has the gas pressure.
+    gas_law_pa : float
+        p_v that the gas law (Eq. 6) gives for the estimated shape.
+    gas_measured_pa : float
+        Measured gas pressure less the reference pressure P0.
+    residual_m, solve_ms, total_ms : float
+        As in `Estimate` and `Result.times_ms`.
+    force_n, area_m2 : float
+        Length of the force vector; area of the patch.
+    center_m : (float, float, float)
+        Centre of pressure in B.
+    latency_ms : float
+        Depth image here → products in the window; NaN where nobody waited for it.
+    """
+
+    status: str = ""
+    gas_change_pa: float = NOTHING
+    gas_law_pa: float = NOTHING
+    gas_measured_pa: float = NOTHING
+    residual_m: float = NOTHING
+    solve_ms: float = NOTHING
+    total_ms: float = NOTHING
+    force_n: float = NOTHING
+    area_m2: float = NOTHING
+    center_m: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
+    has_patch: bool = False
+    latency_ms: float = NOTHING
+
+
+def numbers_of(result: Result, gas: Gas) -> Numbers:
+    """Numbers of a result; what it lacks is NaN."""
+    estimate, measured = result.estimate, result.frame.gas_pressure_pa
+    known: dict[str, object] = {
+        "gas_measured_pa": NOTHING if measured is None else measured - gas.P0,
+        "total_ms": result.times_ms.get("total", NOTHING),
+    }
+    if estimate is not None:
+        known |= {
+            "status": estimate.status,
+            "gas_change_pa": estimate.gas_pressure_change_pa,
+            "residual_m": estimate.residual_rms_m,
+            "solve_ms": estimate.solve_ms,
+        }
+        if estimate.status in ("ok", "no_contact"):
+            known["gas_law_pa"] = gas.pressure_change(estimate.displacement_m)
+        if result.patch is not None:
+            known |= patch_numbers(result.patch, estimate.status)
+    return Numbers(**known)  # type: ignore[arg-type]
+
+
+def patch_numbers(patch: Patch, status: str) -> dict[str, object]:
+    """The numbers that change with κ; NaN where the estimate is not to be trusted."""
+    trusted = status in ("ok", "no_contact")
+    x, y, z = (float(c) for c in patch.center_of_pressure_m)
+    return {
+        "has_patch": True,
+        "force_n": float(np.linalg.norm(patch.force_n)) if trusted else NOTHING,
+        "area_m2": patch.area_m2 if trusted else NOTHING,
+        "center_m": (x, y, z) if trusted else (NOTHING, NOTHING, NOTHING),
+    }
