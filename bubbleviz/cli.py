@@ -11,8 +11,10 @@ from typing import Any, NoReturn
 import click
 
 import bubbleviz
+from bubbleviz.batch.command import batch
 from bubbleviz.calibration.command import identify
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.export.command import export
 from bubbleviz.study.command import study
 
 # The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
@@ -344,5 +346,7 @@ def estimate(
 
 # -- calibration and studies, which live beside what they do ------------------------------------
 
+main.add_command(batch)
 main.add_command(identify)
+main.add_command(export)
 main.add_command(study)

@@ -1,0 +1,45 @@
+"""POSES.csv of `bubbleviz pose` as more columns of a table."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+from bubbleviz.errors import InputError
+from bubbleviz.posefile import COLUMNS
+
+_QUALITY = ("fitness", "rmse_m")
+
+
+def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
+    """Columns `pose_…` by frame index: status, T_B_O as position in m and quaternion, quality.
+
+    Raises
+    ------
+    InputError
+        Names the file and the line.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error}); check the path") from error
+    needed = ("frame", "status", *COLUMNS)
+    missing = [name for name in needed if not rows or name not in rows[0]]
+    if missing:
+        raise InputError(f"{path}: no column {missing[0]}; give the CSV of bubbleviz pose")
+    poses = {}
+    for line, row in enumerate(rows, 2):
+        try:
+            poses[int(row["frame"])] = _columns(row)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}: line {line}: {error}; correct it") from None
+    return poses
+
+
+def _columns(row: dict[str, str]) -> dict[str, Any]:
+    names = (*COLUMNS, *(name for name in _QUALITY if name in row))
+    numbers = {f"pose_{name}": float(row[name] or "nan") for name in names}
+    return {"pose_status": row["status"], **numbers}
