@@ -24,9 +24,11 @@ FIELD = "#171a1e"
 BORDER = "#3a414a"
 ACCENT = "#4c9fe8"
 DIM = "#98a3af"
+DISABLED = "#666f79"
 
 STYLE = f"""
 QWidget {{ color: {TEXT}; }}
+QPushButton:disabled, QToolButton:disabled {{ color: {DISABLED}; }}
 QMainWindow, QDialog {{ background: {WINDOW}; }}
 QMainWindow::separator {{ background: {FIELD}; width: 4px; height: 4px; }}
 QDockWidget {{ font-weight: 600; }}
@@ -74,5 +76,5 @@ def palette() -> QPalette:
     for role, colour in colours.items():
         made.setColor(role, QColor(colour))
     for role in (roles.WindowText, roles.Text, roles.ButtonText):
-        made.setColor(QPalette.ColorGroup.Disabled, role, QColor("#666f79"))
+        made.setColor(QPalette.ColorGroup.Disabled, role, QColor(DISABLED))
     return made

@@ -111,8 +111,9 @@ def _score(values: np.ndarray) -> np.ndarray:
     differences = values[lag:] - values[:-lag]
     sigma = np.array([robust_sigma(column, center=0.0) for column in differences.T]) / np.sqrt(2.0)
     typical = float(np.median(sigma))
-    # Quantised columns may never change at all: they are no better than their like.
-    sigma = np.maximum(sigma, typical if typical > 0.0 else np.finfo(float).tiny)
+    # Quantised columns may never change at all: they are no better than their like, and a
+    # simulated one that never does is no better than its digits.
+    sigma = np.maximum(sigma, max(typical, np.finfo(float).eps * float(np.abs(values).max())))
     end = MIN_FRAMES
     score = np.zeros(len(values))
     for _ in range(4):  # the rest state from more and more frames, as they prove to be at rest

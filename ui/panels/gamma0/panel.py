@@ -245,9 +245,9 @@ class Gamma0Panel(QWidget):
             row.addWidget(button)
             self.stack.addWidget(_scrolling(page))
         self.title.setObjectName("value")
-        row.addSpacing(6)
-        row.addWidget(self.title, 1)
+        row.addStretch(1)
         column.addLayout(row)
+        column.addWidget(self.title)
         column.addWidget(self.stack, 1)
         for label in (self.verdict, self.message):
             label.setWordWrap(True)

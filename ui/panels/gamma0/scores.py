@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QPointF, Qt
-from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPolygonF
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QWidget
 
 from bubbleviz.calibration.contact_free import SIGNIFICANT, ContactFree
@@ -46,18 +46,18 @@ class ScorePlot(QWidget):
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.fillRect(self.rect(), QColor(theme.VIEW))
-        highest = max([100.0, *(float(each.max()) for each in self._scores.values())])
+        highest = max([200.0, *(float(each.max()) for each in self._scores.values())])
         painter.setPen(QColor(theme.DIM))
         for decade in (1.0, 10.0, 100.0):
             y = self._y(decade, highest)
-            painter.drawText(QPointF(MARGIN, y - 2), f"{decade:g} σ")
+            painter.drawText(QPointF(MARGIN + 14, y + 4), f"{decade:g} σ")
             painter.drawLine(QPointF(MARGIN, y), QPointF(MARGIN + 10, y))
-        painter.setPen(Qt.PenStyle.DashLine)
+        painter.setPen(QPen(QColor(theme.DIM), 1.0, Qt.PenStyle.DashLine))
         level = self._y(SIGNIFICANT, highest)
         painter.drawLine(QPointF(MARGIN, level), QPointF(self.width() - MARGIN, level))
         for number, (name, score) in enumerate(self._scores.items()):
             painter.setPen(QColor(COLOURS[name]))
-            painter.drawText(QPointF(MARGIN + 60 + 60 * number, 14), name)
+            painter.drawText(QPointF(MARGIN + 70 + 60 * number, 16), name)
             wide = (self.width() - 2 * MARGIN) / max(len(score) - 1, 1)
             points = [
                 QPointF(MARGIN + k * wide, self._y(float(value), highest))
