@@ -1,0 +1,170 @@
+"""Step by step, changed and done again: the same numbers as all at once, and no needless work."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.collected import CollectedFrames
+from bubbleviz.calibration.compare import compare
+from bubbleviz.calibration.frame_ranges import as_ranges, in_words, numbers, tidy, without
+from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.progress import Cancelled
+from bubbleviz.calibration.save import save
+from bubbleviz.calibration.sensor_files import written
+from bubbleviz.calibration.workbench import Settings, Step, Workbench
+from bubbleviz.errors import InputError
+
+from .domes import sphere
+
+NODES = 200
+
+
+class Counted:
+    """A dome whose reads are counted."""
+
+    def __init__(self, dome):
+        self.dome, self.name, self.times_s, self.reads = dome, dome.name, dome.times_s, 0
+
+    def __len__(self):
+        return len(self.dome)
+
+    def __getitem__(self, k):
+        self.reads += 1
+        return self.dome[k]
+
+    def close(self):
+        pass
+
+
+@pytest.fixture(scope="module")
+def dome():
+    return sphere(3, frames=20)
+
+
+@pytest.fixture
+def bench(dome):
+    return Workbench(Counted(dome), dome.sensor)
+
+
+def full(**more):
+    return Settings(Step.TENSION, nodes=NODES, **more)
+
+
+def test_steps_give_what_identify_gives(bench, dome):
+    draft = bench.work(full())
+    found = identify(dome, dome.sensor, nodes=NODES)
+    assert draft.tension.tension == found.tension.tension
+    np.testing.assert_array_equal(draft.found.pixels.mask, found.pixels.mask)
+    assert draft.found.sensor == found.sensor
+
+
+@pytest.mark.parametrize(
+    ("step", "known"),
+    [
+        (Step.START, []),
+        (Step.FRAMES, ["contact_free"]),
+        (Step.PIXELS, ["contact_free", "samples", "pixels"]),
+        (Step.SURFACE, ["contact_free", "samples", "pixels", "surfaces"]),
+    ],
+)
+def test_nothing_is_done_beyond_the_step_reached(bench, step, known):
+    draft = bench.work(Settings(step, nodes=NODES))
+    names = ("contact_free", "samples", "pixels", "surfaces", "tension", "found")
+    assert [name for name in names if getattr(draft, name) is not None] == known
+
+
+def test_a_sample_out_and_in_again(bench):
+    whole = bench.work(full(ranges=((0, 20),)))
+    less = bench.work(full(ranges=((0, 8), (12, 20))))
+    assert less.samples.frames == (*range(8), *range(12, 20))
+    assert less.tension.tension.value != whole.tension.tension.value
+    reads = bench.source.reads
+    again = bench.work(full(ranges=((0, 20),)))
+    assert again.tension is whole.tension and bench.source.reads == reads
+
+
+def test_a_threshold_touches_only_the_pixels(bench):
+    before = bench.work(full())
+    after = bench.work(full(deviations=1.0))
+    assert after.surfaces is before.surfaces and after.tension is before.tension
+    assert after.pixels.mask.sum() < before.pixels.mask.sum()
+
+
+def test_cancelled_anywhere_it_can_be_done_after_all(bench, dome):
+    calls = 0
+
+    def count(step, done):
+        nonlocal calls
+        calls += 1
+
+    wanted = Workbench(dome, dome.sensor).work(full(), count).tension.tension
+    for stop in range(1, calls, max(1, calls // 3)):
+        left = stop
+
+        def cancel(step, done):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                raise Cancelled
+
+        fresh = Workbench(dome, dome.sensor)
+        with pytest.raises(Cancelled):
+            fresh.work(full(), cancel)
+        assert fresh.work(full()).tension.tension == wanted
+
+
+def test_too_few_frames_are_refused_with_the_source(bench):
+    with pytest.raises(InputError, match=r"dome: 3 contact-free frames.*at least 5"):
+        bench.work(full(ranges=((0, 3),)))
+
+
+def test_ranges():
+    assert tidy([(5, 9), (0, 2), (8, 12), (3, 3), (-4, 1)], 10) == ((0, 2), (5, 10))
+    assert without(((0, 10), (20, 30)), 8, 25) == ((0, 8), (25, 30))
+    assert without(((3, 6),), 0, 10) == ()
+    assert numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
+    assert as_ranges([0, 1, 2, 7]) == ((0, 3), (7, 8))
+    assert in_words(((0, 3), (7, 8))) == "0–2, 7" and in_words(()) == "none"
+
+
+def test_a_sensor_does_not_differ_from_itself(dome):
+    found = identify(dome, dome.sensor, nodes=NODES)
+    with written(found) as own:
+        same = compare(own, found)
+    assert same.largest_m < 5e-6  # the file's digits
+    for row in same.rows:
+        assert row.old == pytest.approx(row.new, rel=2e-3, abs=2e-6), row.name
+
+
+def test_another_height_is_seen_in_table_and_picture(dome):
+    found = identify(dome, dome.sensor, nodes=NODES)
+    higher = found.sensor.membrane.model_copy(update={"height_m": 0.052})
+    table = compare(found.sensor.model_copy(update={"membrane": higher}), found)
+    height = next(row for row in table.rows if row.name == "height")
+    assert height.old - height.new == pytest.approx(2e-3, abs=2e-4)
+    middle = table.difference_m[tuple(s // 2 for s in table.difference_m.shape)]
+    assert middle == pytest.approx(-2e-3, abs=3e-4)  # the new membrane is nearer
+
+
+def test_collected_frames_are_saved_with_a_report(dome, tmp_path):
+    frames = CollectedFrames("live", [dome[k] for k in range(12)])
+    found = identify(frames, dome.sensor, range(12), nodes=NODES)
+    save(found, frames, "given", tmp_path / "new.toml", tmp_path / "report")
+    origin = json.loads((tmp_path / "report" / "report.json").read_text())["origin"]
+    assert origin["recording"] == "live" and origin["recording_sha256"] is None
+    with pytest.raises(InputError, match="no frame"):
+        CollectedFrames("live", [])
+
+
+def test_a_report_that_cannot_be_written_leaves_no_sensor(dome, tmp_path, monkeypatch):
+    found = identify(dome, dome.sensor, range(12), nodes=NODES)
+    import bubbleviz.calibration.save as module
+
+    def full_disk(*_):
+        raise InputError("report: cannot be written (disk full)")
+
+    monkeypatch.setattr(module, "write_report", full_disk)
+    with pytest.raises(InputError, match="disk full"):
+        save(found, dome, "given", tmp_path / "new.toml", tmp_path / "report")
+    assert not list(tmp_path.iterdir())
