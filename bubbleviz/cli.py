@@ -264,7 +264,8 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @main.command()
 @click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
 @click.option("--sensor", required=True, help="Sensor file or preset.")
-@click.option("--publish", metavar="ENDPOINT", help="Publish results, e.g. tcp/127.0.0.1:7448.")
+@click.option("--publish", metavar="ENDPOINT", help="Publish results here: tcp/127.0.0.1:7448")
+@click.option("--publish-to", metavar="ENDPOINT", help="Publish results through this router.")
 @click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
 @click.option("--solver", help="Solver of the inverse problem.")
@@ -277,7 +278,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
 
     options = WatchOptions(
         out=choices["out"],
-        publish=choices["publish"],
+        publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"]),
         duration_s=choices["duration"],
         solver=choices["solver"],
         zero=zero,
@@ -288,7 +289,8 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
 
 @main.command()
 @click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
-@click.option("--listen", default="tcp/127.0.0.1:7447", help="Where subscribers connect to.")
+@click.option("--listen", metavar="ENDPOINT", help="Subscribers connect here; loopback, 7447.")
+@click.option("--connect", metavar="ENDPOINT", help="Publish through this router instead.")
 @click.option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
 @click.option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
@@ -296,7 +298,8 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def publish(
     source: str,
-    listen: str,
+    listen: str | None,
+    connect: str | None,
     layout: Any,
     domain: int,
     duration: float | None,
@@ -307,10 +310,24 @@ def publish(
     from bubbleviz.live.publish import publish_source
     from bubbleviz.sensor import load_sensor
 
+    if listen is None and connect is None:
+        listen = "tcp/127.0.0.1:7447"
+    place = _zenoh_place("--listen", listen, connect)
     summary = publish_source(
-        source, load_sensor(sensor), listen, layout=layout, domain=domain, duration_s=duration
+        source, load_sensor(sensor), place, layout=layout, domain=domain, duration_s=duration
     )
     click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+def _zenoh_place(option: str, listen: str | None, connect: str | None) -> Any:
+    """Where to publish; None for nowhere."""
+    from bubbleviz.live.zenoh_session import SessionOptions
+
+    if listen is not None and connect is not None:
+        raise click.UsageError("publish at a place or through a router, not both")
+    if listen is None and connect is None:
+        return None
+    return SessionOptions(f"{option} {listen or connect}", connect, listen)
 
 
 # -- the inverse problem: estimate --------------------------------------------------------------

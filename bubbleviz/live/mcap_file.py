@@ -125,7 +125,7 @@ class McapFile:
         if kind not in self._schemas:
             definition, _ = types.generate_msgdef(kind, ros_version=2)
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
-        metadata = {"offered_qos_profiles": "", "topic_type_hash": types.hash_rihs01(kind)}
+        metadata = {"offered_qos_profiles": "[]", "topic_type_hash": types.hash_rihs01(kind)}
         channel: int = self._writer.register_channel(topic, "cdr", self._schemas[kind], metadata)
         return channel
 

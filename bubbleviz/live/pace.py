@@ -44,11 +44,11 @@ class PacedThread:
         """Whether the function has not returned yet."""
         return self._thread.is_alive()
 
-    def stop(self) -> None:
-        """Stop and wait until nothing runs any more."""
+    def stop(self, timeout_s: float | None = None) -> None:
+        """Stop and wait until nothing runs any more, or until the timeout."""
         self._stop.set()
         if self._thread is not threading.current_thread():
-            self._thread.join()
+            self._thread.join(timeout_s)
 
     def _main(self) -> None:
         try:

@@ -46,7 +46,7 @@ class PublishSummary:
 def publish_source(
     source: str,
     sensor: Sensor,
-    endpoint: str,
+    place: SessionOptions,
     *,
     layout: Layout = "rmw",
     domain: int = 0,
@@ -59,14 +59,13 @@ def publish_source(
     Raises
     ------
     InputError
-        The source cannot be opened, or nobody can listen at the endpoint.
+        The source cannot be opened, nobody can listen there, or no router is there.
     """
     sent: Counter[str] = Counter()
     live = open_stream(source, sensor, any_size=True).source
-    options = SessionOptions(f"--listen {endpoint}", (), (endpoint,))
     with (
         stopped_by_signals() as stop,
-        ZenohPublisher(options, layout=layout, domain=domain, wait=True) as publisher,
+        ZenohPublisher(place, layout=layout, domain=domain, wait=True) as publisher,
     ):
 
         def send(message: RawMessage) -> None:
@@ -83,4 +82,4 @@ def publish_source(
         finally:
             live.stop()
         stop.wait(LINGER_S)
-    return PublishSummary(source, endpoint, dict(sent))
+    return PublishSummary(source, place.connect or place.listen or "", dict(sent))

@@ -47,8 +47,8 @@ class WatchOptions:
     ----------
     out : Path or None
         Where to record what arrives and what comes out.
-    publish : str or None
-        Endpoint to publish at, `tcp/127.0.0.1:0` style; None publishes nothing.
+    publish : SessionOptions or None
+        Where to publish results; None publishes nothing.
     duration_s : float or None
         From the first frame; None until ^C.
     solver : str or None
@@ -57,7 +57,7 @@ class WatchOptions:
     """
 
     out: Path | None = None
-    publish: str | None = None
+    publish: SessionOptions | None = None
     duration_s: float | None = None
     solver: str | None = None
     zero: bool = True
@@ -279,8 +279,5 @@ def _recorder(stack: ExitStack, stream: LiveStream, out: Path | None) -> Recorde
     return recorder
 
 
-def _publisher(stack: ExitStack, endpoint: str | None) -> ZenohPublisher | None:
-    if endpoint is None:
-        return None
-    options = SessionOptions(f"--publish {endpoint}", (), (endpoint,))
-    return stack.enter_context(ZenohPublisher(options))
+def _publisher(stack: ExitStack, place: SessionOptions | None) -> ZenohPublisher | None:
+    return None if place is None else stack.enter_context(ZenohPublisher(place))

@@ -14,7 +14,7 @@ from bubbleviz.live.zenoh_keys import (
     pack_attachment,
     publication,
 )
-from bubbleviz.live.zenoh_session import LOOPBACK, SessionOptions, connected, open_session
+from bubbleviz.live.zenoh_session import SessionOptions, connected, open_session
 
 
 class ZenohPublisher:
@@ -22,8 +22,8 @@ class ZenohPublisher:
 
     Parameters
     ----------
-    options : SessionOptions, optional
-        Listens on loopback and connects to nobody by default.
+    options : SessionOptions
+        Where to listen, or the router to publish through.
     layout : {"rmw", "dds"}
         As `rmw_zenoh` publishes, or as the ROS 2 DDS bridge does.
     domain : int
@@ -34,13 +34,13 @@ class ZenohPublisher:
 
     def __init__(
         self,
-        options: SessionOptions | None = None,
+        options: SessionOptions,
         *,
         layout: Layout = "rmw",
         domain: int = 0,
         wait: bool = False,
     ) -> None:
-        self._session = open_session(options or SessionOptions("publisher", (), (LOOPBACK,)))
+        self._session = open_session(options)
         self._layout, self._domain, self._wait = layout, domain, wait
         self._publishers: dict[tuple[str, str], Any] = {}
         self._tokens: list[Any] = []

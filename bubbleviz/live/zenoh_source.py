@@ -7,6 +7,7 @@ import threading
 import time
 from typing import Any
 
+from bubbleviz.errors import InputError
 from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
 from bubbleviz.live.message import RawMessage, stamp_of
 from bubbleviz.live.pace import PacedThread
@@ -21,8 +22,11 @@ from bubbleviz.live.zenoh_keys import (
     type_of,
     unpack_attachment,
 )
-from bubbleviz.live.zenoh_session import SessionOptions, connected, open_session
+from bubbleviz.live.zenoh_session import SessionOptions, connected, make_config, open_session
 
+LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
+BACK_OFF_S = (0.2, 2.0)
+CLOSING_S = 2.0
 LOOK_S = 0.1
 """How often newly announced topics are subscribed to, and the connection is looked at."""
 
@@ -55,20 +59,17 @@ class ZenohSource:
         self._missed = 0
         self._link: Link = "connecting"
         self._lock = threading.Lock()
+        self._watchers: list[Any] = []
         self._keeper: PacedThread | None = None
         self._deliver: Deliver | None = None
 
     def start(self, deliver: Deliver) -> None:
-        """Open the session; whoever is not there yet is connected to when it comes."""
+        """Begin; whoever is not there yet is connected to when it comes."""
         self._deliver = deliver
-        self._session = open_session(self._options)
-        for topic, kind in self._named():
-            for layout in ("rmw", "dds"):
-                self._subscribe(Announced(topic, kind, layout))
-        liveliness = self._session.liveliness()
-        self._watchers = [
-            liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
-        ]
+        if self._options.listen is not None:
+            self._session = open_session(self._options)
+        else:
+            make_config(self._options)  # a malformed endpoint is refused now
         self._keeper = PacedThread(self._keep, "zenoh keeper")
 
     def stop(self) -> None:
@@ -76,10 +77,7 @@ class ZenohSource:
         with self._lock:
             self._deliver = None
         if self._keeper is not None:
-            self._keeper.stop()
-        session, self._session = self._session, None
-        if session is not None:
-            session.close()
+            self._keeper.stop(CLOSING_S)  # it may be waiting for a host that does not answer
         self._link = "ended"
 
     def link(self) -> Link:
@@ -116,13 +114,40 @@ class ZenohSource:
         self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
     def _keep(self, pace: PacedThread) -> None:
-        while pace.wait_until(time.monotonic() + LOOK_S):
-            while not self._tokens.empty():
-                self._take_token(*self._tokens.get())
-            if connected(self._session):
-                self._link = "up"
-            elif self._link == "up":
-                self._link = "lost"
+        if not self._connect(pace):
+            return
+        try:
+            self._watch()
+            while pace.wait_until(time.monotonic() + LOOK_S):
+                while not self._tokens.empty():
+                    self._take_token(*self._tokens.get())
+                if connected(self._session):
+                    self._link = "up"
+                elif self._link == "up":
+                    self._link = "lost"
+        finally:
+            self._session.close()
+
+    def _connect(self, pace: PacedThread) -> bool:
+        """Open the session once somebody is there, looking ever less often; False when stopped."""
+        wait = BACK_OFF_S[0]
+        while self._session is None:
+            try:
+                self._session = open_session(self._options)
+            except InputError:  # nobody there yet
+                if not pace.wait_until(time.monotonic() + wait):
+                    return False
+                wait = min(1.5 * wait, BACK_OFF_S[1])
+        return True
+
+    def _watch(self) -> None:
+        for topic, kind in self._named():
+            for layout in LAYOUTS:
+                self._subscribe(Announced(topic, kind, layout))
+        liveliness = self._session.liveliness()
+        self._watchers = [
+            liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
+        ]
 
     def _take_token(self, key: str, alive: bool) -> None:
         announced = parse_token(key, self._domain)

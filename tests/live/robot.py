@@ -44,10 +44,14 @@ TOKENS = {
 }
 
 
-def open_session(port: str) -> zenoh.Session:
+def open_session(port: str, role: str = "robot") -> zenoh.Session:
+    """A robot that is connected to; or a router, and a node that is found through it."""
+    place = f"tcp/127.0.0.1:{port}"
     config = zenoh.Config()
-    config.insert_json5("mode", '"peer"')
-    config.insert_json5("listen/endpoints", json.dumps([f"tcp/127.0.0.1:{port}"]))
+    config.insert_json5("mode", '"router"' if role == "router" else '"peer"')
+    listen = "tcp/127.0.0.1:0" if role == "node" else place
+    config.insert_json5("listen/endpoints", json.dumps([listen]))
+    config.insert_json5("connect/endpoints", json.dumps([place] if role == "node" else []))
     config.insert_json5("scouting/multicast/enabled", "false")
     return zenoh.open(config)
 

@@ -151,59 +151,50 @@ def test_nothing_arrived_is_said_and_leaves_no_file(
     assert not out.exists()
 
 
-def test_a_recording_is_published_watched_and_recorded_with_its_results(
+def test_a_source_is_published_watched_and_recorded_with_its_results(
     tmp_path: Path, small_sensor_file: Path
 ) -> None:
-    """Replay → Zenoh → watch, in processes of their own, in both layouts of keys."""
-    sensor = str(small_sensor_file)
-    for layout in ("rmw", "dds"):
-        endpoint, out = f"tcp/127.0.0.1:{free_port()}", tmp_path / f"{layout}.mcap"
-        source = "synthetic:sphere?rate=30&frames=40"
-        publisher = start(
-            "publish",
-            "--source",
-            source,
-            "--sensor",
-            sensor,
-            "--listen",
-            endpoint,
-            "--layout",
-            layout,
-            "--json",
+    """Simulation → Zenoh → watch → recording, in processes of their own."""
+    sensor, endpoint, out = str(small_sensor_file), f"tcp/127.0.0.1:{free_port()}", tmp_path / "w"
+    source = "synthetic:sphere?rate=30&frames=40"
+    publisher = start(
+        *("publish", "--source", source, "--sensor", sensor, "--listen", endpoint, "--json")
+    )
+    try:
+        done = run(
+            *("watch", "--source", f"zenoh:{endpoint}", "--sensor", sensor, "--out", str(out)),
+            *("--duration", "1.6", "--json", "--publish", "tcp/127.0.0.1:0"),
         )
-        try:
-            done = run(
-                "watch",
-                "--source",
-                f"zenoh:{endpoint}",
-                "--sensor",
-                sensor,
-                "--out",
-                str(out),
-                "--duration",
-                "1.6",
-                "--json",
-                "--publish",
-                "tcp/127.0.0.1:0",
-            )
-        finally:
-            publisher.terminate()
-            stdout, stderr = publisher.communicate(timeout=30)
-        assert done.exit_code == 0, done.output
-        assert (publisher.returncode, stderr) == (0, "")
-        facts = json.loads(done.stdout)
-        assert facts["frames"] > 10
-        assert facts["status"].keys() <= {"ok", "no_contact"}
-        assert facts["pressure_offset_pa"] is None or abs(facts["pressure_offset_pa"]) < 50.0
-        info = recording_info(out)
-        topics = {topic.name: topic.count for topic in info.topics}
-        assert topics["/bubbleviz/contact_patch"] == facts["frames"]
-        assert topics["/bubbleviz/contact_wrench"] == facts["frames"]
-        assert topics["/diagnostics"] >= 1
-        assert info.frames >= facts["frames"]
-        assert info.wrench is False  # ours is no measurement
-        sent = json.loads(stdout)["sent"]
-        assert sent["/bubble/depth/image_raw"] >= info.frames
+    finally:
+        publisher.terminate()
+        stdout, stderr = publisher.communicate(timeout=30)
+    assert done.exit_code == 0, done.output
+    assert (publisher.returncode, stderr) == (0, "")
+    facts = json.loads(done.stdout)
+    assert facts["frames"] > 10
+    assert facts["status"].keys() <= {"ok", "no_contact"}
+    assert facts["pressure_offset_pa"] is None or abs(facts["pressure_offset_pa"]) < 50.0
+    info = recording_info(out)
+    topics = {topic.name: topic.count for topic in info.topics}
+    assert topics["/bubbleviz/contact_patch"] == facts["frames"]
+    assert topics["/bubbleviz/contact_wrench"] == facts["frames"]
+    assert topics["/diagnostics"] >= 1
+    assert info.frames >= facts["frames"]
+    assert info.wrench is False  # ours is no measurement
+    assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= info.frames
+
+
+def test_publishing_is_refused_in_one_line() -> None:
+    common = ("publish", "--source", "synthetic:", "--duration", "0.1")
+    for more, says in (
+        (("--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"), "not both"),
+        (("--connect", f"tcp/127.0.0.1:{free_port()}"), "no Zenoh session"),
+        (("--listen", "nonsense"), "no Zenoh session"),
+    ):
+        done = run(*common, *more)
+        assert done.exit_code == 2
+        assert done.stderr.count("\n") == 1
+        assert says in done.stderr
 
 
 def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:

@@ -145,8 +145,8 @@ def test_results_arrive_over_zenoh_and_only_where_asked_for(
     def note(sample: object) -> None:
         got[str(sample.key_expr)] = sample.payload.to_bytes()  # type: ignore[attr-defined]
 
-    with ZenohPublisher(SessionOptions("out", (), (endpoint,)), domain=3) as out:
-        listener = open_session(SessionOptions("in", (endpoint,)))
+    with ZenohPublisher(SessionOptions("out", listen=endpoint), domain=3) as out:
+        listener = open_session(SessionOptions("in", endpoint))
         try:
             subscriber = listener.declare_subscriber("3/**", note)
             messages = list(ResultMessages(pipeline.mesh).of(pressed))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -26,6 +27,8 @@ from bubbleviz.live.opening import open_stream
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.soak import free_port
 from bubbleviz.live.stream import LiveStream
+from bubbleviz.live.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.zenoh_session import SessionOptions
 from bubbleviz.sensor import Sensor
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -170,6 +173,33 @@ def test_another_type_under_the_same_name_is_counted(
         eventually(lambda: stream.counters().wrong_type == 1)
 
 
+def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor) -> None:
+    """Nodes are peers that gossip through a router; we are its client, here and on other hosts."""
+    port = free_port()
+    with open_session(str(port), "router"), open_session(str(port), "node") as node:
+        tokens = [node.liveliness().declare_token(key) for key in TOKENS["rmw"]]
+        with stream_of(port, small_sensor) as stream:
+            frame = None
+            while frame is None:
+                node.put(KEYS["rmw"]["/cam/depth"], image(time.time_ns()))
+                frame = stream.take(0.05)
+            assert ("/cam/depth", IMAGE) in stream.topics()
+            # and back: results of ours reach the node
+            got: list[bytes] = []
+            subscriber = node.declare_subscriber(
+                "0/bubbleviz/**", lambda sample: got.append(sample.payload.to_bytes())
+            )
+            endpoint = f"tcp/127.0.0.1:{port}"
+            with ZenohPublisher(SessionOptions("us", connect=endpoint)) as out:
+                while not got:
+                    out.put("/bubbleviz/depth", IMAGE, b"result")
+                    time.sleep(0.05)
+            assert got[0] == b"result"
+            subscriber.undeclare()
+        for token in tokens:
+            token.undeclare()
+
+
 def test_two_sensors_share_nothing(small_sensor: Sensor) -> None:
     ports = free_port(), free_port()
     with (
@@ -186,18 +216,29 @@ def test_two_sensors_share_nothing(small_sensor: Sensor) -> None:
         assert depths[0] < 20.0 < depths[1]
 
 
-def test_a_session_listens_on_loopback_only(small_sensor: Sensor) -> None:
-    port = free_port()
-    with stream_of(port, small_sensor):
-        own = {str(inode) for inode in _sockets_of(os.getpid())}
-        listening = [
-            line.split()[1]
-            for name in ("tcp", "tcp6")
-            for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
-            if line.split()[3] == "0A" and line.split()[9] in own
-        ]
-    assert listening
-    assert all(address.startswith("0100007F:") for address in listening)
+def test_nobody_else_can_reach_us(small_sensor: Sensor, eventually: Eventually) -> None:
+    """Who connects listens nowhere, who listens does so where it is told to."""
+    port, other = free_port(), free_port()
+    with robot(port, "rmw"), stream_of(port, small_sensor) as stream:
+        eventually(lambda: stream.status().state == "live")
+        assert listening() == set()
+    with open_stream(f"zenoh:?listen=tcp/127.0.0.1:{other}", small_sensor):
+        assert listening() == {("127.0.0.1", other)}
+
+
+def listening() -> set[tuple[str, int]]:
+    """Addresses this process listens at."""
+    own = set(_sockets_of(os.getpid()))
+    rows = [
+        line.split()
+        for name in ("tcp", "tcp6")
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
+    ours = [row[1].split(":") for row in rows if row[3] == "0A" and row[9] in own]
+    return {
+        (socket.inet_ntoa(bytes.fromhex(host)[::-1]) if len(host) == 8 else host, int(port, 16))
+        for host, port in ours
+    }
 
 
 def _sockets_of(pid: int) -> Iterator[str]:
