@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import click
 
@@ -357,6 +357,39 @@ def estimate(
 
     summary = estimate_recording(
         recording, sensor, out, csv_file, kappa=kappa, solver=solver, frames=frames
+    )
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+# -- pose of a known object ---------------------------------------------------------------------
+
+
+@main.command()
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--object", "object_name", required=True, help="Object mesh or preset.")
+@click.option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
+@click.option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
+@click.option("--solver", help="Solver of the inverse problem.")
+@click.option("--frames", help="A:B[:STEP], B left out; all by default.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="POSES.csv.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
+def pose(
+    recording: Path,
+    sensor: str,
+    object_name: str,
+    unit: Literal["m", "mm"] | None,
+    init: str | None,
+    solver: str | None,
+    frames: str | None,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Where a known object is in every frame of a recording."""
+    from bubbleviz.pose.record import pose_recording
+
+    summary = pose_recording(
+        recording, sensor, object_name, out, init=init, unit=unit, solver=solver, frames=frames
     )
     click.echo(summary.to_json() if as_json else summary.to_text())
 

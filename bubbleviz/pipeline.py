@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,20 +23,25 @@ from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.patch import PatchFinder
 from bubbleviz.membrane.build import build_mesh, reference_tension
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.objects import RigidObject
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import Sensor
 
-Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual"]
+if TYPE_CHECKING:
+    from bubbleviz.pose.tracker import PoseTracker
+
+Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual", "pose"]
 
 MAX_BLOCK = 32
 """Largest side of a block in pixels: beyond it averaging saves no more time."""
 
 _NEEDS: dict[str, tuple[Product, ...]] = {
-    "estimate": ("estimate", "patch", "pixel_mask", "residual"),
-    "patch": ("patch", "pixel_mask"),
+    "estimate": ("estimate", "patch", "pixel_mask", "residual", "pose"),
+    "patch": ("patch", "pixel_mask", "pose"),
     "pixel_mask": ("pixel_mask",),
     "cloud": ("cloud", "residual"),
     "residual": ("residual",),
+    "pose": ("pose",),
 }
 """Products that need each stage."""
 
@@ -63,6 +68,8 @@ class Pipeline:
         Most points of the cloud, spread evenly over the image; None for all.
     counts : Counter
         How often each stage ran, by stage name.
+    tracker : PoseTracker or None
+        Of the object to look for, see `follow`.
 
     Raises
     ------
@@ -87,6 +94,7 @@ class Pipeline:
         self.mesh = build_mesh(sensor, self.options.nodes)
         self.tension_n_per_m = reference_tension(sensor, self.mesh)
         self.counts: Counter[str] = Counter()
+        self.tracker: PoseTracker | None = None
 
     @cached_property
     def estimator(self) -> Estimator:
@@ -137,6 +145,8 @@ class Pipeline:
                     with self._timed("pixel_mask", times):
                         patch = self._with_pixels(result.estimate, patch)
                 result = replace(result, patch=patch)
+            if self._wanted("pose", products) and self.tracker is not None:
+                result = self._with_pose(result, self.tracker, times)
             if self._wanted("cloud", products):
                 with self._timed("cloud", times):
                     pixels = self._cloud_pixels(frame)
@@ -155,6 +165,27 @@ class Pipeline:
         if self._wanted("patch", products):
             _ = self._finder, self._view
 
+    def follow(self, obj: RigidObject | None, start: np.ndarray | None = None) -> None:
+        """Look for an object in frames to come, or for none.
+
+        Parameters
+        ----------
+        obj : RigidObject or None
+        start : (4, 4) array, optional
+            T_B_O in the first of them; searched for when None.
+
+        Raises
+        ------
+        InputError
+            The object has no area, or is in other units than the bubble.
+        """
+        if obj is None:
+            self.tracker = None
+            return
+        from bubbleviz.pose.tracker import PoseTracker
+
+        self.tracker = PoseTracker(self.estimator, obj, start)
+
     def patch(self, estimate: Estimate, *, pixel_mask: bool = False) -> Patch:
         """Patch of an estimate at the present κ, without solving again."""
         patch = self._finder.find(estimate, self.kappa)
@@ -163,6 +194,13 @@ class Pipeline:
     @cached_property
     def _finder(self) -> PatchFinder:
         return PatchFinder(self.mesh, self.estimator.held_pressure_pa, self.estimator.resolution_m)
+
+    def _with_pose(self, result: Result, tracker: PoseTracker, times: dict[str, float]) -> Result:
+        if result.estimate is None or result.patch is None:
+            return result
+        with self._timed("pose", times):
+            pose = tracker.update(result.frame, result.estimate, result.patch)
+        return replace(result, pose=pose)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
         mask = self._view.above(estimate.displacement_m, patch.level, 0.0)

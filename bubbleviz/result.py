@@ -82,6 +82,83 @@ class Patch:
         return self.level > 0.0
 
 
+PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]
+"""`lost`: there was a pose, and this frame has none that fits; the last good one is kept.
+`no_contact`, `few_points` (the patch has fewer than a pose needs) and `no_data` (the estimate is
+not to be trusted): there never was one."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How well a stage of the registration fits.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+    fitness : float
+        Share of the patch that agrees with the object, 0 to 1.
+    rmse_m : float
+        Root mean square distance of that share from the object.
+    correspondences : int
+        Number of contact points in that share.
+    history : (i, 2) array
+        Fitness, and rmse in m, at the start and after every iteration.
+    ms : float
+        Wall time.
+    """
+
+    T_B_O: np.ndarray
+    fitness: float
+    rmse_m: float
+    correspondences: int
+    history: np.ndarray
+    ms: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the object is.
+
+    Small motions are in B about `center_m`: translation in m, then rotation in rad.
+
+    Attributes
+    ----------
+    status : PoseStatus
+    T_B_O : (4, 4) array
+        NaN when there never was one.
+    stage_one, stage_two : Stage or None
+        Contact points alone, and refined around the patch; None where nothing was fitted.
+    center_m : (3,) array
+        Centre of the patch.
+    covariance : (6, 6) array
+        Of small motions: contact, depth image around it, and the frames before.
+    motions : (6, 6) array
+        Six independent small motions in columns, best determined first; a unit of each moves the
+        patch's edge by about 1 m.
+    deviation_m : (6,) array
+        Standard deviation of each at the patch's edge, by the contact's normals alone.
+    determined : (6,) bool array
+        Whether the contact's normals determine it: a flat face slides, a ball spins.
+    points_m, places_m : (k, 3) array
+        Contact points and the closest places on the object.
+    distance_m : (k,) array
+        Signed distance of the contact points from the object, positive outside.
+    """
+
+    status: PoseStatus
+    T_B_O: np.ndarray
+    stage_one: Stage | None = None
+    stage_two: Stage | None = None
+    center_m: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
+    covariance: np.ndarray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    motions: np.ndarray = field(default_factory=lambda: np.eye(6))
+    deviation_m: np.ndarray = field(default_factory=lambda: np.full(6, np.inf))
+    determined: np.ndarray = field(default_factory=lambda: np.zeros(6, bool))
+    points_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    places_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
 @dataclass(frozen=True)
 class Result:
     """Everything a consumer asked for about one frame; what nobody asked for is None.
@@ -98,6 +175,8 @@ class Result:
         Flat pixel index of each point of the cloud.
     cloud_residual_m : (k,) array or None
         Measured minus modelled range of each point, m (NaN where the model has no surface).
+    pose : Pose or None
+        None also where there is no object to look for.
     times_ms : dict
         Wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
     """
@@ -108,4 +187,5 @@ class Result:
     cloud_m: np.ndarray | None = None
     cloud_pixels: np.ndarray | None = None
     cloud_residual_m: np.ndarray | None = None
+    pose: Pose | None = None
     times_ms: dict[str, float] = field(default_factory=dict)

@@ -1,0 +1,1 @@
+"""Where an object is that touches the membrane: dual-stage registration and tracking."""

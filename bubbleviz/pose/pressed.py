@@ -1,0 +1,191 @@
+"""The membrane that an object at a pose would make.
+
+Eqs. 10 to 16, written for points of the object in place of nodes of the membrane: below the
+object's point j, at barycentric coordinates b on the reference surface, the membrane may move
+outward by h_j and no more. With u = −M Bᵀf for forces f on those points (Eq. 24, gas law in M),
+
+    f ≥ 0,   h − B u ≥ 0,   fᵀ(h − B u) = 0.
+
+Moving the object changes h and B smoothly, so that the membrane's shape follows the pose even
+where a flat face slides in its own plane: its edges move over the membrane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.inverse.pivoting import DenseQuadratic, nonnegative_qp
+from bubbleviz.inverse.problem import Equilibrium
+from bubbleviz.inverse.scales import Scales
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.pose.contact import ContactPoints
+from bubbleviz.pose.model import ObjectModel
+from bubbleviz.pose.samples import contact_samples
+
+_SOFT = 2e-3
+"""Softness of the object in units of the membrane's: many points on one triangle share its load."""
+
+_GAP_M = 5e-4
+"""Points further above the membrane at rest cannot be touched."""
+
+_SIDEWAYS = 0.1
+"""Cosine of a point's normal with the membrane's beyond which it looks away from it."""
+
+_REACH_M = 0.015
+_NEWTON = 3
+
+
+@dataclass(frozen=True)
+class _Below:
+    """Where points are over the membrane at rest.
+
+    Attributes
+    ----------
+    corners : (k, 3) int array
+        Nodes of the triangle below each.
+    weights : (k, 3) array
+        Barycentric coordinates there.
+    height_m : (k,) array
+        Along the interpolated normals, positive outside.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    height_m: np.ndarray
+
+
+class PressedMembrane:
+    """Presses one object into a membrane, pose after pose.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    gas : Gas
+    scales : Scales
+    model : ObjectModel
+    """
+
+    def __init__(self, mesh: MembraneMesh, gas: Gas, scales: Scales, model: ObjectModel) -> None:
+        from open3d import core
+        from open3d.t.geometry import RaycastingScene
+
+        self.mesh = mesh
+        self._equilibrium = Equilibrium(mesh, gas, scales)
+        self._points, self._normals = contact_samples(model, mesh.edge_length)
+        self._scene = RaycastingScene()
+        self._scene.add_triangles(
+            core.Tensor.from_numpy(mesh.nodes.astype(np.float32)),
+            core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, np.uint32)),
+        )
+        self._row = np.full(len(mesh.nodes), -1)
+        self._compliance = np.zeros((0, len(mesh.nodes)))
+        self._touching = np.zeros(len(self._points), bool)
+
+    def press(self, poses: np.ndarray, contact: ContactPoints) -> np.ndarray:
+        """Displacements (s, n) in m of the membrane under the object at poses T_B_O (s, 4, 4).
+
+        Only the part of the object that is near the contact is pressed.
+        """
+        near, below = self._candidates(poses, contact)
+        displacement = np.zeros((len(poses), len(self.mesh.nodes)))
+        if not len(near):
+            return displacement
+        nodes, local = np.unique(below.corners, return_inverse=True)
+        rows = self._responses(nodes)
+        M = rows[:, nodes]
+        forces = np.zeros((len(poses), len(nodes)))
+        shape = (len(poses), len(near))
+        corners = local.reshape(*shape, 3)
+        weights = below.weights.reshape(*shape, 3)
+        heights = below.height_m.reshape(shape)
+        start = self._touching[near]
+        for k in range(len(poses)):
+            f = _contact_forces(M, corners[k], weights[k], heights[k], start)
+            np.add.at(forces[k], corners[k], weights[k] * f[:, None])
+            start = f > 0.0
+            if k == 0:
+                self._touching[:] = False
+                self._touching[near] = start
+        return -forces @ rows
+
+    def _candidates(self, poses: np.ndarray, contact: ContactPoints) -> tuple[np.ndarray, _Below]:
+        """Object points (c,) that the membrane may touch at the first pose, and where all are."""
+        first = poses[0]
+        center = (contact.center - first[:3, 3]) @ first[:3, :3]
+        reach = 2.0 * contact.radius_m + _REACH_M
+        near = np.flatnonzero(np.sum((self._points - center) ** 2, axis=1) < reach**2)
+        below = self._below(self._points[near] @ first[:3, :3].T + first[:3, 3])
+        normals = self.mesh.normals[below.corners].mean(axis=1)
+        looks = np.einsum("pij,pj->pi", self._normals[near] @ first[:3, :3].T, normals)
+        kept = (below.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
+        kept &= below.weights.min(axis=1) > -0.05  # not beyond the rim
+        near = near[kept]
+        points = np.einsum("sij,pj->spi", poses[:, :3, :3], self._points[near])
+        return near, self._below((points + poses[:, None, :3, 3]).reshape(-1, 3))
+
+    def _below(self, points: np.ndarray) -> _Below:
+        """Barycentric coordinates and height of points (k, 3) by Newton steps on their triangle."""
+        from open3d import core
+
+        query = core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
+        found = self._scene.compute_closest_points(query)
+        corners = self.mesh.triangles[found["primitive_ids"].numpy().astype(np.int64)]
+        nodes, normals = self.mesh.nodes[corners], self.mesh.normals[corners]
+        u, v = found["primitive_uvs"].numpy().astype(np.float64).T
+        weights = np.column_stack([1.0 - u - v, u, v])
+        way = points - found["points"].numpy()
+        height = np.einsum("ij,ij->i", way, np.einsum("ij,ijk->ik", weights, normals))
+        for _ in range(_NEWTON):
+            lifted = nodes + height[:, None, None] * normals
+            miss = points - np.einsum("ij,ijk->ik", weights, lifted)
+            up = np.einsum("ij,ijk->ik", weights, normals)
+            change = _solve3(lifted[:, 0] - lifted[:, 2], lifted[:, 1] - lifted[:, 2], up, miss)
+            weights[:, :2] += change[:, :2]
+            weights[:, 2] = 1.0 - weights[:, 0] - weights[:, 1]
+            height += change[:, 2]
+        return _Below(corners, weights, height)
+
+    def _responses(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacement (k, n) under a unit force into the bubble on each node; 0 for the rim's."""
+        new = nodes[self._row[nodes] < 0]
+        if len(new):
+            free = self.mesh.free
+            number = np.full(len(self.mesh.nodes), -1)
+            number[free] = np.arange(len(free))
+            own = number[new]
+            loads = np.zeros((len(free), len(new)))
+            moves = own >= 0
+            loads[own[moves], np.flatnonzero(moves)] = 1.0 / self._equilibrium.A[own[moves]]
+            rows = np.zeros((len(new), len(self.mesh.nodes)))
+            rows[:, free] = self._equilibrium.response(loads).T
+            self._row[new] = len(self._compliance) + np.arange(len(new))
+            self._compliance = np.concatenate([self._compliance, rows])
+        return self._compliance[self._row[nodes]]
+
+
+def _contact_forces(
+    M: np.ndarray, corners: np.ndarray, weights: np.ndarray, height_m: np.ndarray, start: np.ndarray
+) -> np.ndarray:
+    """Forces f ≥ 0 (c,) on points that may not be inside the object; see the module."""
+    BM = np.zeros((len(corners), len(M)))
+    C = np.zeros((len(corners), len(corners)))
+    for a in range(3):
+        BM += weights[:, a, None] * M[corners[:, a]]
+    for a in range(3):
+        C += weights[:, a] * BM[:, corners[:, a]]
+    diagonal = np.arange(len(C))
+    C[diagonal, diagonal] += _SOFT * C[diagonal, diagonal].mean()
+    guess = start if start.any() else height_m < 0.0
+    forces, _, _ = nonnegative_qp(DenseQuadratic(C), height_m, guess, 1e-6)
+    return forces
+
+
+def _solve3(a: np.ndarray, b: np.ndarray, c: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions (k, 3) of [a b c] x = right by Cramer's rule."""
+    bc, ca, ab = np.cross(b, c), np.cross(c, a), np.cross(a, b)
+    volume = np.einsum("ij,ij->i", a, bc)
+    parts = [np.einsum("ij,ij->i", right, side) for side in (bc, ca, ab)]
+    return np.stack(parts, axis=1) / volume[:, None]

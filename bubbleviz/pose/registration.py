@@ -1,0 +1,357 @@
+"""Fits an object's surface to the membrane that touches it: robust Gauss–Newton in two stages.
+
+Stage one takes the contact points alone: they lie on the object. Stage two adds what is around
+them: the free membrane cannot be inside the object. Where an object has slid to on a flat face is
+left to `sliding`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.pose.contact import ContactPoints
+from bubbleviz.pose.model import ObjectModel
+from bubbleviz.pose.motion import motion_between, moved, rows
+
+INLIER_M = 1.5e-3
+"""A contact point this close to the object agrees with it: three deviations of the estimate."""
+
+_MODEL_ERROR_M = 4e-4
+"""Error of the membrane's place that is not noise, independent from one patch of the size of the
+estimate's resolution to the next."""
+
+_PARALLEL = np.cos(np.radians(45.0))
+"""Membrane that lies on a face is parallel to it, but for the blur of the estimate."""
+
+_AWAY = 0.3
+"""Cosine between the normals of membrane and object beyond which they face the same way."""
+
+_OVER = np.cos(np.radians(30.0))
+"""Cosine between the way to the closest place and the normal there, for a point over a face and
+not beside it."""
+
+_NEAR_M = 1e-3
+"""Distance below which noise decides on the direction of the way to the closest place."""
+
+_SLACK_M = 5e-4
+"""How far blur takes the estimated membrane into an object's edges."""
+
+_EDGE_DEVIATION_M = 2e-3
+"""Error of the patch's edge, where membrane is taken for contact that is none."""
+
+_NARROWEST_M = 1e-3
+_NARROWING = 0.6
+"""Residual at which robust weights begin to fall in the end, and how fast it gets there."""
+
+_CONVERGED_M = 2e-5
+"""Step at the patch's edge that is none."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How precisely the estimate knows where the membrane is.
+
+    Attributes
+    ----------
+    information_per_m4 : float
+        Sum of 1/σ² of the range pixels per area of membrane.
+    resolution_m : float
+        Distance over which the estimate's errors are one.
+    """
+
+    information_per_m4: float
+    resolution_m: float
+
+    @property
+    def per_area(self) -> float:
+        """1/σ² of the membrane's place along its normal per area, model errors included, 1/m⁴."""
+        return 1.0 / (1.0 / self.information_per_m4 + (self.resolution_m * _MODEL_ERROR_M) ** 2)
+
+    @property
+    def beside(self) -> float:
+        """The same across the patch's edge, for membrane that should not be beside the object."""
+        return 1.0 / (self.resolution_m * _EDGE_DEVIATION_M) ** 2
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the pose before a frame.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+    information : (6, 6) array
+        Inverse covariance of small motions in B about the patch's centre.
+    """
+
+    T_B_O: np.ndarray
+    information: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A pose and how well it fits.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+    fitness : float
+        Share of the patch within `INLIER_M` of the object, 0 to 1.
+    rmse_m : float
+        Root mean square distance of that share; NaN where there is none.
+    correspondences : int
+        Number of contact points in that share.
+    cost : float
+        Robust misfit in units of the noise, squared; lower is better.
+    surface : (6, 6) array
+        Information of the contact normals about small motions in B about the patch's centre.
+    outline : (6, 6) array
+        Information of all else: points beside the object, the free membrane, the depth image.
+    distance_m : (k,) array
+        Signed distance of each contact point from the object, positive outside.
+    places_m : (k, 3) array
+        The closest places on the object, in B.
+    history : (i, 2) array
+        Fitness, and rmse in m, at the start and after every iteration.
+    """
+
+    T_B_O: np.ndarray
+    fitness: float
+    rmse_m: float
+    correspondences: int
+    cost: float
+    surface: np.ndarray
+    outline: np.ndarray
+    distance_m: np.ndarray
+    places_m: np.ndarray
+    history: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Term:
+    """Normal equations of some residuals: information, gradient, and robust misfit."""
+
+    H: np.ndarray
+    g: np.ndarray
+    cost: float
+
+    @classmethod
+    def of(cls, J: np.ndarray, residual: np.ndarray, weight: np.ndarray, scale: float) -> _Term:
+        """Residuals (k,) of Jacobian (k, c), each with 1/σ² and the scale of its robust weight.
+
+        Geman and McClure's: what is far beyond the scale hardly counts.
+        """
+        trust = 1.0 / (1.0 + (residual / scale) ** 2)
+        w = weight * trust**2
+        return cls((J.T * w) @ J, J.T @ (w * residual), float(weight * trust @ residual**2))
+
+    def __add__(self, other: _Term) -> _Term:
+        return _Term(self.H + other.H, self.g + other.g, self.cost + other.cost)
+
+
+_NOTHING = _Term(np.zeros((6, 6)), np.zeros(6), 0.0)
+
+
+@dataclass(frozen=True)
+class _Distance:
+    """Points in B against an object at a pose.
+
+    Attributes
+    ----------
+    signed_m : (k,) array
+        Positive outside.
+    gradient, normal, place : (k, 3) array
+        Of the distance, of the surface at the closest place, and that place, in B.
+    over : (k,) bool array
+        Over a face, not beside it.
+    """
+
+    signed_m: np.ndarray
+    gradient: np.ndarray
+    normal: np.ndarray
+    place: np.ndarray
+    over: np.ndarray
+
+
+class Registration:
+    """Fits one object to contact points.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    precision : Precision
+    """
+
+    def __init__(self, model: ObjectModel, precision: Precision) -> None:
+        self.model, self.precision = model, precision
+
+    def stage_one(
+        self,
+        contact: ContactPoints,
+        start: np.ndarray,
+        prior: Prior,
+        *,
+        widest_m: float = 5e-3,
+        iterations: int = 12,
+    ) -> Fit:
+        """Fit to the contact points alone, weighted by the pressure on them.
+
+        Parameters
+        ----------
+        contact : ContactPoints
+        start : (4, 4) array
+            T_B_O at which to begin.
+        prior : Prior
+            Decides where the contact does not.
+        widest_m : float
+            Scale of the robust weights at first: how far off the start may be.
+        iterations : int
+            At most.
+        """
+        share = contact.areas_m2 * contact.pressure_pa
+        share *= contact.areas_m2.sum() / share.sum()
+        return self._fit(contact, share, start, prior, widest_m, iterations, around=False)
+
+    def stage_two(
+        self,
+        contact: ContactPoints,
+        start: np.ndarray,
+        prior: Prior,
+        *,
+        widest_m: float = 2e-3,
+        iterations: int = 12,
+    ) -> Fit:
+        """Refine with the free membrane around the patch.
+
+        Parameters are those of `stage_one`.
+        """
+        return self._fit(contact, contact.areas_m2, start, prior, widest_m, iterations, around=True)
+
+    def misfit(self, contact: ContactPoints, T_B_O: np.ndarray) -> float:
+        """Robust misfit of a pose (4, 4) by all that stage two looks at, in units of the noise."""
+        return self._finished(contact, T_B_O, []).cost
+
+    def slid(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray, found: np.ndarray) -> Fit:
+        """A fit moved to another pose (4, 4), with more information (6, 6) about the outline."""
+        past = [(float(f), float(r)) for f, r in fit.history]
+        there = self._finished(contact, T_B_O, past)
+        return replace(there, outline=there.outline + found)
+
+    def _fit(
+        self,
+        contact: ContactPoints,
+        share_m2: np.ndarray,
+        start: np.ndarray,
+        prior: Prior,
+        widest_m: float,
+        iterations: int,
+        *,
+        around: bool,
+    ) -> Fit:
+        T, scale = start, widest_m
+        history = []
+        for _ in range(iterations):
+            distance = self._distance(contact.points, T)
+            history.append(_agreement(contact, distance)[:2])
+            total = self._surface(contact, share_m2, distance, scale)
+            total += self._beside(contact, share_m2, distance, scale)
+            if around:
+                total += self._free(contact, T)
+            pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
+            step = -np.linalg.solve(total.H + prior.information, total.g + pull)
+            T = moved(T, step, contact.center)
+            settled = _size(step, contact.radius_m) < _CONVERGED_M and scale == _NARROWEST_M
+            scale = max(_NARROWING * scale, _NARROWEST_M)
+            if settled:
+                break
+        return self._finished(contact, T, history)
+
+    def _finished(
+        self, contact: ContactPoints, T: np.ndarray, history: list[tuple[float, float]]
+    ) -> Fit:
+        distance = self._distance(contact.points, T)
+        fitness, rmse, count = _agreement(contact, distance)
+        surface = self._surface(contact, contact.areas_m2, distance, _NARROWEST_M)
+        outline = self._beside(contact, contact.areas_m2, distance, _NARROWEST_M)
+        outline += self._free(contact, T)
+        return Fit(
+            T_B_O=T,
+            fitness=fitness,
+            rmse_m=rmse,
+            correspondences=count,
+            cost=surface.cost + outline.cost,
+            surface=surface.H,
+            outline=outline.H,
+            distance_m=distance.signed_m,
+            places_m=distance.place,
+            history=np.array([*history, (fitness, rmse)]),
+        )
+
+    def _distance(self, points: np.ndarray, T: np.ndarray) -> _Distance:
+        R = T[:3, :3]
+        found = self.model.closest((points - T[:3, 3]) @ R)
+        place, normal = found.place @ R.T + T[:3, 3], found.normal @ R.T
+        way = points - place
+        length = np.linalg.norm(way, axis=1)
+        along = np.einsum("ij,ij->i", way, normal)
+        outside = along > -0.5 * length  # at an edge the normal is that of one of its faces
+        over = (length < _NEAR_M) | (np.abs(along) > _OVER * length)
+        sign = np.where(outside, 1.0, -1.0)
+        straight = way * (sign / np.maximum(length, 1e-12))[:, None]
+        return _Distance(
+            signed_m=np.where(over, along, sign * length),
+            gradient=np.where(over[:, None], normal, straight),
+            normal=normal,
+            place=place,
+            over=over,
+        )
+
+    def _surface(
+        self, contact: ContactPoints, share_m2: np.ndarray, distance: _Distance, scale: float
+    ) -> _Term:
+        """Contact points over a face lie on it."""
+        facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
+        used = distance.over & (facing < -_PARALLEL)
+        J = -rows(distance.normal[used], contact.points[used], contact.center)
+        weight = self.precision.per_area * share_m2
+        term = _Term.of(J, distance.signed_m[used], weight[used], scale)
+        # Points that no face of the object looks at count as far away.
+        missed = float(weight[distance.over & (facing > _AWAY)].sum()) * scale**2
+        return _Term(term.H, term.g, term.cost + missed)
+
+    def _beside(
+        self, contact: ContactPoints, share_m2: np.ndarray, distance: _Distance, scale: float
+    ) -> _Term:
+        """Contact points beside the object draw it over themselves."""
+        used = ~distance.over
+        J = -rows(distance.gradient[used], contact.points[used], contact.center)
+        weight = self.precision.beside * share_m2[used]
+        return _Term.of(J, distance.signed_m[used], weight, 2.0 * scale)
+
+    def _free(self, contact: ContactPoints, T: np.ndarray) -> _Term:
+        """The free membrane is not inside the object."""
+        if not len(contact.free):
+            return _NOTHING
+        distance = self._distance(contact.free, T)
+        depth = np.minimum(distance.signed_m + _SLACK_M, 0.0)
+        used = depth < 0.0
+        J = -rows(distance.gradient[used], contact.free[used], contact.center)
+        weight = self.precision.per_area * contact.free_areas_m2[used]
+        return _Term.of(J, depth[used], weight, 2.0 * _NARROWEST_M)
+
+
+def _agreement(contact: ContactPoints, distance: _Distance) -> tuple[float, float, int]:
+    """Fitness, rmse in m and number of the contact points that agree with the object."""
+    agree = np.abs(distance.signed_m) < INLIER_M
+    agree &= np.einsum("ij,ij->i", distance.normal, contact.normals) < _AWAY
+    areas = contact.areas_m2[agree]
+    area = float(areas.sum())
+    rmse = np.sqrt(areas @ distance.signed_m[agree] ** 2 / area) if area > 0.0 else np.nan
+    return area / float(contact.areas_m2.sum()), float(rmse), int(np.count_nonzero(agree))
+
+
+def _size(step: np.ndarray, radius_m: float) -> float:
+    """Way in m that a motion (6,) takes the patch's edge, at most."""
+    return float(np.linalg.norm(step[:3]) + radius_m * np.linalg.norm(step[3:]))

@@ -1,0 +1,148 @@
+"""Follows one object from frame to frame: predicts, fits, notices that it is lost, finds it again.
+
+The object is lost where too little of the patch lies on it, where it would have jumped further
+than hands and robots move, and while there is no contact. The last good pose is kept, motion is
+coasted, and every further frame tries a few more starts, so that no frame waits for the search.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.frames.frame import Frame
+from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.normal import NormalEquations
+from bubbleviz.inverse.resolution import information_density
+from bubbleviz.objects import RigidObject
+from bubbleviz.pose.contact import ContactPoints, contact_points
+from bubbleviz.pose.filter import START_DEVIATION, Motion
+from bubbleviz.pose.model import ObjectModel, check_size
+from bubbleviz.pose.motion import motion_between
+from bubbleviz.pose.registration import Precision, Registration
+from bubbleviz.pose.solution import Solution, Solver
+from bubbleviz.pose.start import StartFinder
+from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
+
+LEAST_FITNESS = 0.5
+"""Share of the patch below which it is not this object at this pose that touches."""
+
+FASTEST = np.array([1.0, 10.0])
+"""Speed in m/s and rad/s that nothing pressed into a bubble reaches."""
+
+_LONGEST_GAP_S = 1.0
+_STARTS_A_FRAME = 4
+_STARTS_AT_FIRST = 12
+
+
+class PoseTracker:
+    """Pose of one object in each frame.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        The one that makes the estimates.
+    obj : RigidObject
+    start : (4, 4) array, optional
+        T_B_O in the first frame, to about 5 mm and 10°; searched for when None.
+
+    Raises
+    ------
+    InputError
+        The object has no area, or is in other units than the bubble.
+    """
+
+    def __init__(
+        self, estimator: Estimator, obj: RigidObject, start: np.ndarray | None = None
+    ) -> None:
+        check_size(obj, estimator.mesh)
+        self.model = ObjectModel(obj)
+        observer = estimator.observer
+        Q, _ = NormalEquations(estimator.mesh).assemble(
+            observer.observe_everything(), observer.linearise()
+        )
+        density = information_density(Q, estimator.mesh.areas[estimator.mesh.free])
+        registration = Registration(self.model, Precision(density, estimator.resolution_m))
+        self._solver = Solver(registration, estimator)
+        self._finder = StartFinder(self.model)
+        self._mesh = estimator.mesh
+        self.reset(start)
+
+    def reset(self, start: np.ndarray | None = None) -> None:
+        """Forget everything; begin at T_B_O (4, 4), or search when None."""
+        self._start = start
+        self._motion: Motion | None = None
+        self._good: np.ndarray | None = None
+        self._good_s = self._last_s = 0.0
+        self._good_center = np.zeros(3)
+        self._tried = 0
+
+    def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
+        """Pose in a frame with its estimate and patch."""
+        if estimate.status != "ok":
+            return self._without(
+                frame, "no_contact" if estimate.status == "no_contact" else "no_data"
+            )
+        contact = contact_points(self._mesh, estimate, patch)
+        if contact is None:
+            return self._without(frame, "few_points" if patch.area_m2 > 0.0 else "no_contact")
+        predicted = self._predicted(frame, contact)
+        solution = None
+        if predicted is not None:
+            settled = self._tried == 0 and self._good is not None
+            solution = self._solver.solve(frame, estimate, contact, predicted, settled=settled)
+            if not self._believable(solution, frame, contact):
+                solution = None
+        if solution is None and (self._good is not None or self._start is None):
+            solution = self._searched(frame, estimate, contact)
+        if solution is None:
+            return self._without(frame, "lost")
+        return self._accepted(frame, contact, solution)
+
+    def _predicted(self, frame: Frame, contact: ContactPoints) -> Motion | None:
+        """Where the object should be now; None where nothing is known."""
+        if self._motion is None:
+            if self._start is None:
+                return None
+            return Motion.at_rest(self._start, START_DEVIATION, contact.center)
+        gap = frame.time_s - self._last_s
+        if not 0.0 <= gap <= _LONGEST_GAP_S:  # the recording was wound, or is another one
+            return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
+        return self._motion.after(gap).about(contact.center)
+
+    def _believable(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
+        if solution.pose.fitness < LEAST_FITNESS:
+            return False
+        if self._good is None:
+            return True
+        motion = motion_between(self._good, solution.pose.T_B_O, contact.center)
+        way = np.array([np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])])
+        slack = 3.0 * START_DEVIATION[[0, 3]]
+        return bool(np.all(way < FASTEST * abs(frame.time_s - self._good_s) + slack))
+
+    def _searched(
+        self, frame: Frame, estimate: Estimate, contact: ContactPoints
+    ) -> Solution | None:
+        """The best of a few starts; other ones in the next frame."""
+        starts = self._finder.starts(contact)
+        if self._good is None:
+            chosen = starts[:_STARTS_AT_FIRST]
+        else:
+            kept = self._good.copy()
+            kept[:3, 3] += contact.center - self._good_center
+            turn = self._tried * _STARTS_A_FRAME % len(starts)
+            chosen = np.concatenate([[self._good, kept], starts[turn : turn + _STARTS_A_FRAME]])
+        self._tried += 1
+        return self._solver.best(frame, estimate, contact, chosen)
+
+    def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
+        self._motion = solution.motion
+        self._good, self._good_s = solution.pose.T_B_O, frame.time_s
+        self._good_center, self._last_s, self._tried = contact.center, frame.time_s, 0
+        return solution.as_pose(contact)
+
+    def _without(self, frame: Frame, why: PoseStatus) -> Pose:
+        """A frame without a pose of its own; the last good one is kept."""
+        if self._good is None:
+            return Pose(why, np.full((4, 4), np.nan))
+        self._tried = max(self._tried, 1)
+        return Pose("lost", self._good)

@@ -1,0 +1,49 @@
+"""Which ways an object can move without the contact noticing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+DETERMINED_M = 1e-3
+"""Standard deviation at the patch's edge below which contact determines a direction: a ninth of
+the variance of a start that is off by up to 5 mm."""
+
+LEAST_RADIUS_M = 2e-3
+"""A smaller patch turns about itself as one of this radius does."""
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Six independent small motions, from the best determined to the least.
+
+    Attributes
+    ----------
+    motions : (6, 6) array
+        In columns, in B about the patch's centre: translation, then rotation in rad, such that a
+        unit of each moves the patch's edge by about 1 m.
+    deviation_m : (6,) array
+        Standard deviation of each at the patch's edge by the contact normals alone.
+    determined : (6,) bool array
+    """
+
+    motions: np.ndarray
+    deviation_m: np.ndarray
+    determined: np.ndarray
+
+    @property
+    def open(self) -> np.ndarray:
+        """The motions that the contact does not determine, (6, q)."""
+        return self.motions[:, ~self.determined]
+
+
+def directions(surface: np.ndarray, radius_m: float) -> Directions:
+    """Directions of the information (6, 6) of contact normals on a patch of some radius."""
+    radius = max(radius_m, LEAST_RADIUS_M)
+    unit = np.array([1.0, 1.0, 1.0, 1.0 / radius, 1.0 / radius, 1.0 / radius])
+    information, vectors = np.linalg.eigh(surface * np.outer(unit, unit))
+    information, vectors = information[::-1], vectors[:, ::-1]
+    with np.errstate(divide="ignore"):
+        deviation = 1.0 / np.sqrt(np.maximum(information, 0.0))
+    return Directions(unit[:, None] * vectors, deviation, deviation < DETERMINED_M)
