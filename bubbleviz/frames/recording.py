@@ -38,8 +38,9 @@ class Recording:
     ----------
     path : path-like
     depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
-        Topics to use; without them the first of the right message type, with the camera info
-        that is nearest by name and has the image's size.
+        Topics to use; without them the first depth images, and of the others those of the right
+        message type that are nearest by name (and for the camera info: of the image's size), so
+        that two sensors in one recording are told apart by `depth_topic` alone.
 
     Attributes
     ----------
@@ -169,7 +170,7 @@ class Recording:
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
     def _series(self, kind: str, name: str | None, value: Any) -> Series | None:
-        topic: Topic | None = first_of_type(self.bag, kind, name)
+        topic: Topic | None = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
         if topic is None:
             return None
         messages = self.bag.messages(topic)

@@ -53,9 +53,13 @@ def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
     ]
 
 
-def first_of_type(bag: Bag, kind: str, name: str | None = None) -> Topic | None:
-    """Topic of a message type; None where there is none, InputError where `name` is not one."""
+def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") -> Topic | None:
+    """Topic of a message type, that nearest to `near` by name.
+
+    None where there is none, InputError where `name` is not one.
+    """
     topics = of_type(bag, kind, name)
+    topics.sort(key=lambda topic: common_prefix(topic.name, near), reverse=True)
     if name is not None and not topics:
         raise InputError(f"{bag.path}: no {kind} on topic {name}; see bubbleviz info")
     return topics[0] if topics else None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bubbleviz.frames.frame import Frame
+from bubbleviz.sensor import Sensor
 
 ENOUGH = 15
 """Contact-free frames whose median is a zero: half a second at 30 Hz."""
@@ -69,3 +70,8 @@ class PressureZero:
         if self.offset_pa is None or frame.gas_pressure_pa is None:
             return frame
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
+
+
+def rest_pressure_pa(sensor: Sensor) -> float:
+    """Absolute gas pressure of the untouched bubble by the sensor file, Pa."""
+    return sensor.pneumatics.atmospheric_pressure_pa + sensor.pneumatics.gauge_pressure_pa

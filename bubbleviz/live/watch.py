@@ -21,7 +21,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.live.latency import LatencyMeter
 from bubbleviz.live.message import RawMessage
 from bubbleviz.live.opening import open_stream
-from bubbleviz.live.pressure_zero import PressureZero
+from bubbleviz.live.pressure_zero import PressureZero, rest_pressure_pa
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.results import ResultMessages
 from bubbleviz.live.signals import stopped_by_signals
@@ -148,11 +148,6 @@ class Watcher:
             free = unmeasured.estimate.status == "no_contact"
             self.zero.learn(frame.gas_pressure_pa, contact_free=free)
         return self.zero.applied(frame)
-
-
-def rest_pressure_pa(sensor: Sensor) -> float:
-    """Absolute gas pressure of the untouched bubble by the sensor file, Pa."""
-    return sensor.pneumatics.atmospheric_pressure_pa + sensor.pneumatics.gauge_pressure_pa
 
 
 def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSummary:

@@ -16,13 +16,13 @@ from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.frames.synthetic import SyntheticSource, default_path
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.message import RawMessage
-from bubbleviz.live.pressure_zero import ENOUGH, PressureZero
+from bubbleviz.live.pressure_zero import ENOUGH, PressureZero, rest_pressure_pa
 from bubbleviz.live.results import DIAGNOSTICS, POSE, ResultMessages
 from bubbleviz.live.soak import free_port
 from bubbleviz.live.status import Status, status_of
 from bubbleviz.live.stream import LiveStream
 from bubbleviz.live.synthetic import SyntheticLive
-from bubbleviz.live.watch import PRODUCTS, Watcher, rest_pressure_pa
+from bubbleviz.live.watch import PRODUCTS, Watcher
 from bubbleviz.live.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.zenoh_session import SessionOptions, open_session
 from bubbleviz.objects import load_object

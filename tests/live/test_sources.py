@@ -12,13 +12,15 @@ import pytest
 from wire import IMAGE, NOW, PERIOD, SECOND, depth, gas
 
 from bubbleviz.errors import InputError
+from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.synthetic import SyntheticSource
 from bubbleviz.live.dual_nut import finger_pose, grip_poses, oversized_nut
 from bubbleviz.live.message import RawMessage
 from bubbleviz.live.opening import open_stream
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.replay import Replay
-from bubbleviz.live.session_file import load_session
+from bubbleviz.live.session import LiveSession
+from bubbleviz.live.session_file import SensorPlace, SessionPreset, load_session
 from bubbleviz.live.stream import LiveStream
 from bubbleviz.sensor import Sensor, load_sensor
 
@@ -158,6 +160,34 @@ def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
     assert np.linalg.norm(forces[0]) > 1.0
     # what one finger feels the other feels the other way round
     np.testing.assert_allclose(forces[0], -forces[1], atol=0.05 * np.linalg.norm(forces[0]))
+
+
+def test_two_sensors_are_recorded_into_one_file_and_told_apart(
+    small_sensor_file: Path, tmp_path: Path, eventually: Eventually
+) -> None:
+    places = [
+        SensorPlace(
+            name=side,
+            sensor=str(small_sensor_file),
+            source=f"synthetic:nut-{side}?prefix=/{side}&frames=6&rate=60&seed={seed}",
+        )
+        for seed, side in enumerate(("left", "right"))
+    ]
+    path = tmp_path / "both.mcap"
+    with LiveSession(SessionPreset(title="both", sensors=tuple(places))) as session:
+        session.recorder.start(path)
+        for each in session.sensors:
+            frame = each.stream.take(60.0)
+            assert frame is not None
+        eventually(lambda: all(s.stream.counters().frames > 12 for s in session.sensors))
+    sent = {s.place.name: s.stream.counters() for s in session.sensors}
+    for side, counters in sent.items():
+        assert (counters.undecodable, counters.duplicate) == (0, 0)
+        with Recording(path, depth_topic=f"/{side}/depth/image_raw") as recording:
+            assert len(recording) >= counters.frames
+            assert recording.intrinsics is not None
+            used = {series._messages.topic.name for series in (recording._pressure,) if series}
+        assert used == {f"/{side}/pressure"}
 
 
 @pytest.mark.parametrize(
