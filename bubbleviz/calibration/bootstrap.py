@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from bubbleviz.calibration.progress import Progress, quiet
 
@@ -166,4 +166,4 @@ def _resampled(scores: np.ndarray, rng: np.random.Generator, draws: int) -> np.n
 
 def _student(freedom: int) -> float:
     """How much wider Student's 95 % interval is than the normal one."""
-    return float(t.ppf(0.975, freedom) / norm.ppf(0.975))
+    return float(stdtrit(freedom, 0.975) / ndtri(0.975))

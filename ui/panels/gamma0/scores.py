@@ -12,8 +12,8 @@ from ui import theme
 from ui.panels.gamma0.strip import MARGIN
 
 HEIGHT = 120
-LOWEST = 0.1
-"""Standard deviations at the bottom of the logarithmic axis."""
+LOWEST, LEAST_TOP, MOST = 0.1, 200.0, 1e4
+"""Standard deviations at the bottom of the logarithmic axis; at its top, at least and at most."""
 COLOURS = {"depth": theme.ACCENT, "gas pressure": theme.FARTHER}
 
 
@@ -46,7 +46,8 @@ class ScorePlot(QWidget):
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.fillRect(self.rect(), QColor(theme.VIEW))
-        highest = max([200.0, *(float(each.max()) for each in self._scores.values())])
+        peaks = [float(each.max()) for each in self._scores.values()]
+        highest = min(max([LEAST_TOP, *peaks]), MOST)
         painter.setPen(QColor(theme.DIM))
         for decade in (1.0, 10.0, 100.0):
             y = self._y(decade, highest)
@@ -67,5 +68,5 @@ class ScorePlot(QWidget):
         painter.end()
 
     def _y(self, score: float, highest: float) -> float:
-        share = np.log10(max(score, LOWEST) / LOWEST) / np.log10(highest / LOWEST)
+        share = np.log10(min(max(score, LOWEST), highest) / LOWEST) / np.log10(highest / LOWEST)
         return 4.0 + (self.height() - 8.0) * (1.0 - float(share))
