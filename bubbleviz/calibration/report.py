@@ -16,6 +16,7 @@ import bubbleviz
 from bubbleviz.calibration.identify import Identification
 from bubbleviz.calibration.images import before_after, local_tension_image
 from bubbleviz.calibration.pictures import coloured, data_uri
+from bubbleviz.calibration.rectification_report import rectification_numbers, rectification_rows
 from bubbleviz.calibration.sensor_files import Origin
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.calibration.validation_report import (
@@ -25,6 +26,7 @@ from bubbleviz.calibration.validation_report import (
     validation_rows,
 )
 from bubbleviz.calibration.verdict import judge
+from bubbleviz.calibration.wrench_report import wrench_advice, wrench_numbers, wrench_rows
 from bubbleviz.calibration.wrench_tension import WrenchTension
 from bubbleviz.outputs import whole_file
 
@@ -60,7 +62,7 @@ def summary(
         | {
             "advice": [
                 *verdict.advice,
-                *_wrench_advice(by_wrench, tension.tension.value),
+                *wrench_advice(by_wrench, tension.tension.value),
                 *validation_advice(validation),
             ]
         },
@@ -73,9 +75,9 @@ def summary(
         "tension_by_surface_n_per_m": tension.by_surface,
         "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
         "tension_per_pascal_m": tension.per_pascal,
-        "tension_by_wrench": _wrench(by_wrench),
+        "tension_by_wrench": wrench_numbers(by_wrench),
         "validation": validation_numbers(validation),
-        "rectification": _rectification(found),
+        "rectification": rectification_numbers(found),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
@@ -141,39 +143,6 @@ def write_report(
         (temporary / "report.html").write_text(_html(found, numbers, validation), encoding="utf-8")
 
 
-def _wrench_advice(by_wrench: WrenchTension | None, tension_n_per_m: float) -> list[str]:
-    if by_wrench is None:
-        return []
-    error, size = by_wrench.given_rms_n, float(by_wrench.measured_n.mean())
-    text = (
-        f"On the half of the press not used for it, γ0 = {tension_n_per_m:.1f} N/m predicts the"
-        f" measured force of {size:.2f} N with an error of {error:.2f} N rms"
-    )
-    if by_wrench.at_limit:
-        return [
-            f"{text}; no γ0 explains that force ({by_wrench.tested_rms_n:.2f} N at best): check"
-            " the scale and bias of the force sensor, and the gauge pressure."
-        ]
-    return [
-        f"{text}; γ0 by force is {by_wrench.tension_n_per_m:.1f} N/m, with"
-        f" {by_wrench.tested_rms_n:.2f} N rms."
-    ]
-
-
-def _wrench(by_wrench: WrenchTension | None) -> dict[str, Any] | None:
-    if by_wrench is None:
-        return None
-    return {
-        "tension_n_per_m": by_wrench.tension_n_per_m,
-        "at_limit": by_wrench.at_limit,
-        "fitted_rms_n": by_wrench.fitted_rms_n,
-        "tested_rms_n": by_wrench.tested_rms_n,
-        "given_rms_n": by_wrench.given_rms_n,
-        "measured_mean_n": float(by_wrench.measured_n.mean()),
-        "predicted_mean_n": float(by_wrench.predicted_n.mean()),
-    }
-
-
 def _interval(quantity: Any) -> dict[str, float]:
     return {"value": quantity.value, "low": quantity.low, "high": quantity.high}
 
@@ -214,9 +183,9 @@ def _rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
         (f"parts left out are missed by, {name}", f"{1e3 * value:.3g} mm rms")
         for name, value in numbers["left_out_rms_m"].items()
     ]
-    rows += _wrench_rows(numbers["tension_by_wrench"])
+    rows += wrench_rows(numbers["tension_by_wrench"])
     rows += validation_rows(numbers["validation"])
-    rows += _rectification_rows(numbers["rectification"])
+    rows += rectification_rows(numbers["rectification"])
     contact_free, pixels = numbers["contact_free"], numbers["pixels"]
     rows += [
         ("surface", numbers["surface"]),
@@ -232,50 +201,6 @@ def _rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
     ]
     rows += [(f"pixels out: {name}", str(count)) for name, count in pixels["removed"].items()]
     return rows
-
-
-def _wrench_rows(wrench: dict[str, Any] | None) -> list[tuple[str, str]]:
-    if wrench is None:
-        return []
-    limit = " (end of what was tried: the force cannot be explained by γ0)"
-    return [
-        (
-            "γ0 by force",
-            f"{wrench['tension_n_per_m']:.1f} N/m{limit if wrench['at_limit'] else ''}",
-        ),
-        ("error of its force on frames not used", f"{wrench['tested_rms_n']:.2f} N rms"),
-        ("the same with γ0 by Young–Laplace", f"{wrench['given_rms_n']:.2f} N rms"),
-        ("mean force there", f"{wrench['measured_mean_n']:.2f} N"),
-    ]
-
-
-def _rectification(found: Identification) -> dict[str, Any]:
-    """Levels, and what the line through them says; an offset from one level has no limits."""
-    line, mask = found.pixels.line, found.pixels.mask
-    if line is None:
-        return {"levels": 1}
-    return {
-        "levels": line.levels,
-        "slope_median": float(np.median(line.slope[mask])),
-        "slope_spread": float(np.std(line.slope[mask])),
-        "span_median_m": float(np.median((line.farthest_m - line.nearest_m)[mask])),
-    }
-
-
-def _rectification_rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
-    if numbers["levels"] == 1:
-        return [("rectification", "offset of each pixel, from one inflation level")]
-    return [
-        ("rectification", f"line of each pixel through {numbers['levels']} inflation levels"),
-        (
-            "true change of range per measured one",
-            f"{numbers['slope_median']:.4f}, spread {numbers['slope_spread']:.4f}",
-        ),
-        (
-            "the line holds over",
-            f"{1e3 * numbers['span_median_m']:.2f} mm; beyond, the nearest level's offset",
-        ),
-    ]
 
 
 def _origin_rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:

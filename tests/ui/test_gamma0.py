@@ -242,7 +242,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(bench: Bench) -> None:
     assert "at least 5" in bench.panel.message.text() and bench.panel.message.isVisible()
     assert bench.panel.calibration.answer is before
     bench.undo()
-    assert bench.panel.calibration.work == before.work
+    assert bench.panel.calibration.work == before.work and bench.panel.message.text() == ""
 
 
 def test_table_and_picture_compare_with_the_sensor_in_use(bench: Bench) -> None:

@@ -70,6 +70,7 @@ class Gamma0Panel(QWidget):
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
         self.steps = QButtonGroup(self)
+        self._said_of = calibration.work
         self.title, self.verdict, self.message = QLabel(), QLabel(), QLabel()
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
@@ -189,13 +190,14 @@ class Gamma0Panel(QWidget):
         self.progress.setValue(round(100 * done))
 
     def _say(self, message: str) -> None:
+        self._said_of = self.calibration.work
         self.message.setText(message)
         self.message.setVisible(bool(message))
 
     def _show(self) -> None:
         calibration, page = self.calibration, self.page
         answer, busy = calibration.answer, calibration.busy
-        if busy:
+        if busy or calibration.work != self._said_of:
             self._say("")
         page.show_answer(answer)
         place, reached = self.stack.currentIndex(), calibration.settings.reached
