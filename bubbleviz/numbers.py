@@ -20,8 +20,6 @@ class Numbers:
     ----------
     status : str
         Of the estimate; empty without one.
-    gas_change_pa : float
-        p_v of the estimate: measured where the recording has the gas pressure.
     gas_law_pa : float
         p_v that the gas law (Eq. 6) gives for the estimated shape.
     gas_measured_pa : float
@@ -37,7 +35,6 @@ class Numbers:
     """
 
     status: str = ""
-    gas_change_pa: float = NOTHING
     gas_law_pa: float = NOTHING
     gas_measured_pa: float = NOTHING
     residual_m: float = NOTHING
@@ -60,7 +57,6 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
     if estimate is not None:
         known |= {
             "status": estimate.status,
-            "gas_change_pa": estimate.gas_pressure_change_pa,
             "residual_m": estimate.residual_rms_m,
             "solve_ms": estimate.solve_ms,
         }

@@ -10,12 +10,13 @@ from pathlib import Path
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.inspection import Inspection, Look
 from bubbleviz.numbers import Numbers
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui.clock import PlayClock
-from ui.needs import products
+from ui.needs import looks, products
 from ui.rates import RateMeter
 from ui.requests import (
     Analysed,
@@ -60,6 +61,8 @@ class Controller(QObject):
         Frames done and frames asked for of an analysis of all frames; equal when it is over.
     solves : RateMeter
         Frames that came back from the solver.
+    inspection : Inspection
+        Closer look at the frame that is shown.
     skipped : int
         Frames playback passed by because they were over before they could be asked for.
     """
@@ -82,6 +85,8 @@ class Controller(QObject):
         self._requests = 0
         self._open_source: Callable[[Sensor], FrameSource] | None = None
         self._asked: frozenset[Product] = frozenset()
+        self._looked: frozenset[Look] = frozenset()
+        self.inspection = Inspection()
         self._clock: PlayClock | None = None
         self._clock_read_s = 0.0
         self._came = -1
@@ -127,6 +132,7 @@ class Controller(QObject):
             kappa=self.state.choices.kappa,
             cloud_points=self.state.choices.cloud_points,
             solver=self.state.choices.solver,
+            looks=looks(self.state.choices),
             playing=playing,
             live=live,
         )
@@ -201,10 +207,16 @@ class Controller(QObject):
         sensor = self.sensor
         if "solver" in names and sensor is not None:
             self._open_again(self.state.choices.solver or "default solver", lambda: sensor)
-        elif "cloud_points" in names or not products(self.state.choices) <= self._asked:
+        elif "cloud_points" in names or self._lacks_something:
             self._ask_frame()
         elif "kappa" in names:
             self._ask_patch()
+
+    @property
+    def _lacks_something(self) -> bool:
+        """Something is visible that was not asked for."""
+        choices = self.state.choices
+        return not (products(choices) <= self._asked and looks(choices) <= self._looked)
 
     def _start_clock(self) -> None:
         if self._clock is not None:
@@ -235,7 +247,7 @@ class Controller(QObject):
         if self.state.facts is None:
             return
         self._requests += 1
-        self._asked = products(self.state.choices)
+        self._asked, self._looked = products(self.state.choices), looks(self.state.choices)
         self.worker.ask(
             FrameRequest(
                 self._session,
@@ -245,6 +257,7 @@ class Controller(QObject):
                 self.state.choices.kappa,
                 self.state.choices.cloud_points,
                 time.perf_counter(),
+                self._looked,
             )
         )
 
@@ -295,6 +308,7 @@ class Controller(QObject):
             waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
         numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
         self._remember(frame.index, numbers, request.kappa)
+        self.inspection = answer.inspection
         self._show(answer.result)
         if request.kappa != self.state.choices.kappa:
             self._ask_patch()
@@ -325,7 +339,7 @@ class Controller(QObject):
         self.result = None  # the old source's: nothing may show it on the new sensor
         self._open_source = answer.request.open_source
         self.sensor = answer.sensor
-        self._asked = answer.request.products
+        self._asked, self._looked = answer.request.products, answer.request.looks
         self.stop_analysis()
         self.skipped = self.worker.dropped = 0
         self.opened.emit(answer)
@@ -336,8 +350,9 @@ class Controller(QObject):
         self._remember(answer.frame, answer.numbers, answer.request.kappa)
         self.state.set_playing(answer.request.playing)
         self._came = answer.frame
+        self.inspection = answer.inspection
         self._show(answer.result)
-        if not products(self.state.choices) <= self._asked:
+        if self._lacks_something:
             self._ask_frame()
 
     def _show(self, result: Result) -> None:

@@ -9,7 +9,6 @@ from bubbleviz.pipeline import Product
 
 QUANTITIES = (
     "force_n",
-    "gas_change_pa",
     "gas_law_pa",
     "gas_measured_pa",
     "area_m2",
@@ -62,8 +61,7 @@ class History:
         self._put(frame, known, ("gas_measured_pa", "total_ms", "latency_ms"))
         self._has[frame] |= _FRAME
         if known.status:
-            names = ("gas_change_pa", "gas_law_pa", "residual_m", "solve_ms")
-            self._put(frame, known, names)
+            self._put(frame, known, ("gas_law_pa", "residual_m", "solve_ms"))
             self._has[frame] |= _ESTIMATE
         if known.has_patch and patch:
             self._put(frame, known, ("force_n", "area_m2"))
@@ -100,3 +98,20 @@ def _contact(known: Numbers) -> int:
     if known.status not in ("ok", "no_contact"):
         return UNKNOWN
     return CONTACT if known.area_m2 > 0.0 else FREE
+
+
+def thinned(
+    times_s: np.ndarray, values: np.ndarray, window_s: tuple[float, float], most: int = 1500
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a curve inside a window of time, with nothing lost that one would see.
+
+    Beyond `most` frames their lowest and highest known values stand for each few of them.
+    """
+    first = max(int(np.searchsorted(times_s, window_s[0])) - 1, 0)
+    last = min(int(np.searchsorted(times_s, window_s[1], "right")) + 1, len(times_s))
+    times_s, values = times_s[first:last], values[first:last]
+    if len(values) <= 2 * most:
+        return times_s, values
+    starts = np.linspace(0, len(values), most, endpoint=False).astype(np.int64)
+    ends = (np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts))
+    return np.repeat(times_s[starts], 2), np.column_stack(ends).ravel()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from ui.panels.kappa import KappaPanel
 from ui.panels.layers import LayersPanel
 from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
+from ui.panels.plots import PlotsPanel
 from ui.panels.status import Rates, StatusBar
 from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
@@ -60,6 +62,7 @@ class MainWindow(QMainWindow):
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
         self.playback = PlaybackPanel(state)
+        self.plots = PlotsPanel(state, controller)
         self.undo_stack = QUndoStack(self)
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
@@ -121,11 +124,15 @@ class MainWindow(QMainWindow):
         self.kappa_dock = self._dock("Contact patch", self.kappa, right)
         self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
         self.gamma0_dock.hide()
+        self.plots_dock = self._dock("Plots", self.plots, bottom)
         self.playback_dock = self._dock("Playback", self.playback, bottom)
+        self.splitDockWidget(self.plots_dock, self.playback_dock, Qt.Orientation.Vertical)
+        self.plots_dock.hide()
         self.panels: dict[str, QWidget] = {
             "layers": self.layers_dock,
             "kappa": self.kappa_dock,
             "calibration": self.gamma0_dock,
+            "plots": self.plots_dock,
             "playback": self.playback_dock,
             "status": self.status,
         }
@@ -144,9 +151,8 @@ class MainWindow(QMainWindow):
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
         self.view.dropped_files.connect(lambda paths: self.open_file(paths[0]))
-        self.kappa_dock.visibilityChanged.connect(
-            lambda on: self.state.choose_panel("kappa_panel", on)
-        )
+        for dock, name in ((self.kappa_dock, "kappa_panel"), (self.plots_dock, "plots")):
+            dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
         self.gamma0.painted.connect(self._paint)
         self._rates.timeout.connect(self.show_rates)
         self._rates.start()

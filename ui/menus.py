@@ -83,7 +83,7 @@ class Menus:
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
         menu.addSeparator()
-        for name in ("layers", "kappa", "calibration", "playback"):
+        for name in ("layers", "kappa", "calibration", "plots", "playback"):
             dock = cast(QDockWidget, window.panels[name])
             menu.addAction(dock.toggleViewAction())
         status = self._add(menu, "Status bar", self._toggle_status)

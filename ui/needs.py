@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from bubbleviz.inspection import NEEDS
+
 if TYPE_CHECKING:
+    from bubbleviz.inspection import Look
     from bubbleviz.pipeline import Product
     from ui.state import Choices
 
@@ -22,9 +25,24 @@ CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
         "rim": frozenset(),
         "kappa_panel": frozenset({"estimate", "patch"}),
         "status": frozenset({"estimate", "patch"}),
+        "plots": frozenset(),
     }
 )
 """Products by the name of a layer, panel or bar."""
+
+PLOTS: Mapping[str, frozenset[Product]] = MappingProxyType(
+    {
+        "force": frozenset({"estimate", "patch"}),
+        "gas": frozenset({"estimate"}),
+        "area": frozenset({"estimate", "patch"}),
+        "center": frozenset({"estimate", "patch"}),
+        "residual": frozenset({"estimate"}),
+        "solve": frozenset({"estimate", "patch"}),
+        "latency": frozenset(),
+        "kappa": frozenset({"estimate"}),
+    }
+)
+"""Products by the name of a plot."""
 
 CLOUD_COLOURS: Mapping[str, frozenset[Product]] = MappingProxyType(
     {
@@ -43,4 +61,22 @@ def products(choices: Choices) -> frozenset[Product]:
     needed = needed.union(*(CONSUMERS[name] for name in visible))
     if "cloud" in choices.layers:
         needed |= CLOUD_COLOURS[choices.cloud_colour]
+    if "plots" in choices.panels:
+        needed |= plotted(choices)
+    for look in looks(choices):
+        needed |= NEEDS[look]
     return needed
+
+
+def plotted(choices: Choices) -> frozenset[Product]:
+    """What the chosen plots need of every frame."""
+    needed: frozenset[Product] = frozenset()
+    return needed.union(*(PLOTS[name] for name in choices.plots))
+
+
+def looks(choices: Choices) -> frozenset[Look]:
+    """Closer looks at the frame that is shown."""
+    wanted: set[Look] = set()
+    if "plots" in choices.panels and "kappa" in choices.plots:
+        wanted.add("kappa_curve")
+    return frozenset(wanted)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.inspection import Inspection, Look
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.numbers import Numbers
 from bubbleviz.pipeline import Product
@@ -28,8 +29,8 @@ class OpenRequest:
         Make the source and the sensor; called in the solver thread.
     frame : int
         Frame to show first; proof that the source can be used with the sensor.
-    products : frozenset
-        Products of that frame.
+    products, looks : frozenset
+        Products of that frame, and closer looks at it.
     kappa, cloud_points, solver
         As in `Choices`.
     playing, live : bool
@@ -45,6 +46,7 @@ class OpenRequest:
     kappa: float | None
     cloud_points: int | None = None
     solver: str | None = None
+    looks: frozenset[Look] = frozenset()
     playing: bool = False
     live: bool = False
 
@@ -63,6 +65,7 @@ class FrameRequest:
     kappa: float | None
     cloud_points: int | None = None
     asked_s: float = float("nan")
+    looks: frozenset[Look] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -100,15 +103,17 @@ class Opened:
     frame: int
     result: Result
     numbers: Numbers
+    inspection: Inspection
 
 
 @dataclass(frozen=True)
 class Solved:
-    """A frame's products."""
+    """A frame's products, its numbers, and what was looked at closer."""
 
     request: FrameRequest
     result: Result
     numbers: Numbers
+    inspection: Inspection
 
 
 @dataclass(frozen=True)

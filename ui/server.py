@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.inspection import Inspector
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.numbers import Numbers, numbers_of
@@ -37,6 +38,7 @@ class _Session:
     source: FrameSource
     pipeline: Pipeline
     gas: Gas
+    inspector: Inspector
 
 
 class Server:
@@ -74,7 +76,8 @@ class Server:
         frame = session.source[request.index]
         session.pipeline.cloud_points = request.cloud_points
         result = session.pipeline.process(frame, request.products)
-        return Solved(request, result, numbers_of(result, session.gas))
+        inspection = session.inspector.look(result, request.looks)
+        return Solved(request, result, numbers_of(result, session.gas), inspection)
 
     def _threshold(self, session: _Session, request: PatchRequest) -> Thresholded:
         estimate = request.result.estimate
@@ -119,10 +122,12 @@ class Server:
             raise
         self.close()
         gas = Gas.of(sensor.pneumatics, pipeline.mesh)
-        self._session = _Session(request.session, source, pipeline, gas)
+        inspector = Inspector(pipeline)
+        self._session = _Session(request.session, source, pipeline, gas, inspector)
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live)
         numbers = numbers_of(result, gas)
-        return Opened(request, facts, sensor, pipeline.mesh, index, result, numbers)
+        inspection = inspector.look(result, request.looks)
+        return Opened(request, facts, sensor, pipeline.mesh, index, result, numbers, inspection)
 
 
 def _in_words(error: Exception) -> str:

@@ -40,6 +40,8 @@ class Choices:
         Begin again after the last frame, or the last of the looped range.
     layers, panels : frozenset of str
         What is visible.
+    plots : frozenset of str
+        What the plots panel shows.
     cloud_colour : {"residual", "patch", "plain"}
         What colours the measured points.
     cloud_points : int or None
@@ -62,6 +64,7 @@ class Choices:
     loop: bool = True
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
+    plots: frozenset[str] = frozenset({"force", "gas", "area"})
     cloud_colour: CloudColour = "residual"
     cloud_points: int | None = 10_000
     membrane_opacity: float = 1.0

@@ -21,6 +21,7 @@ RUNS = {
     "press": {"estimate", "patch"},
     "cloud": {"cloud"},
     "residual": {"estimate", "patch", "cloud", "residual"},
+    "review": {"estimate", "patch"},
 }
 """Stages each scene runs."""
 

@@ -9,6 +9,7 @@ from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
     QLabel,
+    QSizePolicy,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -66,6 +67,7 @@ class PlaybackPanel(QWidget):
         self.now = QToolButton()
         self.now.setText("Now")
         self.now.setToolTip("Back to what the live source shows now (N)")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._lay_out()
         self._show_all()
         self._connect()
