@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,7 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Row]:
         futures = client.map(run_job, jobs, pure=False)
         by_key = {future.key: job for future, job in zip(futures, jobs, strict=True)}
         try:
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=client.loop):
                 if client.status != "running" or future.status == "cancelled":
                     raise _lost(address)
                 yield _row(future, by_key[future.key])
@@ -62,10 +63,13 @@ def _client(address: str) -> Iterator[Any]:
             f"--scheduler {address}: a cluster needs Dask's distributed; "
             'pip install "bubbleviz[cluster]", or leave --scheduler out'
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # one sentence says it
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # one sentence says it
     try:
+        # A Client that finds nobody prints a traceback and waits when it is deleted: ask before.
+        if asyncio.run(_kind_of_server(address)) != "Scheduler":
+            raise ValueError("another kind of server")
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
+    except Exception as error:  # another kind of server makes Dask raise anything
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers within {TIMEOUT_S:.0f} s; start one "
             "with `dask scheduler`, or check address and port"
@@ -75,6 +79,14 @@ def _client(address: str) -> Iterator[Any]:
         yield client
     finally:
         client.close(timeout=TIMEOUT_S)
+
+
+async def _kind_of_server(address: str) -> str:
+    from distributed import rpc
+
+    async with rpc(address, timeout=TIMEOUT_S) as server:
+        identity = await asyncio.wait_for(server.identity(), TIMEOUT_S)
+    return str(identity.get("type"))
 
 
 def _wait_for_workers(client: Any, address: str) -> None:

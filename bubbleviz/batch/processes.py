@@ -9,16 +9,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import threading
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection, wait
-from typing import Any
+from multiprocessing.connection import wait
 
-from bubbleviz.batch.job import Job, run_job
+from bubbleviz.batch.job import Job
 from bubbleviz.batch.row import Row
-
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+from bubbleviz.batch.worker import serve
 
 
 def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Row]:
@@ -57,7 +54,7 @@ class _Worker:
         self.pipe, theirs = context.Pipe()
         self.died = False
         self._job: Job | None = None
-        self._process = context.Process(target=_serve, args=(theirs, os.getpid()), daemon=True)
+        self._process = context.Process(target=serve, args=(theirs, os.getpid()), daemon=True)
         with _interrupts_for_the_parent():
             self._process.start()
         theirs.close()
@@ -97,26 +94,3 @@ def _interrupts_for_the_parent() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _serve(pipe: Connection, parent: int) -> None:
-    os.environ.update(dict.fromkeys(_THREADS, "1"), TQDM_DISABLE="1")  # before numpy is loaded
-    from tqdm import tqdm
-
-    tqdm.set_lock(threading.RLock())  # its own is a semaphore that outlives a process killed
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    while True:
-        try:
-            job: Any = pipe.recv()
-        except EOFError:
-            return
-        pipe.send(run_job(job))
-
-
-def _end_with(parent: int) -> None:
-    """End this process soon after its parent, even one that was killed."""
-    import time
-
-    while os.getppid() == parent:
-        time.sleep(0.2)
-    os._exit(1)

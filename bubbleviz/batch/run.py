@@ -105,7 +105,7 @@ def _jobs(found: list[Path], folder: Path, out: Path, settings: Settings) -> lis
 def _owned(out: Path, todo: list[Job], local: bool) -> Iterator[None]:
     """The output folder for this batch alone, without temporary files of unfinished results.
 
-    Workers of a cluster finish what they have begun; only local ones are known to be dead.
+    Stopped, workers of a cluster finish what they have begun; local ones are dead.
     """
     try:
         out.mkdir(exist_ok=True)
@@ -114,9 +114,11 @@ def _owned(out: Path, todo: list[Job], local: bool) -> Iterator[None]:
             _discard_unfinished(todo)
             try:
                 yield
-            finally:
+            except BaseException:
                 if local:
                     _discard_unfinished(todo)
+                raise
+            _discard_unfinished(todo)  # of workers that died on the way
     except PermissionError as error:
         raise cannot_write(out, error) from error
 

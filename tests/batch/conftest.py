@@ -1,0 +1,31 @@
+"""A small sensor and a few short recordings of it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from small_press import write_press, write_small_sensor
+
+
+@pytest.fixture(scope="session")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="session")
+def originals(tmp_path_factory: pytest.TempPathFactory, sensor: Path) -> Path:
+    """Three good recordings, one of them in a folder below."""
+    folder = tmp_path_factory.mktemp("recordings")
+    (folder / "day 1").mkdir()
+    write_press(folder / "a.mcap", sensor)
+    write_press(folder / "b.v2.mcap", sensor, (0.060, 0.043, 0.043), seed=1)
+    write_press(folder / "day 1" / "c.mcap", sensor, (0.060, 0.060), seed=2)
+    return folder
+
+
+@pytest.fixture
+def recordings(originals: Path, tmp_path: Path) -> Path:
+    """A copy that a test may change."""
+    return Path(shutil.copytree(originals, tmp_path / "in"))

@@ -1,0 +1,334 @@
+"""The command batch: real processes, real files, real signals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from small_press import write_press
+
+from bubbleviz.batch.find import find_recordings
+from bubbleviz.batch.job import Job, Settings, run_job
+from bubbleviz.batch.processes import run_in_processes
+from bubbleviz.batch.row import Row
+from bubbleviz.errors import InputError
+from bubbleviz.estimate import estimate_recording
+
+COMMAND = [sys.executable, "-c", "from bubbleviz.cli import main; main()", "batch"]
+NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
+FILES = {"result.npz", "result.csv", "summary.json"}
+
+
+def batch(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *map(str, words)], capture_output=True, text=True, check=False)
+
+
+def start(*words: str | Path) -> subprocess.Popen[str]:
+    """The command in a session of its own, as a terminal would have it."""
+    return subprocess.Popen(
+        [*COMMAND, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def table_of(out: Path) -> dict[str, dict[str, str]]:
+    with (out / "summary.csv").open(newline="", encoding="utf-8") as file:
+        return {row["recording"]: row for row in csv.DictReader(file)}
+
+
+def hidden_in(out: Path) -> list[str]:
+    """Temporary files."""
+    return [path.name for path in out.rglob(".*") if path.name != ".batch.lock"]
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.02)
+
+
+def lives(process: psutil.Process) -> bool:
+    """Whether a process does anything still."""
+    return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+
+
+@pytest.fixture(scope="module")
+def long_original(sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Takes long enough to be stopped in the middle."""
+    path = tmp_path_factory.mktemp("long") / "z.mcap"
+    return write_press(path, sensor, (0.044, 0.043) * 200)
+
+
+@pytest.fixture
+def long_recording(long_original: Path, recordings: Path) -> Path:
+    """One more among the others."""
+    return Path(shutil.copy(long_original, recordings))
+
+
+# -- one bad recording among good ones, and once more ------------------------------------------
+
+
+def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path: Path) -> None:
+    good = (recordings / "a.mcap").read_bytes()
+    (recordings / "bad.mcap").write_bytes(good[:1000])
+    out = tmp_path / "out"
+    done = batch(recordings, "--sensor", sensor, "--out", out, "--jobs", "2")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "1 of 4 recordings have no result" in done.stderr
+    assert "bad.mcap: the recording is truncated" in done.stderr
+    rows = table_of(out)
+    assert list(rows) == [*NAMES[:2], "bad.mcap", NAMES[2]]
+    assert [row["outcome"] for row in rows.values()] == ["done", "done", "bad_input", "done"]
+    assert "truncated" in rows["bad.mcap"]["error"]
+    assert all(name in done.stdout for name in rows)
+    for name in NAMES:
+        assert {path.name for path in (out / name).iterdir()} == FILES
+    assert not (out / "bad.mcap").exists()
+    assert not hidden_in(out)
+
+    shutil.copy(recordings / "a.mcap", recordings / "bad.mcap")  # repaired
+    done = batch(recordings, "--sensor", sensor, "--out", out, "--resume", "--json")
+    assert done.returncode == 0, done.stderr
+    told = {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
+    assert told == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
+
+
+def test_numbers_are_those_of_the_command_estimate(
+    recordings: Path, sensor: Path, tmp_path: Path
+) -> None:
+    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), Settings(str(sensor)))
+    row = run_job(job)
+    summary = estimate_recording(recordings / "a.mcap", sensor, tmp_path / "alone.npz")
+    with np.load(tmp_path / "a" / "result.npz") as one, np.load(tmp_path / "alone.npz") as two:
+        for key in ("force_n", "contact_pressure_pa", "patch_mask", "status"):
+            np.testing.assert_array_equal(one[key], two[key])
+        size = np.linalg.norm(two["force_n"], axis=1)
+        touching = two["patch_area_m2"] > 0.0
+        residual = two["residual_rms_m"]
+    assert (row.outcome, row.frames, row.contact_frames) == ("done", 5, touching.sum())
+    assert row.max_force_n == summary.max_force_n == pytest.approx(size.max())
+    assert row.mean_contact_force_n == pytest.approx(size[touching].mean())
+    assert row.median_residual_rms_m == summary.median_residual_rms_m
+    assert (row.worst_frame, row.worst_residual_rms_m) == (np.argmax(residual), residual.max())
+
+
+def test_the_frame_to_look_at_is_one_not_to_be_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "result.npz"
+    np.savez(
+        path,
+        frame=[10, 20, 30, 40],
+        status=["ok", "no_data", "implausible", "no_contact"],
+        force_n=[[0, 3, 4], [np.nan] * 3, [np.nan] * 3, [0, 0, 0]],
+        patch_area_m2=[1e-4, np.nan, np.nan, 0],
+        residual_rms_m=[9e-3, np.nan, np.nan, 1e-4],
+        total_ms=[100, 2, 3, 4],
+    )
+    row = Row.of_result("r", "s", path)
+    assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
+    assert (row.max_force_n, row.mean_contact_force_n, row.median_ms) == (5.0, 5.0, 3.0)
+    again = Row.from_dict(json.loads(row.to_json()))
+    assert again.to_json() == row.to_json()
+
+
+@pytest.mark.parametrize("change", ["settings", "sensor", "recording", "nothing", "summary"])
+def test_what_is_done_again(change: str, recordings: Path, sensor: Path, tmp_path: Path) -> None:
+    own = Path(shutil.copy(sensor, tmp_path / "own.toml"))
+    job = Job("b", str(recordings / NAMES[1]), str(tmp_path / "b"), Settings(str(own)))
+    assert run_job(job).outcome == "done"
+    if change == "settings":
+        job = Job(job.name, job.recording, job.out, Settings(str(own), kappa=2.0))
+    elif change == "sensor":
+        own.write_text(own.read_text().replace("height_m = 0.05", "height_m = 0.0501"))
+    elif change == "recording":
+        shutil.copy(recordings / "a.mcap", job.recording)
+    elif change == "summary":
+        (tmp_path / "b" / "summary.json").write_text("{")
+    assert run_job(job).outcome == ("kept" if change == "nothing" else "done")
+    assert run_job(job).outcome == "kept"
+    assert {path.name for path in (tmp_path / "b").iterdir()} == FILES
+
+
+def test_a_folder_that_is_not_a_result_is_not_replaced(
+    recordings: Path, sensor: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "b"
+    out.mkdir()
+    (out / "thesis.tex").write_text("years of work")
+    row = run_job(Job("b", str(recordings / NAMES[1]), str(out), Settings(str(sensor))))
+    assert row.outcome == "bad_input"
+    assert "exists already" in row.error
+    assert (out / "thesis.tex").read_text() == "years of work"
+
+
+# -- stopped -----------------------------------------------------------------------------------
+
+
+def test_killed_in_the_middle_then_resumed(
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "2"]
+    running = start(*words)
+    # The others are done, the long one has begun.
+    wait_for(lambda: all((out / name).is_dir() for name in NAMES) and bool(hidden_in(out)))
+    workers = psutil.Process(running.pid).children(recursive=True)
+    assert workers
+    running.kill()
+    running.communicate()
+    wait_for(
+        lambda: not any(worker.is_running() and worker.status() != "zombie" for worker in workers)
+    )
+    assert not (out / long_recording.name).exists()
+    assert hidden_in(out)  # killed: nobody could tidy up
+
+    kept = {name: (out / name / "result.npz").stat().st_mtime_ns for name in NAMES}
+    done = batch(*words, "--resume", "--json")
+    assert done.returncode == 0, done.stderr
+    told = {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
+    assert told == {**dict.fromkeys(NAMES, "kept"), long_recording.name: "done"}
+    assert {n: (out / n / "result.npz").stat().st_mtime_ns for n in NAMES} == kept
+    assert not hidden_in(out)
+    assert table_of(out)[long_recording.name]["frames"] == "400"
+
+
+def test_interrupted_leaves_whole_files(
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    running = start(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
+    wait_for(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
+    os.killpg(running.pid, signal.SIGINT)  # as ^C does: everybody gets it
+    _, said = running.communicate(timeout=30)
+    assert running.returncode == 130
+    assert said.split() == ["bubbleviz:", "stopped"]
+    assert not hidden_in(out)
+    assert not (out / long_recording.name).exists()
+    for name in NAMES:
+        with np.load(out / name / "result.npz") as file:
+            assert len(file["frame"]) == len(file["force_n"])
+
+
+def test_two_batches_do_not_write_into_one_folder(
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    words = [recordings, "--sensor", sensor, "--out", out]
+    running = start(*words)
+    wait_for(lambda: bool(hidden_in(out)))
+    done = batch(*words, "--resume")
+    running.terminate()
+    running.communicate()
+    assert done.returncode == 2
+    assert "another batch writes there" in done.stderr
+
+
+def test_a_process_that_dies_costs_its_own_recording_only(
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+) -> None:
+    settings = Settings(str(sensor))
+    jobs = [
+        Job(path.name, str(path), str(tmp_path / path.name), settings)
+        for path in (long_recording, *(recordings / name for name in NAMES))
+    ]
+    running = run_in_processes(jobs, 1)
+    me = psutil.Process()
+
+    def kill_when_it_works() -> None:
+        wait_for(lambda: bool(hidden_in(tmp_path)))
+        for child in me.children():
+            if "--multiprocessing-fork" in child.cmdline():
+                child.kill()
+
+    import threading
+
+    killer = threading.Thread(target=kill_when_it_works)
+    killer.start()
+    rows = list(running)
+    killer.join()
+    assert [row.outcome for row in rows] == ["failed", "done", "done", "done"]
+    assert "process ended with code -9" in rows[0].error
+
+
+def test_blas_has_one_thread_in_a_worker(tmp_path: Path) -> None:
+    code = (
+        "import os, threading\n"
+        "from bubbleviz.batch.worker import serve\n"
+        "class Pipe:\n"
+        "    def recv(self): raise EOFError\n"
+        "serve(Pipe(), os.getppid())\n"
+        "import numpy as np\n"
+        "a = np.ones((1500, 1500)); a @ a\n"
+        "print(len(os.listdir('/proc/self/task')) - threading.active_count())"
+    )
+    clean = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=clean, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "0"
+
+
+# -- finding, and refusals ---------------------------------------------------------------------
+
+
+def test_what_is_a_recording(tmp_path: Path) -> None:
+    for name in ("bag/metadata.yaml", "bag/bag_0.mcap", "deep/er/x.bag", "y.db3", "notes.txt",
+                 ".z.0a1b2c3d.mcap", ".hidden/w.mcap"):  # fmt: skip
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "deep" / "loop").symlink_to(tmp_path)
+    found = [str(path.relative_to(tmp_path)) for path in find_recordings(tmp_path)]
+    assert found == ["bag", "deep/er/x.bag", "y.db3"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no recording in it"):
+        find_recordings(tmp_path / "empty")
+
+
+def test_a_recording_itself(recordings: Path) -> None:
+    (recordings / "metadata.yaml").touch()
+    assert find_recordings(recordings) == [recordings]
+
+
+@pytest.mark.parametrize(
+    ("folder", "more", "words"),
+    [
+        ("nope", [], "nope: not a folder"),
+        ("in", ["--sensor", "nope.toml"], "nope.toml: no such sensor file"),
+        ("in", ["--out", "there"], "exists already"),
+        ("in", ["--jobs", "0"], "--jobs"),
+        ("in", ["--jobs", "2", "--scheduler", "tcp://x:1"], "--jobs is for processes here"),
+    ],
+)
+def test_wrong_words(
+    folder: str, more: list[str], words: str, recordings: Path, sensor: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "there").mkdir()
+    given = ["--sensor", str(sensor), "--out", str(tmp_path / "out"), *more]
+    given = [str(tmp_path / word) if word == "there" else word for word in given]
+    done = batch(tmp_path / folder, *given)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert words in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_auto_names_what_fits_no_preset(recordings: Path, tmp_path: Path) -> None:
+    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), Settings(None))
+    row = run_job(job)
+    assert row.outcome == "bad_input"
+    assert "no preset has a camera of 56×43 pixels" in row.error

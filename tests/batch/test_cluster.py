@@ -1,0 +1,99 @@
+"""The batch on a real Dask cluster: scheduler and workers are processes that talk over TCP."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import LocalCluster
+
+from bubbleviz.batch import cluster
+from bubbleviz.batch.cluster import check_cluster
+from bubbleviz.batch.job import Job, Settings, run_job
+from bubbleviz.batch.run import run_batch
+from bubbleviz.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address=None,
+    ) as own:
+        yield own.scheduler_address
+
+
+def test_results_are_those_of_this_process(
+    address: str, recordings: Path, sensor: Path, tmp_path: Path
+) -> None:
+    assert address.startswith("tcp://127.0.0.1:")
+    (recordings / "bad.mcap").write_bytes(b"no recording")
+    settings = Settings(str(sensor))
+    out = tmp_path / "out"
+    far = run_batch(recordings, settings, out, scheduler=address)
+    assert [row.outcome for row in far.rows] == ["done", "done", "bad_input", "done"]
+    for row in far.rows:
+        if row.has_result:
+            alone = tmp_path / "alone" / row.recording
+            run_job(Job(row.recording, str(recordings / row.recording), str(alone), settings))
+            paths = out / row.recording / "result.npz", alone / "result.npz"
+            with np.load(paths[0]) as one, np.load(paths[1]) as two:
+                np.testing.assert_array_equal(one["force_n"], two["force_n"])
+    again = run_batch(recordings, settings, out, scheduler=address, resume=True)
+    assert [row.outcome for row in again.rows] == ["kept", "kept", "bad_input", "kept"]
+    with pytest.raises(InputError, match="1 of 4 recordings have no result"):
+        again.raise_failures()
+
+
+@pytest.fixture
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "TIMEOUT_S", 1.0)
+
+
+@pytest.mark.usefixtures("_impatient")
+def test_no_scheduler_there(recordings: Path, sensor: Path, tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(InputError, match="no Dask scheduler answers within 1 s; start one"):
+        run_batch(recordings, Settings(str(sensor)), tmp_path / "out", scheduler=address)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_server_that_is_no_scheduler() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=_talk, args=(server,), daemon=True).start()
+        with pytest.raises(InputError, match="no Dask scheduler answers"):
+            check_cluster(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1", "foo://x:1"])
+def test_no_address(address: str) -> None:
+    with pytest.raises(InputError, match=f"--scheduler {address}: no Dask scheduler answers"):
+        check_cluster(address)
+
+
+def test_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)  # what a missing module looks like
+    with pytest.raises(InputError, match=r"pip install .bubbleviz\[cluster\]"):
+        check_cluster("tcp://127.0.0.1:8786")
+
+
+def _talk(server: socket.socket) -> None:
+    """Something else listens there, such as a web server."""
+    while True:
+        try:
+            connection, _ = server.accept()
+        except OSError:
+            return
+        with connection:
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")

@@ -1,0 +1,30 @@
+"""One small press, and an estimate of it by the command that the exports must agree with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_press import write_press, write_small_sensor
+
+from bubbleviz.estimate import estimate_recording
+
+
+@pytest.fixture(scope="session")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="session")
+def press(tmp_path_factory: pytest.TempPathFactory, sensor: Path) -> Path:
+    return write_press(tmp_path_factory.mktemp("press") / "press.mcap", sensor)
+
+
+@pytest.fixture(scope="session")
+def estimated(press: Path, sensor: Path) -> dict[str, np.ndarray]:
+    """RESULT.npz of the press."""
+    out = press.with_name("result.npz")
+    estimate_recording(press, sensor, out)
+    with np.load(out) as file:
+        return {key: file[key] for key in file.files}

@@ -1,0 +1,298 @@
+"""The command export: files read back by other programs' readers, against RESULT.npz."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import open3d
+import pyarrow.parquet
+import pytest
+import pyvista
+from click.testing import CliRunner, Result
+from PIL import Image
+
+from bubbleviz.calibration.progress import Cancelled
+from bubbleviz.cli import main
+from bubbleviz.errors import InputError
+from bubbleviz.export.plan import ExportPlan
+from bubbleviz.export.run import export_recording
+from bubbleviz.frames.recording import Recording
+
+Arrays = dict[str, np.ndarray]
+
+SERIES = "vtk,ply,patch,png"
+ALL = f"table,parquet,plots,{SERIES}"
+PRESSED = 2
+
+
+def export(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, ["export", *map(str, words)], prog_name="bubbleviz")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, press: Path, sensor: Path) -> Path:
+    """Everything at once."""
+    out = tmp_path_factory.mktemp("out") / "all.of it"
+    done = export(press, "--sensor", sensor, "--out", out, "--what", ALL)
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def columns_of(rows: list[dict[str, str]], *names: str) -> np.ndarray:
+    return np.array([[float(row[name]) for name in names] for row in rows])
+
+
+# -- tables ------------------------------------------------------------------------------------
+
+
+def test_csv_says_what_the_estimate_says(folder: Path, estimated: Arrays) -> None:
+    rows = rows_of(folder / "all.of it.csv")
+    assert [row["status"] for row in rows] == estimated["status"].tolist()
+    assert "ok" in estimated["status"].tolist()
+    xyz = ("force_x_n", "force_y_n", "force_z_n")
+    np.testing.assert_array_equal(columns_of(rows, *xyz), estimated["force_n"])
+    for name in ("frame", "time_s", "patch_area_m2", "residual_rms_m", "kkt_residual"):
+        np.testing.assert_array_equal(columns_of(rows, name)[:, 0], estimated[name])
+    size = np.linalg.norm(estimated["force_n"], axis=1)
+    np.testing.assert_allclose(columns_of(rows, "force_magnitude_n")[:, 0], size)
+    assert columns_of(rows, "iterations")[PRESSED, 0] > 0
+
+
+def test_parquet_has_the_columns_of_the_csv(folder: Path) -> None:
+    table = pyarrow.parquet.read_table(folder / "all.of it.parquet")
+    rows = rows_of(folder / "all.of it.csv")
+    assert table.column_names == list(rows[0])
+    assert [str(table.schema.field(name).type) for name in ("frame", "status", "force_x_n")] == [
+        "int64",
+        "string",
+        "double",
+    ]
+    for name in table.column_names:
+        told = table.column(name).to_pylist()
+        assert [str(value) for value in told] == [row[name] for row in rows]
+
+
+def test_a_range_of_frames_and_a_name_with_a_suffix(
+    tmp_path: Path, press: Path, sensor: Path
+) -> None:
+    out = tmp_path / "my numbers.csv"
+    done = export(press, "--sensor", sensor, "--out", out, "--frames", "1:4:2", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["frames"] == 2
+    assert [row["frame"] for row in rows_of(out)] == ["1", "3"]
+
+
+def test_poses_are_joined_by_frame(tmp_path: Path, press: Path, sensor: Path) -> None:
+    poses = tmp_path / "poses.csv"
+    poses.write_text(
+        "frame,time_s,status,x_m,y_m,z_m,qx,qy,qz,qw,fitness,rmse_m,stage1_rmse_m,total_ms\n"
+        "2,0.1,ok,0.005,0,0.042,0,0,0,1,0.9,0.0002,0.0003,20\n"
+    )
+    out = tmp_path / "with.csv"
+    done = export(press, "--sensor", sensor, "--out", out, "--poses", poses, "--frames", "1:3")
+    assert done.exit_code == 0, done.output
+    before, posed = rows_of(out)
+    assert (posed["pose_status"], posed["pose_z_m"], posed["pose_qw"]) == ("ok", "0.042", "1.0")
+    assert (before["pose_status"], before["pose_z_m"]) == ("", "nan")
+
+
+def test_plots_by_suffix(tmp_path: Path, folder: Path, press: Path, sensor: Path) -> None:
+    with Image.open(folder / "all.of it.png") as picture:
+        assert np.asarray(picture).std() > 5.0
+    out = tmp_path / "plots.svg"
+    assert export(press, "--sensor", sensor, "--out", out).exit_code == 0
+    assert ElementTree.parse(out).getroot().tag.endswith("svg")
+
+
+# -- series ------------------------------------------------------------------------------------
+
+
+def test_paraview_series(folder: Path, estimated: Arrays) -> None:
+    reader = pyvista.PVDReader(folder / "all.of it.pvd")
+    np.testing.assert_array_equal(reader.time_values, estimated["time_s"])
+    for k in range(len(estimated["frame"])):
+        reader.set_active_time_point(k)
+        mesh: Any = reader.read()[0]
+        u = estimated["displacement_m"][k]
+        np.testing.assert_array_equal(mesh.point_data["displacement_m"], u)
+        moved = estimated["nodes_m"] + u[:, None] * estimated["normals"]
+        np.testing.assert_allclose(mesh.points, moved, atol=1e-12)
+        vector = mesh.point_data["displacement_vector_m"]
+        np.testing.assert_allclose(mesh.points - vector, estimated["nodes_m"], atol=1e-12)
+        pressure = mesh.point_data["contact_pressure_pa"]
+        np.testing.assert_array_equal(pressure, estimated["contact_pressure_pa"][k])
+        np.testing.assert_array_equal(mesh.point_data["patch"], estimated["patch_level"][k] > 0.0)
+        np.testing.assert_array_equal(mesh.regular_faces, estimated["triangles"])
+        assert mesh.field_data["TimeValue"][0] == estimated["time_s"][k]
+
+
+def test_the_other_index_names_the_same_files(folder: Path) -> None:
+    listed = json.loads((folder / "all.of it.vtp.series").read_text())["files"]
+    root = ElementTree.parse(folder / "all.of it.pvd").getroot()
+    assert [each["name"] for each in listed] == [each.get("file") for each in root.iter("DataSet")]
+    assert all((folder / each["name"]).is_file() for each in listed)
+
+
+def test_ply_of_the_membrane(folder: Path, estimated: Arrays) -> None:
+    path = folder / f"all.of it_membrane_{PRESSED:06d}.ply"
+    mesh = open3d.t.io.read_triangle_mesh(str(path))
+    u = estimated["displacement_m"][PRESSED]
+    moved = estimated["nodes_m"] + u[:, None] * estimated["normals"]
+    np.testing.assert_allclose(mesh.vertex.positions.numpy(), moved, atol=1e-7)
+    np.testing.assert_array_equal(mesh.triangle.indices.numpy(), estimated["triangles"])
+    body = path.read_bytes().split(b"end_header\n")[1]  # Open3D leaves other values out
+    vertices = np.frombuffer(body, "<f8", 5 * len(u)).reshape(-1, 5)
+    pressure = estimated["contact_pressure_pa"][PRESSED]
+    np.testing.assert_array_equal(vertices[:, 3:], np.stack([u, pressure], axis=1))
+
+
+def test_patch_clouds_are_the_measured_points_in_the_patch(
+    folder: Path, press: Path, estimated: Arrays
+) -> None:
+    cloud = open3d.t.io.read_point_cloud(str(folder / f"all.of it_patch_{PRESSED:06d}.ply"))
+    points = cloud.point.positions.numpy()
+    with Recording(press) as recording:
+        valid = np.isfinite(recording[PRESSED].depth_m)
+    assert len(points) == (estimated["patch_mask"][PRESSED] & valid).sum() > 10
+    assert np.abs(points[:, 2] - 0.042).max() < 2e-3  # on the cylinder's flat end
+    assert np.hypot(points[:, 0] - 0.005, points[:, 1]).max() < 0.03
+    pressure = cloud.point.contact_pressure_pa.numpy().ravel()
+    highest = estimated["contact_pressure_pa"][PRESSED].max()
+    assert 0.0 < pressure.max() <= highest
+    assert np.median(pressure) > 1000.0  # about the gas pressure, 2.6 kPa
+    nothing = (folder / "all.of it_patch_000000.ply").read_bytes()
+    assert b"element vertex 0\n" in nothing
+
+
+def test_pictures(folder: Path, press: Path, estimated: Arrays) -> None:
+    depth = np.asarray(Image.open(folder / f"all.of it_depth_{PRESSED:06d}.png"))
+    pressure = np.asarray(Image.open(folder / f"all.of it_pressure_{PRESSED:06d}.png"))
+    assert depth.shape == pressure.shape == (43, 56, 3)
+    patch = estimated["patch_mask"][PRESSED]
+    bright = pressure.astype(int).sum(axis=2)
+    assert bright[patch].mean() > bright[~patch].mean() + 50.0
+    said = json.loads((folder / "all.of it_pressure.json").read_text())
+    assert said["quantity"] == "contact_pressure_pa"
+    assert said["darkest"] == 0.0
+    with Recording(press) as recording:
+        frame = recording[PRESSED].depth_m
+    said = json.loads((folder / "all.of it_depth.json").read_text())
+    assert said["darkest"] < np.nanmedian(frame) < said["brightest"]
+
+
+def test_every_frame_has_its_files(folder: Path) -> None:
+    for kind in ("", "_membrane", "_patch", "_depth", "_pressure"):
+        numbers = [path.stem[-6:] for path in sorted(folder.glob(f"all.of it{kind}_[0-9]*.*"))]
+        assert numbers == [f"{k:06d}" for k in range(5)]
+
+
+# -- what is not needed does not run -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("what", "stages"),
+    [
+        ("depth", set()),
+        ("ply", {"estimate"}),
+        ("pressure", {"estimate"}),
+        ("vtk", {"estimate", "patch"}),
+        ("patch", {"estimate", "patch", "pixel_mask", "cloud"}),
+        ("depth,table", {"estimate", "patch"}),
+    ],
+)
+def test_only_the_stages_needed_run(
+    what: str, stages: set[str], tmp_path: Path, press: Path, sensor: Path
+) -> None:
+    words = ["--out", tmp_path / "x", "--what", what, "--frames", "2:4", "--json"]
+    done = export(press, "--sensor", sensor, *words)
+    ran = json.loads(done.stdout)["stages"]
+    assert set(ran) - {"total"} == stages
+    assert set(ran.values()) == {2}
+
+
+def test_depth_pictures_load_no_solver(tmp_path: Path, press: Path, sensor: Path) -> None:
+    words = [str(press), "--sensor", str(sensor), "--out", str(tmp_path / "d"), "--what", "depth"]
+    code = (
+        "import sys; from bubbleviz.cli import main\n"
+        f"main({['export', *words]!r}, standalone_mode=False)\n"
+        "print([m for m in ('open3d', 'osqp', 'clarabel', 'pyarrow', 'pyvista', 'PySide6')"
+        " if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.rstrip().endswith("[]")
+
+
+# -- whole or not at all -----------------------------------------------------------------------
+
+
+def test_nothing_is_left_of_a_cancelled_export(tmp_path: Path, press: Path, sensor: Path) -> None:
+    def stop(step: str, done: float) -> None:
+        if done > 0.5:
+            assert list(tmp_path.iterdir())  # there was something to leave
+            raise Cancelled
+
+    plan = ExportPlan.of(tmp_path / "x", ["vtk", "table"])
+    with pytest.raises(Cancelled):
+        export_recording(press, sensor, plan, progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_left_when_a_frame_cannot_be_read(
+    tmp_path: Path, sensor: Path, press: Path
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    raw = bytearray(press.read_bytes())
+    middle = len(raw) // 2
+    raw[middle : middle + 2000] = bytes(2000)
+    cut.write_bytes(raw)
+    done = export(cut, "--sensor", sensor, "--out", tmp_path / "x", "--what", "vtk,table")
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    assert "cut.mcap" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("out", "more", "words"),
+    [
+        ("there", ["--what", "vtk"], "exists already"),
+        ("x", [], "what to export?"),
+        ("x", ["--what", "vtk,stl"], '"stl": unknown; choose of table'),
+        ("x.csv", ["--what", "vtk"], "a .csv file holds table, not vtk"),
+        ("x.pvd", [], "a series is a folder"),
+        ("x.mp4", [], "by the window"),
+        ("x.csv", ["--frames", "3:1"], "choose A below B"),
+        ("x.csv", ["--frames", "0:99"], "outside its 5 frames"),
+        ("x.csv", ["--kappa", "nan"], "--kappa nan"),
+        ("x.csv", ["--solver", "magic"], "magic"),
+        ("x.csv", ["--poses", "nope.csv"], "nope.csv"),
+        ("no/x.csv", [], "does not exist"),
+    ],
+)
+def test_wrong_words_are_one_line_and_exit_code_2(
+    out: str, more: list[str], words: str, tmp_path: Path, press: Path, sensor: Path
+) -> None:
+    (tmp_path / "there").mkdir()
+    done = export(press, "--sensor", sensor, "--out", tmp_path / out, *more)
+    assert done.exit_code == 2, done.output
+    assert done.stderr.count("\n") == 1
+    assert words.lower() in done.stderr.lower()
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_parquet_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # what a missing module looks like
+    with pytest.raises(InputError, match=r"pip install .bubbleviz\[parquet\]"):
+        ExportPlan.of(tmp_path / "x.parquet")

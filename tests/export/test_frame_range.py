@@ -1,0 +1,40 @@
+"""Frame ranges against Python's own slices."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bubbleviz.errors import InputError
+from bubbleviz.estimate import parse_frames
+
+bound = st.none() | st.integers(0, 40)
+
+
+@given(bound, bound, st.none() | st.integers(0, 9), st.integers(1, 30), st.booleans())
+def test_as_a_slice_or_one_sentence(
+    start: int | None, stop: int | None, step: int | None, count: int, spaced: bool
+) -> None:
+    space = " " if spaced else ""
+    parts = ["" if part is None else str(part) for part in (start, stop)]
+    parts += [] if step is None else [str(step)]
+    text = f"{space}:{space}".join(parts)
+    try:
+        chosen = parse_frames(text, count, "rec")
+    except InputError as error:
+        beyond = (start or 0) >= count or (stop or 0) > count
+        empty = stop is not None and (start or 0) >= stop
+        assert beyond or empty or step == 0
+        assert "--frames" in str(error)
+        assert "\n" not in str(error)
+    else:
+        assert list(chosen) == list(range(count))[slice(start, stop, step)] != []
+
+
+@given(st.text(max_size=12), st.integers(1, 30))
+def test_any_text_is_frames_of_the_recording_or_one_sentence(text: str, count: int) -> None:
+    try:
+        chosen = parse_frames(text, count, "rec")
+    except InputError:
+        return
+    assert 0 <= chosen[0] <= chosen[-1] < count

@@ -1,0 +1,65 @@
+"""MP4 files, read back by ffmpeg."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.export.video import open_mp4, write_mp4
+
+
+def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
+    """Grey pictures with a bright bar that moves down."""
+    for k in range(count):
+        picture = np.full((height, width, 3), 60, np.uint8)
+        picture[8 * k : 8 * (k + 1)] = (220, 40, 40)
+        yield picture
+
+
+@pytest.mark.parametrize("size", [(64, 96), (65, 97)])
+def test_frames_come_back(size: tuple[int, int], tmp_path: Path) -> None:
+    path = tmp_path / "view.mp4"
+    write_mp4(path, pictures(8, *size), fps=12.5)
+    reader = imageio_ffmpeg.read_frames(str(path))
+    facts = next(reader)
+    width, height = facts["size"]
+    assert (height, width) == (64 if size[0] == 64 else 66, 96 if size[1] == 96 else 98)
+    assert facts["fps"] == pytest.approx(12.5)
+    assert facts["codec"] == "h264"
+    assert "yuv420p" in facts["pix_fmt"]
+    shown = [np.frombuffer(raw, np.uint8).reshape(height, width, 3) for raw in reader]
+    assert len(shown) == 8
+    for k, picture in enumerate(shown):
+        red = picture[..., 0].astype(float).mean(axis=1)
+        assert int(np.argmax(red[:64])) // 8 == k
+        assert red[8 * k + 4] == pytest.approx(220, abs=20)
+
+
+def test_nothing_is_left_without_an_end(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), open_mp4(tmp_path / "a.mp4", 30.0) as writer:
+        for picture in pictures(3, 64, 64):
+            writer.add(picture)
+        raise KeyboardInterrupt
+    with pytest.raises(InputError, match="no picture"):
+        write_mp4(tmp_path / "b.mp4", [], 30.0)
+    with pytest.raises(InputError, match="32×64 pixels, the first 64×64"):
+        write_mp4(tmp_path / "c.mp4", [*pictures(1, 64, 64), *pictures(1, 64, 32)], 30.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_refusals_before_the_work(tmp_path: Path) -> None:
+    there = tmp_path / "there.mp4"
+    there.write_text("mine")
+    never: Iterator[np.ndarray] = iter(())
+    with pytest.raises(InputError, match="exists already"):
+        write_mp4(there, never, 30.0)
+    with pytest.raises(InputError, match=r"ends in \.mp4"):
+        write_mp4(tmp_path / "x.avi", never, 30.0)
+    with pytest.raises(InputError, match="pictures a second"):
+        write_mp4(tmp_path / "x.mp4", never, float("nan"))
+    assert there.read_text() == "mine"

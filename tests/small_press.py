@@ -1,0 +1,47 @@
+"""A small sensor and short recordings of a cylinder pressed into it, quick to solve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bubbleviz.frames.noise import DepthNoise
+from bubbleviz.frames.synthetic import SyntheticSource
+from bubbleviz.objects import load_object
+from bubbleviz.posefile import parse_pose
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.simulate import write_simulation
+
+HEIGHTS = (0.060, 0.044, 0.042, 0.042, 0.060)
+"""Of the cylinder's flat end above the rim: clear of the dome (50 mm), pressed in, and clear."""
+
+
+def write_small_sensor(path: Path) -> Path:
+    """The pico flexx preset with a coarse mesh and a quarter of the pixels a side."""
+    sensor = load_sensor("pico_flexx_75mm")
+    own = sensor.camera
+    camera = {"width": 56, "height": 43, "fx": own.fx / 4, "fy": own.fy / 4, "cx": 27.5, "cy": 21.0}
+    small = sensor.model_copy(
+        update={
+            "membrane": sensor.membrane.model_copy(update={"nodes": 200}),
+            "camera": own.model_copy(update=camera),
+        }
+    )
+    path.write_text(sensor_to_toml(small), encoding="utf-8")
+    return path
+
+
+def small_source(
+    sensor: Path, heights: tuple[float, ...] = HEIGHTS, seed: int = 0
+) -> SyntheticSource:
+    """The presses as a source, with the truth behind them."""
+    poses = [parse_pose(f"0.005 0 {height} 0 0 0 1") for height in heights]
+    noise = DepthNoise(relative=0.002)
+    return SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, noise, seed=seed)  # type: ignore[arg-type]
+
+
+def write_press(
+    path: Path, sensor: Path, heights: tuple[float, ...] = HEIGHTS, seed: int = 0
+) -> Path:
+    """A recording of the presses."""
+    write_simulation(small_source(sensor, heights, seed), path)
+    return path
