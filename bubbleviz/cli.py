@@ -341,6 +341,7 @@ def _zenoh_place(option: str, listen: str | None, connect: str | None) -> Any:
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="RESULT.npz.")
 @click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="RESULT.csv.")
+@click.option("--zero-gas", is_flag=True, help="Zero the gas pressure on the first rest.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def estimate(
     recording: Path,
@@ -350,13 +351,21 @@ def estimate(
     frames: str | None,
     out: Path,
     csv_file: Path | None,
+    zero_gas: bool,
     as_json: bool,
 ) -> None:
     """Contact pressure, patch and force of every frame of a recording."""
     from bubbleviz.estimate import estimate_recording
 
     summary = estimate_recording(
-        recording, sensor, out, csv_file, kappa=kappa, solver=solver, frames=frames
+        recording,
+        sensor,
+        out,
+        csv_file,
+        kappa=kappa,
+        solver=solver,
+        frames=frames,
+        zero_gas=zero_gas,
     )
     click.echo(summary.to_json() if as_json else summary.to_text())
 

@@ -20,6 +20,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.matching import check_fits
 from bubbleviz.outputs import refuse_existing, whole_file
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pressure_zero import PressureZero, zero_of
 from bubbleviz.results import UNKNOWN, CsvWriter, ResultWriter
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
@@ -99,6 +100,7 @@ def estimate_recording(
     kappa: float | None = None,
     solver: str | None = None,
     frames: str | None = None,
+    zero_gas: bool = False,
 ) -> EstimateSummary:
     """Solve the frames of a recording and write RESULT.npz, and RESULT.csv where asked for.
 
@@ -112,6 +114,8 @@ def estimate_recording(
     solver : str, optional
     frames : str, optional
         As in `parse_frames`.
+    zero_gas : bool
+        Shift the measured gas pressure so that the recording's first rest is the sensor file's.
 
     Raises
     ------
@@ -134,7 +138,10 @@ def estimate_recording(
             "version": bubbleviz.__version__,
             "solver": solver or pipeline.estimator.solver_name,
         }
-        rows = _solve(source, chosen, pipeline, out, csv, made_by)
+        zero = _zero(source, pipeline) if zero_gas else None
+        if zero is not None:
+            made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
+        rows = _solve(source, chosen, pipeline, out, csv, made_by, zero)
     return EstimateSummary(
         recording=str(recording),
         sensor=str(sensor_name),
@@ -186,6 +193,11 @@ def _check_arguments(out: Path, csv: Path | None, kappa: float | None) -> None:
         raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
 
 
+def _zero(source: Recording, pipeline: Pipeline) -> PressureZero:
+    """Of the whole recording, whatever frames are solved."""
+    return zero_of((source[k] for k in range(len(source))), pipeline, str(source.path))
+
+
 def _solve(
     source: Recording,
     chosen: range,
@@ -193,6 +205,7 @@ def _solve(
     out: Path,
     csv: Path | None,
     made_by: dict[str, str],
+    zero: PressureZero | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of the frames, once both files are written."""
     from tqdm import tqdm
@@ -206,7 +219,7 @@ def _solve(
         writer = stack.enter_context(ResultWriter(archive, pipeline.mesh, len(chosen), shape))
         lines = stack.enter_context(CsvWriter(table)) if table else None
         for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
-            frame = source[index]
+            frame = source[index] if zero is None else zero.applied(source[index])
             seen = seen or has_returns(frame.depth_m)
             row = writer.add(pipeline.process(frame, PRODUCTS))
             if lines:

@@ -14,6 +14,14 @@ from bubbleviz.live.topics import TopicNames
 from bubbleviz.live.uri import SourceUri, parse_uri
 from bubbleviz.sensor import Sensor
 
+FIRST_MESSAGE_S = 10.0
+SIMULATED_S = 120.0
+
+
+def patience_s(text: str) -> float:
+    """How long the first message of a source may take, s: all of a simulation is made before it."""
+    return SIMULATED_S if text.startswith("synthetic:") else FIRST_MESSAGE_S
+
 
 def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStream:
     """Stream of a source, not started yet.

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.errors import InputError
-from bubbleviz.live.opening import open_stream
+from bubbleviz.live.opening import open_stream, patience_s
 from bubbleviz.live.recorder import Recorder, RecorderStatus
 from bubbleviz.live.signals import stopped_by_signals
 from bubbleviz.live.stream import LiveStream
 from bubbleviz.sensor import Sensor
 
-FIRST_MESSAGE_S = 10.0
-"""With a duration given, how much longer than that the first message may take."""
 _LOOK_S = 0.1
 
 
@@ -101,7 +99,7 @@ def record_source(
         with stopped_by_signals() as stop:
             try:
                 stream.start()
-                first = _wait(stream, recorder, stop, duration_s)
+                first = _wait(stream, recorder, stop, duration_s, patience_s(source))
             finally:
                 stream.stop()
     finally:
@@ -122,7 +120,11 @@ def record_source(
 
 
 def _wait(
-    stream: LiveStream, recorder: Recorder, stop: threading.Event, duration_s: float | None
+    stream: LiveStream,
+    recorder: Recorder,
+    stop: threading.Event,
+    duration_s: float | None,
+    patience: float,
 ) -> float | None:
     """Until it is over; when the first message came, of `time.monotonic`."""
     from tqdm import tqdm
@@ -145,7 +147,7 @@ def _wait(
                 continue
             if now - (first or now) >= duration_s:
                 return first
-            if first is None and now - began > duration_s + FIRST_MESSAGE_S:
+            if first is None and now - began > patience:
                 return None
     return first
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bubbleviz.live.opening import open_stream
-from bubbleviz.live.pressure_zero import PressureZero, rest_pressure_pa
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.session_file import SensorPlace, SessionPreset
 from bubbleviz.live.stream import LiveStream
+from bubbleviz.pressure_zero import PressureZero, rest_pressure_pa
 from bubbleviz.sensor import Sensor, load_sensor
 
 

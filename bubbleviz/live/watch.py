@@ -7,7 +7,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,7 @@ from bubbleviz.frames.topics import RESULTS
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.live.latency import LatencyMeter
 from bubbleviz.live.message import RawMessage
-from bubbleviz.live.opening import open_stream
-from bubbleviz.live.pressure_zero import PressureZero, rest_pressure_pa
+from bubbleviz.live.opening import open_stream, patience_s
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.results import ResultMessages
 from bubbleviz.live.signals import stopped_by_signals
@@ -29,11 +28,11 @@ from bubbleviz.live.stream import LiveStream
 from bubbleviz.live.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.zenoh_session import SessionOptions
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pressure_zero import PressureZero, rest_pressure_pa, untouched
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
-FIRST_FRAME_S = 10.0
 CAMERA_S = 0.5
 """How long the first frames may come without camera info before the sensor file's counts."""
 DIAGNOSTICS_S = 1.0
@@ -141,11 +140,7 @@ class Watcher:
         if self.zero is None:
             return frame
         if self.zero.waiting and frame.gas_pressure_pa is not None:
-            unmeasured = self.pipeline.process(
-                replace(frame, gas_pressure_pa=None), frozenset({"estimate"})
-            )
-            assert unmeasured.estimate is not None
-            free = unmeasured.estimate.status == "no_contact"
+            free = untouched(frame, self.pipeline)
             self.zero.learn(frame.gas_pressure_pa, contact_free=free)
         return self.zero.applied(frame)
 
@@ -164,7 +159,7 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
         recorder = _recorder(stack, stream, options.out)
         publisher = _publisher(stack, options.publish)
         stack.enter_context(stream)
-        first = _first_frame(stream, stop)
+        first = _first_frame(stream, stop, patience_s(source))
         if first is None:
             raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
         named = EstimatorOptions.named(options.solver)
@@ -231,21 +226,19 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
     )
 
 
-def _first_frame(stream: LiveStream, stop: Any) -> Frame | None:
+def _first_frame(stream: LiveStream, stop: Any, patience: float) -> Frame | None:
     """A frame with camera info, or without where none comes."""
-    deadline: float | None = None
     began, frame = time.monotonic(), None
-    while not stop.is_set():
+    deadline: float | None = None
+    while not stop.is_set() and stream.source.link() != "ended":
         frame = stream.take(0.1) or frame
         now = time.monotonic()
-        if frame is not None:
-            deadline = deadline or now + CAMERA_S
-            if frame.intrinsics is not None or now > deadline:
-                return frame
-        waiting = stream.source.link() == "connecting" and bool(stream.topics()) is False
-        if stream.source.link() == "ended" or (now - began > FIRST_FRAME_S and not waiting):
-            return frame
-        if now - began > 6.0 * FIRST_FRAME_S:
+        if frame is None:
+            if now - began > patience:
+                return None
+            continue
+        deadline = deadline or now + CAMERA_S
+        if frame.intrinsics is not None or now > deadline:
             return frame
     return frame
 

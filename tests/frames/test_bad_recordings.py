@@ -154,6 +154,9 @@ def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path: Path) ->
     assert found[0] == 0
     assert found[-1] == 30
     assert len(set(found)) == 6
+    path.write_bytes(whole[: size - 1])
+    lost = float(recording_info(path).note.split("whole chunk; ")[1].split()[0]) * 1e3
+    assert 0.0 < lost < 10_000.0  # the index, no images
 
 
 @pytest.mark.parametrize("kind", ["mcap file", "mcap folder", "db3 file", "bag none", "bag bz2"])

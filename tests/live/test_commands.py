@@ -139,8 +139,7 @@ def test_bad_sources_are_one_line_and_leave_no_file(tmp_path: Path, source: str,
 def test_nothing_arrived_is_said_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bubbleviz.live.record.FIRST_MESSAGE_S", 0.2)
-    monkeypatch.setattr("bubbleviz.live.watch.FIRST_FRAME_S", 0.05)
+    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
     done = run("record", "--source", source, "--out", str(out), "--duration", "0.1")
     assert done.exit_code == 2

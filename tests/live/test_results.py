@@ -5,18 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from wire import CLOUD, STORE, WRENCH
 
+from bubbleviz.errors import InputError
+from bubbleviz.estimate import estimate_recording
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.frames.synthetic import SyntheticSource, default_path
+from bubbleviz.frames.writer import RecordingWriter
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.message import RawMessage
-from bubbleviz.live.pressure_zero import ENOUGH, PressureZero, rest_pressure_pa
 from bubbleviz.live.results import DIAGNOSTICS, POSE, ResultMessages
 from bubbleviz.live.soak import free_port
 from bubbleviz.live.status import Status, status_of
@@ -27,6 +30,7 @@ from bubbleviz.live.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.zenoh_session import SessionOptions, open_session
 from bubbleviz.objects import load_object
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.pressure_zero import ENOUGH, PressureZero, rest_pressure_pa
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 
@@ -65,7 +69,19 @@ def test_patch_and_force_are_what_was_estimated(pipeline: Pipeline, pressed: Res
     patch, estimate = pressed.patch, pressed.estimate
     assert patch is not None
     assert estimate is not None
-    rows = cloud.data.view("<f4").reshape(cloud.width, 4)  # type: ignore[attr-defined]
+    layout = {f.name: (np.dtype("<f4"), f.offset) for f in cloud.fields}  # type: ignore[attr-defined]
+    table = cloud.data.view(
+        np.dtype(
+            {  # type: ignore[attr-defined]
+                "names": list(layout),
+                "formats": [kind for kind, _ in layout.values()],
+                "offsets": [offset for _, offset in layout.values()],
+                "itemsize": cloud.point_step,  # type: ignore[attr-defined]
+            }
+        )
+    )
+    rows = np.stack([table[name] for name in ("x", "y", "z", "pressure")], axis=1)
+    assert cloud.width * cloud.height == len(rows)  # type: ignore[attr-defined]
     inside = patch.node_mask
     assert len(rows) == inside.sum() > 3
     np.testing.assert_allclose(
@@ -236,6 +252,43 @@ def test_weather_is_not_contact(small_sensor: Sensor) -> None:
     assert worst[True]["ok"] > 10
     assert worst[True]["no_contact"] > 5
     assert worst[False].get("implausible", 0) > 20
+
+
+def test_a_recording_is_zeroed_only_when_asked(
+    small_sensor: Sensor, small_sensor_file: Path, tmp_path: Path
+) -> None:
+    """A recording of a day with 800 Pa less: `estimate` believes it, `--zero-gas` does not."""
+    path, source = tmp_path / "rec.mcap", press(small_sensor, 200)
+    with RecordingWriter(path) as writer:
+        for k in (*range(20), *range(80, 90)):
+            frame = source[k]
+            assert frame.gas_pressure_pa is not None
+            writer.write(replace(frame, gas_pressure_pa=frame.gas_pressure_pa - 800.0))
+    with pytest.raises(InputError, match="no frame asked for looks like"):
+        estimate_recording(path, small_sensor_file, tmp_path / "plain.npz")
+    summary = estimate_recording(
+        path, small_sensor_file, tmp_path / "zeroed.npz", zero_gas=True, frames="18:"
+    )
+    assert summary.status == {"no_contact": 2, "ok": 10}
+    with np.load(tmp_path / "zeroed.npz") as arrays:
+        assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
+
+
+def test_a_zero_that_cannot_be_is_refused(
+    small_sensor_file: Path, small_sensor: Sensor, tmp_path: Path
+) -> None:
+    source = press(small_sensor, 60)
+    for name, pressure, says in (
+        ("none", None, "no gas pressure was recorded"),
+        ("short", 103_910.5, "no 15 contact-free frames in a row"),
+    ):
+        path = tmp_path / f"{name}.mcap"
+        with RecordingWriter(path) as writer:
+            for k in range(3):
+                writer.write(replace(source[k], gas_pressure_pa=pressure))
+        with pytest.raises(InputError, match=says):
+            estimate_recording(path, small_sensor_file, tmp_path / "r.npz", zero_gas=True)
+        assert not (tmp_path / "r.npz").exists()
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import zenoh
 from mcap.reader import make_reader
-from robot import KEYS, TOKENS, open_session
+from robot import KEYS, TOKENS, attachment, open_session
 from wire import HEIGHT, IMAGE, WIDTH, image, number_of
 
 from bubbleviz.errors import InputError
@@ -200,6 +200,19 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor) -> None:
             token.undeclare()
 
 
+def test_what_a_publisher_counted_and_never_arrived_is_missed(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    port = free_port()
+    key = KEYS["rmw"]["/cam/depth"]
+    with open_session(str(port)) as node, stream_of(port, small_sensor, "?depth=/cam/depth") as s:
+        eventually(lambda: (node.put(key, b"", attachment=attachment(1)), s.counters().received)[1])
+        for sequence in (2, 3, 6, 7, 7, 10):
+            node.put(key, image(time.time_ns()), attachment=attachment(sequence))
+        eventually(lambda: s.counters().frames >= 5)
+        assert s.counters().missed == 4
+
+
 def test_two_sensors_share_nothing(small_sensor: Sensor) -> None:
     ports = free_port(), free_port()
     with (
@@ -279,8 +292,6 @@ def test_our_keys_are_the_ones_robots_use() -> None:
 
 
 def test_attachments_of_old_and_new_robots() -> None:
-    from robot import attachment
-
     found = zenoh_keys.unpack_attachment(attachment(77))
     assert found is not None
     assert (found.sequence, found.publisher) == (77, bytes(range(16)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
+from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 
 ENOUGH = 15
@@ -75,3 +78,31 @@ class PressureZero:
 def rest_pressure_pa(sensor: Sensor) -> float:
     """Absolute gas pressure of the untouched bubble by the sensor file, Pa."""
     return sensor.pneumatics.atmospheric_pressure_pa + sensor.pneumatics.gauge_pressure_pa
+
+
+def untouched(frame: Frame, pipeline: Pipeline) -> bool:
+    """Whether a frame's depth image alone, without the gas pressure, says that nothing touches."""
+    unmeasured = replace(frame, gas_pressure_pa=None)
+    estimate = pipeline.process(unmeasured, frozenset({"estimate"})).estimate
+    return estimate is not None and estimate.status == "no_contact"
+
+
+def zero_of(frames: Iterable[Frame], pipeline: Pipeline, name: str) -> PressureZero:
+    """Zero of a recording, from its first rest.
+
+    Raises
+    ------
+    InputError
+        It has no gas pressure, or no rest that is long enough.
+    """
+    zero = PressureZero(rest_pressure_pa(pipeline.sensor))
+    for frame in frames:
+        if frame.gas_pressure_pa is None:
+            raise InputError(f"{name}: no gas pressure was recorded; leave --zero-gas out")
+        zero.learn(frame.gas_pressure_pa, contact_free=untouched(frame, pipeline))
+        if not zero.waiting:
+            return zero
+    raise InputError(
+        f"{name}: no {ENOUGH} contact-free frames in a row to take the gas pressure's zero from; "
+        "leave --zero-gas out, or record with a rest at the start"
+    )
