@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -105,6 +106,7 @@ def _run(job: Job) -> Row:
 
 def _estimated(job: Job, sensor_name: str, key: str) -> Row:
     from bubbleviz.estimate import estimate_recording
+    from bubbleviz.frames.bags import Bag
     from bubbleviz.outputs import whole_file
 
     asked, out = job.settings, Path(job.out)
@@ -120,7 +122,8 @@ def _estimated(job: Job, sensor_name: str, key: str) -> Row:
             solver=asked.solver,
             frames=asked.frames,
         )
-        row = Row.of_result(job.name, sensor_name, folder / RESULT)
+        with closing(Bag(job.recording)) as bag:
+            row = Row.of_result(job.name, sensor_name, folder / RESULT, bag.note)
         said = f'{{"key": "{key}", "row": {row.to_json()}}}\n'
         (folder / SUMMARY).write_text(said, encoding="utf-8")
     return row

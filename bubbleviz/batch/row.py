@@ -42,6 +42,8 @@ class Row:
     sensor : str
     error : str
         One sentence; empty when there is a result.
+    note : str
+        What is missing of the recording, such as its end; empty when it is whole.
     """
 
     recording: str
@@ -58,6 +60,7 @@ class Row:
     worst_residual_rms_m: float = NAN
     sensor: str = ""
     error: str = ""
+    note: str = ""
 
     @property
     def has_result(self) -> bool:
@@ -65,12 +68,12 @@ class Row:
         return self.outcome in ("done", "kept")
 
     @classmethod
-    def of_result(cls, recording: str, sensor: str, path: Path) -> Row:
+    def of_result(cls, recording: str, sensor: str, path: Path, note: str = "") -> Row:
         """Row from a RESULT.npz."""
         keys = ("frame", "status", "force_n", "patch_area_m2", "residual_rms_m", "total_ms")
         with np.load(path) as file:
             columns = {key: file[key] for key in keys}
-        return cls(recording, "done", sensor=sensor, **_statistics(**columns))
+        return cls(recording, "done", sensor=sensor, note=note, **_statistics(**columns))
 
     def to_json(self) -> str:
         """JSON object; NaN becomes null."""

@@ -58,6 +58,7 @@ class BatchSummary:
             [
                 table(_HEADER, [_cells(row) for row in self.rows]),
                 *(row.error for row in self.rows if not row.has_result),
+                *(f"{row.recording}: {row.note}" for row in self.rows if row.note),
                 f"wrote {self.table}: {have} of {len(self.rows)} recordings have a result{was}",
             ]
         )

@@ -22,6 +22,7 @@ from bubbleviz.batch.find import find_recordings
 from bubbleviz.batch.job import Job, Settings, run_job
 from bubbleviz.batch.processes import run_in_processes
 from bubbleviz.batch.row import Row
+from bubbleviz.batch.summary import BatchSummary
 from bubbleviz.errors import InputError
 from bubbleviz.estimate import estimate_recording
 
@@ -107,6 +108,18 @@ def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path:
     assert done.returncode == 0, done.stderr
     told = {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
     assert told == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
+
+
+def test_a_recording_that_ends_early_says_so(
+    recordings: Path, sensor: Path, tmp_path: Path
+) -> None:
+    cut = recordings / "cut.mcap"
+    cut.write_bytes((recordings / "a.mcap").read_bytes()[:-40])
+    row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), Settings(str(sensor))))
+    assert row.outcome == "done"
+    assert "ends early" in row.note
+    told = BatchSummary("t", [row]).to_text()
+    assert "cut.mcap: cut.mcap ends early" in told
 
 
 def test_numbers_are_those_of_the_command_estimate(
