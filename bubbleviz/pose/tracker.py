@@ -56,13 +56,7 @@ class PoseTracker:
     ) -> None:
         check_size(obj, estimator.mesh)
         self.model = ObjectModel(obj)
-        observer = estimator.observer
-        Q, _ = NormalEquations(estimator.mesh).assemble(
-            observer.observe_everything(), observer.linearise()
-        )
-        density = information_density(Q, estimator.mesh.areas[estimator.mesh.free])
-        registration = Registration(self.model, Precision(density, estimator.resolution_m))
-        self._solver = Solver(registration, estimator)
+        self._solver = Solver(Registration(self.model, precision_of(estimator)), estimator)
         self._finder = StartFinder(self.model)
         self._mesh = estimator.mesh
         self.reset(start)
@@ -146,3 +140,10 @@ class PoseTracker:
             return Pose(why, np.full((4, 4), np.nan))
         self._tried = max(self._tried, 1)
         return Pose("lost", self._good)
+
+
+def precision_of(estimator: Estimator) -> Precision:
+    """How precisely a sensor's estimator knows where the membrane is."""
+    mesh, observer = estimator.mesh, estimator.observer
+    Q, _ = NormalEquations(mesh).assemble(observer.observe_everything(), observer.linearise())
+    return Precision(information_density(Q, mesh.areas[mesh.free]), estimator.resolution_m)

@@ -15,7 +15,7 @@ DEPTH_OF_SWEEP_M = 0.015
 
 @click.group()
 def study() -> None:
-    """Measure error against run time, speed and stability."""
+    """Measure error against run time, speed, stability and pose."""
 
 
 def _common(function: Callable[..., None]) -> Callable[..., None]:
@@ -139,6 +139,34 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
         click.echo(f"{found['cases']} cases: {counts}")
     if out is not None:
         _name([out / "stability.json", out / "stability.csv"], as_json)
+
+
+@study.command()
+@_common
+@click.option("--sensor", default=SENSOR, show_default=True, help="Sensor file or preset.")
+@click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
+def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
+    """Pose error against run time: stage one, both stages, other libraries, the whole cloud."""
+    from dataclasses import replace
+
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz.study import pose_report
+    from bubbleviz.study.pose import PoseGrid, quick_pose_grid, run_pose_study
+    from bubbleviz.study.pose_screw import run_screw, screw_source
+    from bubbleviz.study.report import out_folder, to_json
+
+    own = load_sensor(sensor)
+    grid = replace(quick_pose_grid() if quick else PoseGrid(), seed=seed)
+    if out is not None:
+        pose_report.check_free(out_folder(out))
+    with _progress(grid.poses * len(grid.objects), "press") as bar:
+        trials = run_pose_study(own, grid, lambda _: bar.update())
+    nut = screw_source(own, nodes=grid.truth_nodes) if quick else screw_source(own)
+    screws = [run_screw(own, nut, blanked=blanked) for blanked in (False, True)]
+    found = pose_report.PoseReport(trials, screws)
+    written = pose_report.write(found, out) if out is not None else []
+    click.echo(to_json(pose_report.as_dict(found)) if as_json else pose_report.to_text(found))
+    _name(written, as_json)
 
 
 def _progress(total: int, unit: str) -> Any:
