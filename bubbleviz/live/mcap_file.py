@@ -9,6 +9,7 @@ from typing import Any
 
 import bubbleviz
 from bubbleviz.errors import InputError
+from bubbleviz.frames.bags.cut_mcap import OUR_LIBRARY
 from bubbleviz.frames.messages import ros2_types
 from bubbleviz.live.message import RawMessage
 from bubbleviz.live.rosbag2_metadata import BagFacts, metadata_yaml
@@ -65,7 +66,7 @@ class McapFile:
         self._writer: Any = Writer(
             self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
         )
-        self._writer.start("ros2", f"bubbleviz {bubbleviz.__version__}")
+        self._writer.start("ros2", f"{OUR_LIBRARY} {bubbleviz.__version__}")
         self.sync()
         _sync_folder(self._file.parent)
 

@@ -16,11 +16,24 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
-from wire import IMAGE, NOW, PERIOD, camera_info, depth, gas, image, number_of
+from wire import (
+    HEIGHT,
+    IMAGE,
+    NOW,
+    PERIOD,
+    WIDTH,
+    arrived,
+    camera_info,
+    depth,
+    gas,
+    image,
+    number_of,
+)
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.info import recording_info
 from bubbleviz.frames.recording import Recording
+from bubbleviz.live.mcap_file import McapFile
 from bubbleviz.live.message import RawMessage
 from bubbleviz.live.recorder import MARKERS, Recorder
 
@@ -129,6 +142,41 @@ def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path: Path) -> N
     assert [entry.name for entry in tmp_path.iterdir()] == ["rec.mcap"]
     with pytest.raises(InputError, match="nothing is being recorded"):
         recorder.stop()
+
+
+def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
+    """Wherever it is cut: the frames before are the same, and there are never fewer than before."""
+    path, rng = tmp_path / "long.mcap", np.random.default_rng(0)
+    file = McapFile(path)
+    for k in range(30):
+        noise = rng.integers(1, 60_000, HEIGHT * WIDTH, dtype="<u2").view(np.uint8)
+        stamp = NOW + k * PERIOD
+        file.write(arrived("/cam/depth", IMAGE, image(stamp, data=noise), stamp))
+        if k % 7 == 6:
+            file.sync()
+    file.close()
+    whole, size = path.read_bytes(), path.stat().st_size
+    with Recording(path) as recording:
+        truth = [recording[k].depth_m for k in range(len(recording))]
+    found = []
+    for cut in (*np.linspace(0.05, 0.99, 40) * size, size - 1):
+        path.write_bytes(whole[: int(cut)])
+        try:
+            with Recording(path) as recording:
+                assert "ends early" in recording.bag.note
+                found.append(len(recording))
+                for k in range(len(recording)):
+                    np.testing.assert_array_equal(recording[k].depth_m, truth[k])
+        except InputError as error:
+            assert "was cut off" in str(error)
+            found.append(0)
+    assert found == sorted(found)
+    assert found[0] == 0
+    assert found[-1] == 30
+    assert len(set(found)) == 6
+    path.write_bytes(whole[: size - 1])
+    lost = float(recording_info(path).note.split("whole chunk; ")[1].split()[0]) * 1e3
+    assert 0.0 < lost < 10_000.0  # the index, no images
 
 
 STREAM = """

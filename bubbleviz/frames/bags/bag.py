@@ -13,7 +13,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
-from bubbleviz.frames.bags.cut_mcap import MAGIC, CutMcapReader
+from bubbleviz.frames.bags.cut_mcap import MAGIC, OUR_LIBRARY, CutMcapReader, library_of
 from bubbleviz.frames.bags.storage import Entries, Storage
 from bubbleviz.frames.decode import header_stamp_ns
 
@@ -100,8 +100,8 @@ class Bag:
             raise
         if not any(topic.count for topic in self.topics):
             self.close()
-            what = "is truncated before its first whole chunk" if self.note else "has no messages"
-            raise InputError(f"{self.path}: the recording {what}; copy or record it again")
+            what = "was cut off before anything was on the disk" if self.note else "has no messages"
+            raise InputError(f"{self.path}: the recording {what}; record it again")
 
     def close(self) -> None:
         """Let go of files."""
@@ -219,6 +219,9 @@ def _open_bare(file: Path) -> Any:
             f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
         )
     whole = file.suffix != ".mcap" or _is_whole_mcap(file)
+    if not whole and not library_of(file).startswith(OUR_LIBRARY):
+        # of a copy that is cut short the whole is somewhere: better than what is here
+        raise InputError(f"{file}: the MCAP file is truncated; copy it again or `mcap recover` it")
     reader = kinds[file.suffix](file) if whole else CutMcapReader(file)
     reader.open()
     return reader

@@ -1,4 +1,4 @@
-"""An MCAP file without its end: what a recorder that was killed, or a full disk, left behind."""
+"""An MCAP file without its end: what our recorder left behind when killed, or on a full disk."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from bubbleviz.frames.bags.chunks import LazyChunk
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE = 0x02, 0x03, 0x04, 0x05
 _CHUNK, _MESSAGE_INDEX, _DATA_END = 0x06, 0x07, 0x0F
+
+
+OUR_LIBRARY = "bubbleviz"
+"""What the header of a file names that our recorder wrote: chunk by chunk, each with its index."""
 
 
 class CutConnection(NamedTuple):
@@ -145,3 +149,15 @@ class CutMcapReader:
 def _string(record: bytes, offset: int) -> str:
     (length,) = struct.unpack_from("<I", record, offset)
     return record[offset + 4 : offset + 4 + length].decode()
+
+
+def library_of(path: Path) -> str:
+    """What wrote an MCAP file, by its header; empty where that cannot be read."""
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    try:
+        start = len(MAGIC) + 9
+        (profile,) = struct.unpack_from("<I", head, start)
+        return _string(head, start + 4 + profile)
+    except (struct.error, UnicodeDecodeError):
+        return ""
