@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,7 @@ def save(
         recording_sha256=None if path is None else file_hash(path),
         sensor_file=sensor_file,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
-        report=None if report is None else str(report / "report.html"),
+        report=None if report is None else _from(out.parent, report / "report.html"),
     )
     numbers = summary(found, origin, _by_wrench(source, found, progress), validation)
     progress("writing", 0.0)
@@ -82,6 +83,14 @@ def save(
                 each.unlink(missing_ok=True)  # none of them was there before
             raise
     return numbers
+
+
+def _from(folder: Path, path: Path) -> str:
+    """Path as seen from a folder, so that both can be moved together."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on another drive
+        return str(path)
 
 
 def _by_wrench(

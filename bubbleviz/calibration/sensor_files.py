@@ -31,7 +31,7 @@ class Origin:
     date : str
         ISO 8601, UTC.
     report : str or None
-        Path of the report, as given.
+        Path of the report, from the sensor file's folder.
     """
 
     recording: str
