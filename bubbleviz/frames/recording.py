@@ -15,8 +15,11 @@ from bubbleviz.frames.bags import Bag, Messages, Topic
 from bubbleviz.frames.bags.bag import damage
 from bubbleviz.frames.decode import decode_depth, pressure_of, wrench_of
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.series import Series
 from bubbleviz.frames.topics import (
+    CAMERA_INFO,
+    POINT_CLOUD,
     PRESSURE,
     WRENCH,
     find_depth,
@@ -56,7 +59,7 @@ class Recording:
     size : (int, int)
         Width and height of the depth images, pixels.
     encoding : str
-        Encoding of the depth images.
+        Encoding of the depth images; `points` where they are point clouds.
     intrinsics : Intrinsics or None
     depth_topic : Topic
 
@@ -81,7 +84,7 @@ class Recording:
         self.name = self.path.name or str(self.path)
         try:
             self.depth_topic = find_depth(self.bag, depth_topic)
-            self._open_images()
+            self._open_images(info_topic)
             self.intrinsics: Intrinsics | None = find_intrinsics(
                 self.bag, self.depth_topic, self.size, info_topic
             )
@@ -102,7 +105,7 @@ class Recording:
         index = int(index)
         with self._lock, damage(self.path, f"frame {index}"):
             k = int(self._order[index])
-            depth = decode_depth(self._images.message(k))
+            depth = self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
                 raise ValueError(
                     f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
@@ -154,13 +157,31 @@ class Recording:
         with self._lock, damage(self.path, "the gas pressure"):
             return np.array([series.values(k)[0] for k in range(len(series))])
 
-    def _open_images(self) -> None:
+    def _decoded(self, message: Any) -> np.ndarray:
+        if self.depth_topic.type == POINT_CLOUD:
+            return decode_cloud(message, self.intrinsics)
+        return decode_depth(message)
+
+    def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
+        """Width and height of the images; those of a cloud without rows are its camera's."""
+        if self.depth_topic.type != POINT_CLOUD or first.height > 1:
+            return int(first.width), int(first.height)
+        info = first_of_type(self.bag, CAMERA_INFO, info_topic, near=self.depth_topic.name)
+        if info is None:
+            raise InputError(
+                f"{self.path}: the points on {self.depth_topic.name} have no rows and columns; "
+                "record the camera info with them"
+            )
+        camera = self.bag.messages(info).message(0)
+        return int(camera.width), int(camera.height)
+
+    def _open_images(self, info_topic: str | None) -> None:
         self._images = self.bag.messages(self.depth_topic)
         if len(self._images) == 0:
             raise InputError(f"{self.path}: the index lists no depth images; record it again")
         first = self._images.message(0)
-        self.size = (int(first.width), int(first.height))
-        self.encoding = str(first.encoding)
+        self.size = self._size_of(first, info_topic)
+        self.encoding = str(getattr(first, "encoding", "points"))
         stamps = _without_garbage(_header_stamps(self._images), self._images.log_ns)
         self._by_log = not stamps.all()
         if self._by_log:

@@ -10,6 +10,7 @@ from bubbleviz.frames.decode import DEPTH_ENCODINGS, decode_intrinsics
 
 IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 PRESSURE = "sensor_msgs/msg/FluidPressure"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 
@@ -21,7 +22,8 @@ RESULTS = "/bubbleviz/"
 def find_depth(bag: Bag, name: str | None = None) -> Topic:
     """Topic of the depth images: `name`, or the first image topic with a depth encoding.
 
-    A topic with `depth` in its name is preferred: infrared images are 16UC1 too.
+    A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Where none has
+    depth, point clouds are.
     """
     candidates = of_type(bag, IMAGE, name)
     candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
@@ -29,6 +31,9 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
     for topic in candidates:
         if encodings[topic.name] in DEPTH_ENCODINGS:
             return topic
+    clouds = of_type(bag, POINT_CLOUD, name)
+    if clouds:
+        return clouds[0]
     if candidates:
         first = candidates[0].name
         raise InputError(

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.frames.messages import Message, make_header, make_wrench, ros2_types, serialise
-from bubbleviz.frames.topics import WRENCH
+from bubbleviz.frames.topics import POINT_CLOUD, WRENCH
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.status import Status
-from bubbleviz.live.topics import POINT_CLOUD
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate, Patch, Result
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, PRESSURE, RESULTS, WRENCH
+from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, POINT_CLOUD, PRESSURE, RESULTS, WRENCH
 
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TYPES = (IMAGE, CAMERA_INFO, PRESSURE, WRENCH, POINT_CLOUD)
 """Message types that are used, hence subscribed to and recorded."""
 

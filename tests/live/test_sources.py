@@ -9,8 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wire import IMAGE, NOW, PERIOD, SECOND, depth, gas
+from wire import (
+    CLOUD,
+    HEIGHT,
+    IMAGE,
+    INFO,
+    NOW,
+    PERIOD,
+    SECOND,
+    WIDTH,
+    arrived,
+    camera_info,
+    cloud,
+    depth,
+    gas,
+)
 
+from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.synthetic import SyntheticSource
@@ -120,6 +135,29 @@ def test_another_camera_s_recording_is_counted_not_solved(
         eventually(lambda: stream.status().state == "ended")
         assert stream.take() is None
         assert stream.counters().wrong_size == 10
+
+
+@pytest.mark.parametrize("rows", [True, False])
+def test_point_clouds_are_recorded_and_read_again(tmp_path: Path, rows: bool) -> None:
+    camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)  # as wire.camera_info has it
+    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder.start(path)
+    truths = []
+    for k in range(3):
+        truth = np.full((HEIGHT, WIDTH), 0.1 + 0.01 * k, np.float32)
+        truths.append(truth)
+        rays = np.concatenate([camera.slopes(), np.ones((HEIGHT, WIDTH, 1))], axis=-1)
+        stamp = NOW + k * PERIOD
+        height, width = (HEIGHT, WIDTH) if rows else (1, HEIGHT * WIDTH)
+        points = cloud(stamp, rays * truth[..., None], height, width)
+        recorder.push(arrived("/tof/points", CLOUD, points, stamp))
+        recorder.push(arrived("/tof/camera_info", INFO, camera_info(stamp), stamp))
+    recorder.stop()
+    with Recording(path) as recording:
+        assert (recording.size, recording.encoding) == ((WIDTH, HEIGHT), "points")
+        assert recording.intrinsics is not None
+        for k, truth in enumerate(truths):
+            np.testing.assert_array_equal(recording[k].depth_m, truth)
 
 
 # -- two fingers --------------------------------------------------------------------------------
