@@ -115,9 +115,9 @@ class LiveStream:
         return 0.1 if until is None else min(max((until - time.time_ns()) * 1e-9, 0.001), 0.1)
 
     def _deliver(self, message: RawMessage) -> None:
+        for listener in self._listeners:  # unlocked: a recorder may wait for its disk
+            listener(message)
         with self._lock:
-            for listener in self._listeners:
-                listener(message)
             self._put(self._assembler.push(message))
 
     def _put(self, frames: list[Frame]) -> None:

@@ -59,6 +59,7 @@ class ZenohSource:
         self._missed = 0
         self._link: Link = "connecting"
         self._lock = threading.Lock()
+        self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
         self._keeper: PacedThread | None = None
         self._deliver: Deliver | None = None
@@ -74,7 +75,7 @@ class ZenohSource:
 
     def stop(self) -> None:
         """Close the session."""
-        with self._lock:
+        with self._gate:
             self._deliver = None
         if self._keeper is not None:
             self._keeper.stop(CLOSING_S)  # it may be waiting for a host that does not answer
@@ -188,7 +189,7 @@ class ZenohSource:
             arrival,
             sequence,
         )
-        with self._lock:
+        with self._gate:
             if attachment is not None:
                 self._count(attachment.publisher, announced.topic, attachment.sequence)
             deliver = self._deliver

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -97,6 +98,26 @@ def test_newest_wins_and_what_is_passed_by_is_counted(
         assert stream.counters().skipped >= 25
     images = [message.sequence for message in seen if message.type == IMAGE]
     assert images == list(range(len(images)))  # who listens misses none
+
+
+def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor: Sensor) -> None:
+    """A recorder waiting for its disk must not freeze the window, which asks how it is going."""
+    waiting, go_on = threading.Event(), threading.Event()
+
+    def wait(message: RawMessage) -> None:
+        waiting.set()
+        go_on.wait()
+
+    stream = open_stream("synthetic:?rate=200&frames=2", small_sensor)
+    stream.listen(wait)
+    with stream:
+        assert waiting.wait(60.0)
+        assert stream.counters().received == 0
+        assert stream.status().state == "connecting"
+        assert len(stream.topics()) == 3
+        assert stream.take() is None
+        go_on.set()
+        assert stream.take(30.0) is not None
 
 
 def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(
