@@ -14,10 +14,14 @@ from bubbleviz.inverse.kappa_curve import KappaCurve, kappa_curve
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 
-Look = Literal["change", "residual", "noise", "used", "kappa_curve"]
+Look = Literal["depth", "change", "residual", "noise", "used", "kappa_curve"]
 """An image (H, W) by its name, or the curve of areas over κ."""
 
+OUTERMOST = 0.5
+"""Per cent of the pixels at either end that colours need not tell apart."""
+
 NEEDS: dict[Look, frozenset[Product]] = {
+    "depth": frozenset(),
     "change": frozenset(),
     "residual": frozenset({"estimate"}),
     "noise": frozenset(),
@@ -34,11 +38,15 @@ class Inspection:
     Attributes
     ----------
     images : dict
-        (H, W) image by name: change and residual of the range and its σ in m; `used` bool.
+        (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used`
+        bool.
+    ends : dict
+        Between them lie all but the outermost values of each image.
     kappa_curve : KappaCurve or None
     """
 
-    images: dict[Look, np.ndarray] = field(default_factory=dict)
+    images: dict[str, np.ndarray] = field(default_factory=dict)
+    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     kappa_curve: KappaCurve | None = None
 
 
@@ -65,7 +73,7 @@ class Inspector:
         truth : (H, W) bool array, optional
             True pixels of the patch, in a simulation.
         """
-        images: dict[Look, np.ndarray] = {}
+        images: dict[str, np.ndarray] = {}
         curve = None
         for name in sorted(looks):
             self._pipeline.counts[f"look {name}"] += 1
@@ -77,10 +85,12 @@ class Inspector:
             image = self._image(name, result)
             if image is not None:
                 images[name] = image
-        return Inspection(images, curve)
+        return Inspection(images, {name: _ends(image) for name, image in images.items()}, curve)
 
     def _image(self, name: Look, result: Result) -> np.ndarray | None:
         depth, estimate = result.frame.depth_m, result.estimate
+        if name == "depth":
+            return depth
         if name == "change":
             return self._images.change(depth)
         if name == "used":
@@ -99,3 +109,13 @@ class Inspector:
     @cached_property
     def _view(self) -> MembraneView:
         return MembraneView(self._pipeline.camera, self._pipeline.mesh)
+
+
+def _ends(image: np.ndarray) -> tuple[float, float]:
+    """Range of almost all values of an image, by some ten thousand of them."""
+    values = image.ravel()[:: max(1, image.size // 10_000)].astype(float)
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return 0.0, 1.0
+    low, high = np.percentile(values, [OUTERMOST, 100.0 - OUTERMOST])
+    return float(low), float(high)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.inspection import Inspection, Look
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -99,6 +100,7 @@ class Opened:
     request: OpenRequest
     facts: SourceFacts
     sensor: Sensor
+    camera: DepthCamera
     mesh: MembraneMesh
     frame: int
     result: Result

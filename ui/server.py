@@ -127,7 +127,8 @@ class Server:
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live)
         numbers = numbers_of(result, gas)
         inspection = inspector.look(result, request.looks)
-        return Opened(request, facts, sensor, pipeline.mesh, index, result, numbers, inspection)
+        camera, mesh = pipeline.camera, pipeline.mesh
+        return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
 
 
 def _in_words(error: Exception) -> str:

@@ -1,0 +1,115 @@
+"""One place seen three ways: a pixel of the depth image, its point in 3-D, the nearest node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+
+Pixel = tuple[int, int]
+"""Row and column."""
+
+
+@dataclass(frozen=True)
+class Probed:
+    """What is known of a place.
+
+    Attributes
+    ----------
+    pixel : (int, int) or None
+        Row and column; None for a place outside the image.
+    point_m : (3,) array
+        Measured point in B; NaN where the pixel has no return.
+    depth_m : float
+        z-depth; NaN where the pixel has no return.
+    node : int
+        Nearest node of the membrane.
+    node_m : (3,) array
+        Where it is now, in B.
+    node_pixel : (float, float)
+        Row and column at which the camera sees it.
+    displacement_m, pressure_pa : float
+        u and p_c of the node; NaN without an estimate.
+    """
+
+    pixel: Pixel | None
+    point_m: np.ndarray
+    depth_m: float
+    node: int
+    node_m: np.ndarray
+    node_pixel: tuple[float, float]
+    displacement_m: float
+    pressure_pa: float
+
+
+class Probe:
+    """Finds places in results of one camera and membrane.
+
+    Parameters
+    ----------
+    camera : DepthCamera
+    mesh : MembraneMesh
+    """
+
+    def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
+        self._camera, self._mesh = camera, mesh
+
+    def at_pixel(self, pixel: Pixel, result: Result) -> Probed | None:
+        """Place that a pixel sees; None outside the image.
+
+        Its node is the one nearest to the measured point, or to the ray where there is no return.
+        """
+        height, width = result.frame.depth_m.shape
+        row, column = pixel
+        if not (0 <= row < height and 0 <= column < width):
+            return None
+        nodes = self._nodes(result)
+        point = self._point(pixel, result)
+        away = nodes - (point if np.isfinite(point).all() else self._camera.center)
+        if not np.isfinite(point).all():
+            ray = self._camera.directions[row * width + column]
+            away = away - np.outer(away @ ray, ray)
+        return self._probed(pixel, result, nodes, int(np.argmin(np.sum(away**2, axis=1))))
+
+    def at_point(self, point_m: np.ndarray, result: Result) -> Probed:
+        """Place at a point (3,) in B, of the membrane as it is drawn or of the cloud."""
+        nodes = self._nodes(result)
+        node = int(np.argmin(np.sum((nodes - point_m) ** 2, axis=1)))
+        row, column = (round(c) for c in self._seen_at(point_m))
+        height, width = result.frame.depth_m.shape
+        inside = 0 <= row < height and 0 <= column < width
+        return self._probed((row, column) if inside else None, result, nodes, node)
+
+    def _probed(self, pixel: Pixel | None, result: Result, nodes: np.ndarray, node: int) -> Probed:
+        estimate = result.estimate
+        return Probed(
+            pixel=pixel,
+            point_m=self._point(pixel, result) if pixel else np.full(3, np.nan),
+            depth_m=float(result.frame.depth_m[pixel]) if pixel else np.nan,
+            node=node,
+            node_m=nodes[node],
+            node_pixel=self._seen_at(nodes[node]),
+            displacement_m=float(estimate.displacement_m[node]) if estimate else np.nan,
+            pressure_pa=float(estimate.contact_pressure_pa[node]) if estimate else np.nan,
+        )
+
+    def _nodes(self, result: Result) -> np.ndarray:
+        if result.estimate is None:
+            return self._mesh.nodes
+        return self._mesh.deformed(result.estimate.displacement_m)
+
+    def _point(self, pixel: Pixel, result: Result) -> np.ndarray:
+        """Measured point of a pixel in B, (3,), m."""
+        depth = result.frame.depth_m
+        index = np.array([pixel[0] * depth.shape[1] + pixel[1]])
+        return self._camera.points(depth, index)[0]
+
+    def _seen_at(self, point_m: np.ndarray) -> tuple[float, float]:
+        """Row and column at which the camera sees a point in B."""
+        T = self._camera.T_B_C
+        u, v = self._camera.intrinsics.project((point_m - T[:3, 3]) @ T[:3, :3])
+        return float(v), float(u)
