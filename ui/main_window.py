@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
-from PySide6.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.result import Result
+from ui import theme
 from ui.calibration.session import Calibration
 from ui.controller import Controller
 from ui.menus import Menus
@@ -92,6 +93,11 @@ class MainWindow(QMainWindow):
         if not self.grab().save(str(path)):
             self.message.say(f"{path}: cannot be written; choose another place")
 
+    def _use_theme(self, scheme: Qt.ColorScheme) -> None:
+        application = QApplication.instance()
+        if isinstance(application, QApplication):
+            theme.apply(application, theme.chosen(self.state.choices.theme, scheme))
+
     def closeEvent(self, event: QCloseEvent) -> None:
         """Stop the timers and the solver thread, then let go of VTK."""
         self._rates.stop()
@@ -156,6 +162,8 @@ class MainWindow(QMainWindow):
         self.gamma0.painted.connect(self._paint)
         self._rates.timeout.connect(self.show_rates)
         self._rates.start()
+        self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
+        QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.subscribe(self._on_event)
 
     def _on_event(self, event: Event) -> None:
@@ -167,6 +175,8 @@ class MainWindow(QMainWindow):
         elif isinstance(event, PlayingChanged) and self.controller.result is not None:
             self._show_numbers(self.controller.result)
         elif isinstance(event, ChoicesChanged) and event.names - UNSEEN:
+            if "theme" in event.names:
+                self._use_theme(theme.system_scheme())
             self.scene.apply(self.state.choices)
 
     def _on_opened(self, opened: Opened) -> None:

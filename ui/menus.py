@@ -7,11 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from PySide6.QtGui import QAction, QKeySequence
+from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
 
 from ui.panels.playback import next_speed
 from ui.presets import load_scene, scene_names
+from ui.state import ThemeName
 
 if TYPE_CHECKING:
     from ui.main_window import MainWindow
@@ -82,6 +83,7 @@ class Menus:
         for name in scene_names():
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
+        self._theme(menu.addMenu("&Theme"))
         menu.addSeparator()
         for name in ("layers", "kappa", "calibration", "plots", "playback"):
             dock = cast(QDockWidget, window.panels[name])
@@ -89,6 +91,19 @@ class Menus:
         status = self._add(menu, "Status bar", self._toggle_status)
         status.setCheckable(True)
         menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
+
+    def _theme(self, menu: QMenu) -> None:
+        menu.setObjectName("menu_theme")
+        state, group = self._window.state, QActionGroup(menu)
+        names: dict[ThemeName, str] = {
+            "system": "As the &system", "dark": "&Dark", "light": "&Light"
+        }  # fmt: skip
+        actions = {}
+        for name, title in names.items():
+            action = actions[name] = self._add(menu, title, partial(state.choose, theme=name))
+            action.setCheckable(True)
+            group.addAction(action)
+        menu.aboutToShow.connect(lambda: actions[state.choices.theme].setChecked(True))
 
     def _add(
         self,

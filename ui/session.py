@@ -143,6 +143,5 @@ def application() -> QApplication:
         made = QApplication(["bubbleviz"])
     made.setApplicationName("bubbleviz")
     made.setStyle("Fusion")
-    made.setPalette(theme.palette())
-    made.setStyleSheet(theme.STYLE)
+    theme.apply(made, theme.chosen("system", theme.system_scheme()))
     return made

@@ -13,6 +13,7 @@ from ui.history import History
 from ui.units import Units
 
 CloudColour = Literal["residual", "patch", "plain"]
+ThemeName = Literal["system", "dark", "light"]
 
 LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim")
 """Names of the 3-D layers, in the order the panel lists them."""
@@ -55,6 +56,8 @@ class Choices:
         How near a fresh view is; 1 shows the whole box around the membrane.
     pressure_max_pa, residual_max_m : float or None
         Upper ends of the colour ranges; None: the largest value seen, rounded up.
+    theme : {"system", "dark", "light"}
+        Colours of the window.
     """
 
     kappa: float | None = None
@@ -72,6 +75,7 @@ class Choices:
     zoom: float = 1.32
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None
+    theme: ThemeName = "system"
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,8 @@ class View(QtInteractor):  # type: ignore[misc]
         self.renders = RateMeter()
         self.render_count = 0
         self.busy_s = 0.0
-        self.set_background(theme.VIEW)  # plain: a gradient costs a quarter of an empty render
+        # Plain: a gradient costs a quarter of an empty render.
+        self.follow_theme(lambda colours: self.set_background(colours.view))
         self._tags = [
             (subject, subject.AddObserver(event, callback))
             for subject, event, callback in (
@@ -58,6 +60,21 @@ class View(QtInteractor):  # type: ignore[misc]
     def refresh(self) -> None:
         """Ask Qt to repaint; many calls before the repaint are one render."""
         self.update()
+
+    def follow_theme(self, paint: Callable[[theme.Colours], object]) -> None:
+        """Call `paint` with the theme's colours, now and whenever it is another."""
+        paint(theme.of(self))
+        self._painters = (*self._painters, paint)
+
+    _painters: tuple[Callable[[theme.Colours], object], ...] = ()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            for paint in self._painters:
+                paint(theme.of(self))
+            self.update()
 
     def pixels(self) -> np.ndarray:
         """What the view shows now, shape (height, width, 3), uint8."""
@@ -76,7 +93,7 @@ class View(QtInteractor):  # type: ignore[misc]
         """Let go of VTK's render window and of every observer that would keep it alive."""
         for subject, tag in self._tags:
             subject.RemoveObserver(tag)
-        self._tags = []
+        self._tags, self._painters = [], ()
         super().close()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:

@@ -16,7 +16,7 @@ from bubbleviz.sensor import Sensor
 from ui import theme
 from ui.clock import PlayClock
 from ui.history import CONTACT, FREE, UNKNOWN, History
-from ui.panels.timeline import COLOURS, GAP, MARKER, RULER, Timeline, columns
+from ui.panels.timeline import RULER, Timeline, columns
 from ui.scene.colours import rgb
 from ui.state import FrameChanged, SessionState, SourceFacts
 
@@ -83,9 +83,9 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
     def colour(frame: int) -> tuple[int, ...]:
         return tuple(int(c) for c in seen[row, round(timeline.x_of(frame)) + 4])
 
-    assert colour(1) == rgb(COLOURS[FREE])
-    assert colour(FIRST_CONTACT + 4) == rgb(COLOURS[CONTACT])
-    assert colour(FRAMES - 1 - 1) == rgb(COLOURS[UNKNOWN])
+    assert colour(1) == rgb(theme.DARK.free)
+    assert colour(FIRST_CONTACT + 4) == rgb(theme.CONTACT)
+    assert colour(FRAMES - 1 - 1) == rgb(theme.DARK.field)
     driver.state.choose(kappa=3.0)  # another threshold: other patches
     driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
     assert driver.state.history.contact[1] == UNKNOWN
@@ -96,14 +96,14 @@ def test_gaps_and_markers_are_seen(drive: Drive) -> None:
     timeline = driver.window.playback.timeline
     assert [(g.after_frame, g.missing) for g in timeline.gaps] == [(5, 3)]
     before = pixels(timeline)
-    assert np.all(before == rgb(GAP), axis=2)[RULER + 3, round(timeline.x_of(5.5)) - 1]
-    assert not np.all(before == rgb(MARKER), axis=2).any()
+    assert np.all(before == rgb(theme.GAP), axis=2)[RULER + 3, round(timeline.x_of(5.5)) - 1]
+    assert not np.all(before == rgb(theme.DARK.marker), axis=2).any()
     driver.seek(9)
     key(driver, Qt.Key.Key_M)
     driver.seek(3)
     driver.bot.mouseClick(driver.window.playback.mark, LEFT)
     assert driver.state.markers == (3, 9)
-    marked = np.argwhere(np.all(pixels(timeline) == rgb(MARKER), axis=2))[:, 1]
+    marked = np.argwhere(np.all(pixels(timeline) == rgb(theme.DARK.marker), axis=2))[:, 1]
     assert abs(marked.min() - timeline.x_of(3)) < 6 and abs(marked.max() - timeline.x_of(9)) < 6
     key(driver, Qt.Key.Key_PageDown)
     assert driver.state.frame == 9
@@ -149,7 +149,7 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
     drag(driver, 3, 6, ABOVE)
     assert driver.state.play_range == (3, 6) and driver.state.frame == 0
     edge = pixels(timeline)[RULER + 3, round(timeline.x_of(6))]
-    assert tuple(edge) == rgb(theme.ACCENT)
+    assert tuple(edge) == rgb(theme.DARK.accent)
     played: list[int] = []
     driver.state.subscribe(
         lambda e: played.append(e.index) if isinstance(e, FrameChanged) else None
@@ -216,7 +216,7 @@ def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
     timeline = Timeline(state)
     timeline.resize(900, timeline.height())
     timeline.show_source()
-    seen = np.all(pixels(timeline) == rgb(COLOURS[CONTACT]), axis=2)[RULER + 3]
+    seen = np.all(pixels(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
     assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_of(18_000)) < 2
     assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)
 

@@ -19,14 +19,14 @@ SHAPES: dict[str, tuple[tuple[str, float], ...]] = {
 """Each icon as triangles and bars with their centres, from left to right."""
 
 
-def icon(name: str) -> QIcon:
+def icon(name: str, colours: theme.Colours) -> QIcon:
     """Icon of one playback action."""
     pixmap = QPixmap(SIZE, SIZE)
     pixmap.fill(Qt.GlobalColor.transparent)
     painter = QPainter(pixmap)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     painter.setPen(Qt.PenStyle.NoPen)
-    painter.setBrush(QColor(theme.TEXT))
+    painter.setBrush(QColor(colours.text))
     for shape, centre in SHAPES[name]:
         if shape == "bar":
             painter.drawRect(QRectF((centre - 0.06) * SIZE, 0.2 * SIZE, 0.12 * SIZE, 0.6 * SIZE))

@@ -10,7 +10,7 @@ from PySide6.QtGui import QColor
 from bubbleviz.inverse.kappa_curve import KappaCurve
 from bubbleviz.result import Result
 from ui.panels.plot_frame import PlotFrame
-from ui.panels.traces import BLUE, ORANGE
+from ui.theme import BLUE, ORANGE
 from ui.units import Units
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, Qt
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from ui import theme
 from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.icons import icon
 from ui.panels.keys import keep_keys
@@ -41,11 +42,11 @@ class PlaybackPanel(QWidget):
         super().__init__()
         self._state = state
         self._shown_at = 0.0
-        self.first = self._button("first", "First frame (Home)")
-        self.back = self._button("back", "One frame back (←)")
-        self.play = self._button("play", "Play or pause (Space)")
-        self.forward = self._button("forward", "One frame on (→)")
-        self.last = self._button("last", "Last frame (End)")
+        self.first = self._button("First frame (Home)")
+        self.back = self._button("One frame back (←)")
+        self.play = self._button("Play or pause (Space)")
+        self.forward = self._button("One frame on (→)")
+        self.last = self._button("Last frame (End)")
         self.jumps = {seconds: self._jump(text, seconds) for text, seconds in JUMPS_S.items()}
         self.timeline = Timeline(state)
         self.strip = RangeStrip()
@@ -74,9 +75,8 @@ class PlaybackPanel(QWidget):
         keep_keys(self)
         state.subscribe(self._on_event)
 
-    def _button(self, name: str, tip: str) -> QToolButton:
+    def _button(self, tip: str) -> QToolButton:
         button = QToolButton()
-        button.setIcon(icon(name))
         button.setToolTip(tip)
         return button
 
@@ -148,19 +148,30 @@ class PlaybackPanel(QWidget):
     def _show_all(self) -> None:
         facts, choices, live = self._state.facts, self._state.choices, False
         self.setEnabled(facts is not None)
-        self.play.setIcon(icon("pause" if self._state.playing else "play"))
+        self._show_icons()
         self.speed.setCurrentIndex(self.speed.findData(choices.speed))
         self.mode.setCurrentIndex(self.mode.findData(choices.every_frame))
         self.loop.setChecked(choices.loop)
         self.freeze.setChecked(self._state.frozen)
-        self.now.setEnabled(self._state.frozen)
         if facts is not None:
             live = facts.live
             widest = self._text(facts.frames - 1)
             self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 12)
-        for widget in (self.freeze, self.now):
-            widget.setVisible(live)
+        self.freeze.setVisible(live and not self._state.frozen)
+        self.now.setVisible(live and self._state.frozen)
         self._show_frame()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
+            self._show_icons()
+
+    def _show_icons(self) -> None:
+        colours = theme.of(self)
+        self.play.setIcon(icon("pause" if self._state.playing else "play", colours))
+        for name in ("first", "back", "forward", "last"):
+            getattr(self, name).setIcon(icon(name, colours))
 
     def _show_frame(self) -> None:
         self.timeline.update()

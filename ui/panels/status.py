@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.result import Result
@@ -13,7 +14,7 @@ from ui.state import SourceFacts
 from ui.units import Units
 
 WIDEST = {
-    "sensor": "soft-bubble pico flexx",
+    "sensor": "soft-bubble…",
     "frame": "frame 888/888 · 88.888 s",
     "force": "force 88.88 N",
     "area": "patch 8888 mm²",
@@ -61,7 +62,8 @@ class StatusBar(QStatusBar):
 
     def show_source(self, facts: SourceFacts) -> None:
         """Write what does not change from frame to frame."""
-        self.labels["sensor"].setText(facts.sensor_name)
+        self._sensor = facts.sensor_name
+        self._show_sensor()
         self.labels["sensor"].setToolTip(f"Sensor: {facts.sensor_name}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
 
@@ -93,7 +95,19 @@ class StatusBar(QStatusBar):
         self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
         self.labels["dropped"].setText(f"dropped {rates.dropped} frames")
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """The sensor's name takes what is left."""
+        super().resizeEvent(event)
+        self._show_sensor()
+
+    def _show_sensor(self) -> None:
+        label = self.labels["sensor"]
+        room = max(label.width(), label.minimumWidth())
+        elide = Qt.TextElideMode.ElideRight
+        label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
+
     _solve_ms: float | None = None
+    _sensor = ""
 
     def _label(self, name: str) -> QLabel:
         label = QLabel()

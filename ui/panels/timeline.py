@@ -17,8 +17,6 @@ RULER = 16
 """Height of the upper band, which has the times, markers and the played range."""
 BAND = 22
 """Height of the lower band, which has the frames."""
-COLOURS = {UNKNOWN: theme.FIELD, FREE: "#3d4c5c", CONTACT: "#e0662f"}
-GAP, MARKER = "#e5484d", "#f2c14e"
 TICK_PIXELS = 5
 """Frames nearer to each other than this share a tick."""
 LABEL_PIXELS = 70
@@ -134,7 +132,7 @@ class Timeline(QWidget):
     def paintEvent(self, event: QPaintEvent) -> None:
         """All of it: a few hundred pixels by as many numbers."""
         painter = QPainter(self)
-        painter.fillRect(QRectF(MARGIN, RULER, self._span, BAND), QColor(COLOURS[UNKNOWN]))
+        painter.fillRect(QRectF(MARGIN, RULER, self._span, BAND), QColor(theme.of(self).field))
         if self._frames and self._facts is not None:
             self._paint_contact(painter)
             self._paint_ticks(painter)
@@ -148,10 +146,11 @@ class Timeline(QWidget):
     def _paint_contact(self, painter: QPainter) -> None:
         known = columns(self._state.history.contact, max(int(self._span), 1))
         ends = np.flatnonzero(np.diff(known)) + 1
+        colours = {FREE: theme.of(self).free, CONTACT: theme.CONTACT}
         for start, stop in zip([0, *ends], [*ends, len(known)], strict=True):
             if known[start] != UNKNOWN:
                 place = QRectF(MARGIN + float(start), RULER, float(stop - start), BAND)
-                painter.fillRect(place, QColor(COLOURS[int(known[start])]))
+                painter.fillRect(place, QColor(colours[int(known[start])]))
 
     def _paint_ticks(self, painter: QPainter) -> None:
         step = 1
@@ -163,14 +162,14 @@ class Timeline(QWidget):
             for k in range(0, self._frames, step)
             for x in (self.x_of(k),)
         ]
-        painter.setPen(QPen(QColor(theme.DIM), 1))
+        painter.setPen(QPen(QColor(theme.of(self).dim), 1))
         painter.drawLines(lines)
 
     def _paint_times(self, painter: QPainter, times_s: np.ndarray) -> None:
         span_s = float(times_s[-1] - times_s[0])
         most = max(self._span / LABEL_PIXELS, 1)
         step = next((s for s in STEPS_S if span_s / s <= most), STEPS_S[-1])
-        painter.setPen(QColor(theme.DIM))
+        painter.setPen(QColor(theme.of(self).dim))
         font = painter.font()
         font.setPointSizeF(0.8 * font.pointSizeF())
         painter.setFont(font)
@@ -188,23 +187,24 @@ class Timeline(QWidget):
     def _paint_gaps(self, painter: QPainter) -> None:
         for gap in self._gaps:
             x = self.x_of(gap.after_frame + 0.5)
-            painter.fillRect(QRectF(x - 1, RULER, 2, BAND), QColor(GAP))
+            painter.fillRect(QRectF(x - 1, RULER, 2, BAND), QColor(theme.GAP))
 
     def _paint_range(self, painter: QPainter) -> None:
         frames = self._dragged or self._state.play_range
         if frames is None:
             return
         left, right = self.x_of(frames[0]), self.x_of(frames[1])
-        shade = QColor(theme.ACCENT)
+        accent = QColor(theme.of(self).accent)
+        shade = QColor(accent)
         shade.setAlpha(90 if self._state.choices.loop else 45)
         painter.fillRect(QRectF(left, 0, right - left, RULER), shade)
         for x in (left, right):
-            painter.fillRect(QRectF(x - 1, 0, 2, RULER + BAND), QColor(theme.ACCENT))
+            painter.fillRect(QRectF(x - 1, 0, 2, RULER + BAND), accent)
 
     def _paint_markers(self, painter: QPainter) -> None:
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(QColor(MARKER))
+        painter.setBrush(QColor(theme.of(self).marker))
         for frame in self._state.markers:
             x, top = self.x_of(frame), RULER - 8.0
             corners = [QPointF(x - 5, top), QPointF(x + 5, top), QPointF(x, RULER + 2.0)]
@@ -216,9 +216,9 @@ class Timeline(QWidget):
             now = self.x_of(self._state.now)
             painter.fillRect(QRectF(now - 1, RULER, 2, BAND), QColor(theme.FORCE))
         x = self.x_of(self._state.frame)
-        painter.fillRect(QRectF(x - 1, RULER - 4, 2, BAND + 4), QColor(theme.TEXT))
+        painter.fillRect(QRectF(x - 1, RULER - 4, 2, BAND + 4), QColor(theme.of(self).text))
         if self.hasFocus():
-            painter.setPen(QPen(QColor(theme.ACCENT), 1))
+            painter.setPen(QPen(QColor(theme.of(self).accent), 1))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawRect(QRectF(MARGIN - 1, RULER, self._span + 1, BAND - 1))
 

@@ -12,10 +12,8 @@ from PySide6.QtGui import QColor
 
 from ui.history import History, thinned
 from ui.panels.plot_frame import PlotFrame
+from ui.theme import BLUE, GREEN, ORANGE
 from ui.units import Unit, Units
-
-BLUE, ORANGE, GREEN = "#4c9fe8", "#f0883e", "#35c07a"
-"""Told apart with any colour vision, on dark and on light."""
 
 
 @dataclass(frozen=True)

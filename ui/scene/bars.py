@@ -37,8 +37,8 @@ class ColourBar:
         bar.SetWidth(0.11)
         bar.SetHeight(0.42)
         bar.SetMaximumNumberOfColors(ENTRIES)
-        write_in(bar.GetTitleTextProperty(), 12)
-        write_in(bar.GetLabelTextProperty(), 12)
+        write_in(view, bar.GetTitleTextProperty(), 12)
+        write_in(view, bar.GetLabelTextProperty(), 12)
         view.renderer.AddViewProp(bar)
         self._bar = bar
         self._table = table

@@ -9,7 +9,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui import theme
 from ui.scene.bars import ColourBar
-from ui.scene.colours import residual_map, rgb
+from ui.scene.colours import residual_colours, residual_map, rgb
 from ui.scene.layer import Picture
 from ui.units import Unit
 from ui.view import View
@@ -29,7 +29,8 @@ class CloudLayer:
 
         self._unit = unit
         self._poly = pv.PolyData(np.zeros((1, 3)))
-        self._table = residual_map()
+        self._table = residual_map(theme.of(view).cloud)
+        self._plain = theme.of(view).cloud
         self._reserve(CHUNK)
         self._actor = view.add_mesh(
             self._poly,
@@ -49,6 +50,7 @@ class CloudLayer:
         self._actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
         self._bar = ColourBar(view, self._table, f"residual\n({unit.symbol})", bottom=0.04)
         self._visible = True
+        view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Put the points of the old sensor away."""
@@ -80,6 +82,10 @@ class CloudLayer:
         self._actor.visibility = visible
         self._bar.set_visible(visible)
 
+    def _take_colours(self, colours: theme.Colours) -> None:
+        self._plain = colours.cloud
+        self._table.values = residual_colours(colours.cloud)
+
     def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
         high = self._unit.of(high_m)
         _fill(self._poly.point_data[self.RESIDUAL], self._unit.of(1.0) * residual_m)
@@ -90,7 +96,7 @@ class CloudLayer:
     def _colour(self, patch_of: Result | None, step: int) -> None:
         """Colour all points alike but those of a result's patch."""
         colours = self._poly.point_data[self.COLOUR]
-        colours[:] = rgb(theme.CLOUD)
+        colours[:] = rgb(self._plain)
         patch = patch_of.patch if patch_of is not None else None
         pixels = patch_of.cloud_pixels if patch_of is not None else None
         if patch is not None and patch.pixel_mask is not None and pixels is not None:

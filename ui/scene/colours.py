@@ -39,16 +39,21 @@ def pressure_map() -> Any:
     return _table(values)
 
 
-def residual_map() -> Any:
-    """Diverging: blue where measured nearer than modelled, green where farther, grey in between.
+def residual_map(middle: str) -> Any:
+    """Diverging: blue where measured nearer than modelled, green where farther, `middle` between.
 
     Neither end is a colour of the pressure map, so the two are never mistaken for each other.
     """
-    ends = (theme.NEARER, theme.CLOUD, theme.FARTHER)
-    nearer, middle, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
+    return _table(residual_colours(middle))
+
+
+def residual_colours(middle: str) -> np.ndarray:
+    """Entries (256, 4) uint8 of the residual map."""
+    ends = (theme.NEARER, middle, theme.FARTHER)
+    nearer, between, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
     share = np.linspace(-1.0, 1.0, ENTRIES)[:, None]
-    values = np.where(share < 0, nearer, farther) * abs(share) + middle * (1.0 - abs(share))
-    return _table(values.astype(np.uint8))
+    values = np.where(share < 0, nearer, farther) * abs(share) + between * (1.0 - abs(share))
+    return values.astype(np.uint8)
 
 
 def _table(values: np.ndarray) -> Any:
@@ -56,5 +61,5 @@ def _table(values: np.ndarray) -> Any:
 
     table = pv.LookupTable()
     table.values = values
-    table.nan_color = "#5b6470"
+    table.nan_color = theme.UNKNOWN
     return table

@@ -27,13 +27,14 @@ class FrustumLayer:
         self._drawn_for: object = None
         self._actor = view.add_mesh(
             self._poly,
-            color=theme.FRUSTUM,
+            color=theme.of(view).frustum,
             line_width=1,
             lighting=False,
             name="frustum",
             reset_camera=False,
             render=False,
         )
+        view.follow_theme(lambda colours: setattr(self._actor.prop, "color", colours.frustum))
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another camera and its distance to the membrane."""

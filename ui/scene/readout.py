@@ -61,7 +61,7 @@ def _text_actor(view: View, *, size: int, top: int) -> Any:
 
     actor = vtkTextActor()
     style = actor.GetTextProperty()
-    write_in(style, size)
+    write_in(view, style, size)
     style.SetVerticalJustificationToTop()
     style.SetLineOffset(top)
     place = actor.GetPositionCoordinate()

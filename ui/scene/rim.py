@@ -30,13 +30,14 @@ class RimLayer:
         self._line = pv.PolyData()
         self._actor = view.add_mesh(
             pv.PolyData([[0.0, 0.0, 0.0]]),
-            color=theme.RIM,
+            color=theme.of(view).rim,
             line_width=3,
             lighting=False,
             name="rim",
             reset_camera=False,
             render=False,
         )
+        view.follow_theme(lambda colours: setattr(self._actor.prop, "color", colours.rim))
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Find the boundary of the new mesh; it is clamped, so once is enough."""

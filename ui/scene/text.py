@@ -8,6 +8,7 @@ from typing import Any
 
 from ui import theme
 from ui.scene.colours import rgb
+from ui.view import View
 
 VTK_FONT_FILE = 4
 
@@ -20,7 +21,7 @@ def font_file() -> str:
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
-def write_in(style: Any, size: int) -> None:
+def write_in(view: View, style: Any, size: int) -> None:
     """Give a vtkTextProperty the window's font, colour and a size in pixels."""
     style.SetFontFamily(VTK_FONT_FILE)
     style.SetFontFile(font_file())
@@ -28,4 +29,8 @@ def write_in(style: Any, size: int) -> None:
     style.SetBold(False)
     style.SetItalic(False)
     style.SetShadow(False)
-    style.SetColor(*(c / 255 for c in rgb(theme.TEXT)))
+
+    def paint(colours: theme.Colours) -> None:
+        style.SetColor(*(c / 255 for c in rgb(colours.text)))
+
+    view.follow_theme(paint)

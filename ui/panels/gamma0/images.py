@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QPointF, Qt
+from PySide6.QtCore import QEvent, QPointF, Qt
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
@@ -93,7 +93,7 @@ class ImageView(QWidget):
             return
         import pyqtgraph as pg
 
-        view = pg.GraphicsView(background=theme.VIEW)
+        view = pg.GraphicsView(background=theme.of(self).view)
         view.setFixedHeight(HEIGHT)
         self._box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         view.setCentralItem(self._box)
@@ -103,6 +103,12 @@ class ImageView(QWidget):
         view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.view = view
         self._column.insertWidget(1, view)
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self.layout() is not None and self._item:
+            self.view.setBackground(theme.of(self).view)
 
     def _on_mouse(self, place: QPointF) -> None:
         point = self._box.mapSceneToView(place)

@@ -27,12 +27,13 @@ from PySide6.QtWidgets import (
 from bubbleviz.calibration.progress import Progress
 from bubbleviz.calibration.workbench import Step
 from bubbleviz.sensor import Sensor, load_sensor
+from ui import theme
 from ui.calibration.session import Calibration
 from ui.panels.gamma0.frames import FramesPage
 from ui.panels.gamma0.page import Page
 from ui.panels.gamma0.pixels import PixelsPage
 from ui.panels.gamma0.rectification import RectificationPage
-from ui.panels.gamma0.report import COLOURS, ReportPage
+from ui.panels.gamma0.report import ReportPage
 from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.gamma0.surface import SurfacePage
 from ui.panels.gamma0.tension import TensionPage
@@ -135,6 +136,12 @@ class Gamma0Panel(QWidget):
         for folder in self._folders:
             folder.cleanup()
 
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
+            self._show()
+
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Text boxes have an undo of their own, which would hide the window's."""
         if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
@@ -220,7 +227,7 @@ class Gamma0Panel(QWidget):
         self.verdict.setVisible(verdict is not None)
         if verdict is not None:
             self.verdict.setText(verdict.summary)
-            self.verdict.setStyleSheet(f"color: {COLOURS[verdict.grade]}")
+            self.verdict.setStyleSheet(f"color: {getattr(theme.of(self), verdict.grade)}")
         recorded = calibration.work.collected is None and not calibration.live
         self.strip.set_ranges(answer.frames, answer.draft.ranges)
         self.strip.setVisible(recorded and bool(answer.draft.ranges))

@@ -23,8 +23,6 @@ from ui.panels.gamma0.images import ImageView
 from ui.panels.gamma0.page import Page
 from ui.units import Unit, Units
 
-COLOURS = {"good": "#4cc38a", "usable": "#e5b567", "doubtful": "#f07178"}
-
 
 class ReportPage(Page):
     """What the identification is worth, and what to do with it.

@@ -14,7 +14,7 @@ from ui.panels.gamma0.strip import MARGIN
 HEIGHT = 120
 LOWEST, LEAST_TOP, MOST = 0.1, 200.0, 1e4
 """Standard deviations at the bottom of the logarithmic axis; at its top, at least and at most."""
-COLOURS = {"depth": theme.ACCENT, "gas pressure": theme.FARTHER}
+COLOURS = {"depth": theme.BLUE, "gas pressure": theme.FARTHER}
 
 
 class ScorePlot(QWidget):
@@ -45,15 +45,16 @@ class ScorePlot(QWidget):
         """Lines, the threshold, and decades at the left."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.fillRect(self.rect(), QColor(theme.VIEW))
+        colours = theme.of(self)
+        painter.fillRect(self.rect(), QColor(colours.view))
         peaks = [float(each.max()) for each in self._scores.values()]
         highest = min(max([LEAST_TOP, *peaks]), MOST)
-        painter.setPen(QColor(theme.DIM))
+        painter.setPen(QColor(colours.dim))
         for decade in (1.0, 10.0, 100.0):
             y = self._y(decade, highest)
             painter.drawText(QPointF(MARGIN + 14, y + 4), f"{decade:g} σ")
             painter.drawLine(QPointF(MARGIN, y), QPointF(MARGIN + 10, y))
-        painter.setPen(QPen(QColor(theme.DIM), 1.0, Qt.PenStyle.DashLine))
+        painter.setPen(QPen(QColor(colours.dim), 1.0, Qt.PenStyle.DashLine))
         level = self._y(SIGNIFICANT, highest)
         painter.drawLine(QPointF(MARGIN, level), QPointF(self.width() - MARGIN, level))
         for number, (name, score) in enumerate(self._scores.items()):

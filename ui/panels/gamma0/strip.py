@@ -135,7 +135,8 @@ class RangeStrip(QWidget):
     def paintEvent(self, event: QPaintEvent) -> None:
         """Frames in use shaded, their ends as handles."""
         painter = QPainter(self)
-        painter.fillRect(QRectF(MARGIN, 6, self.width() - 2 * MARGIN, 4), QColor(theme.FIELD))
+        colours = theme.of(self)
+        painter.fillRect(QRectF(MARGIN, 6, self.width() - 2 * MARGIN, 4), QColor(colours.field))
         ranges = self.ranges if self._moving is None else self._moving
         shade = QColor(theme.FORCE)
         for number, (start, stop) in enumerate(ranges):
@@ -145,7 +146,7 @@ class RangeStrip(QWidget):
             for end, x in enumerate((left, right)):
                 held = self.hasFocus() and self._known_handle() == (number, end)
                 painter.fillRect(
-                    QRectF(x - 2, 0, 4, HEIGHT), QColor(theme.ACCENT if held else theme.FORCE)
+                    QRectF(x - 2, 0, 4, HEIGHT), QColor(colours.accent if held else theme.FORCE)
                 )
         painter.end()
 
