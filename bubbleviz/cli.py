@@ -269,6 +269,7 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
 @click.option("--solver", help="Solver of the inverse problem.")
+@click.option("--object", "object_name", help="Object to track: a mesh or a preset.")
 @click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
@@ -281,6 +282,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
         publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"]),
         duration_s=choices["duration"],
         solver=choices["solver"],
+        object_name=choices["object_name"],
         zero=zero,
     )
     summary = watch_source(source, load_sensor(sensor), options)

@@ -83,7 +83,7 @@ class McapFile:
             sequence=(message.sequence or 0) & 0xFFFF_FFFF,
             data=message.payload,
         )
-        self._facts.add(*key, log_ns)
+        self._facts.add(message.topic, log_ns)
         self.count += 1
 
     def sync(self) -> None:

@@ -105,13 +105,20 @@ def record_source(
     finally:
         status = recorder.stop()
     _check(status, stream, source)
+    now = time.monotonic()
+    return _summary(source, status, stream, now - (first or now))
+
+
+def _summary(
+    source: str, status: RecorderStatus, stream: LiveStream, duration_s: float
+) -> RecordSummary:
     counters = stream.counters()
     return RecordSummary(
         source=source,
-        out=str(out),
+        out=str(status.path),
         messages=status.messages,
         frames=counters.frames,
-        duration_s=time.monotonic() - (first or time.monotonic()),
+        duration_s=duration_s,
         size_bytes=status.size_bytes,
         most_waiting_bytes=status.most_waiting_bytes,
         stalls=status.stalls,

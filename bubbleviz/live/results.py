@@ -27,7 +27,8 @@ class ResultMessages:
 
     Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
     deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
-    membrane, its torque about B's origin), `object_pose` (PoseStamped) and `/diagnostics`.
+    membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found) and
+    `/diagnostics`.
 
     Parameters
     ----------
@@ -53,9 +54,8 @@ class ResultMessages:
             yield self._message("contact_patch", POINT_CLOUD, cloud, stamp)
             wrench = make_wrench(header, _wrench(result.patch))
             yield self._message("contact_wrench", WRENCH, wrench, stamp)
-        pose = getattr(result, "pose", None)
-        if pose is not None and np.isfinite(pose.T_B_O).all():
-            yield self._message("object_pose", POSE, _pose(header, pose.T_B_O), stamp)
+        if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
+            yield self._message("object_pose", POSE, _pose(header, result.pose.T_B_O), stamp)
 
     def diagnostics(
         self, now_ns: int, status: Status, counters: Counters, result: Result | None
@@ -74,7 +74,7 @@ class ResultMessages:
         level, text = _level(status, estimate)
         body = entry(
             level=level,
-            name=f"bubbleviz{self._prefix}",
+            name=f"{self._prefix.strip('/')}: contact",
             message=text,
             hardware_id=self._frame_id,
             values=[pair(key=key, value=value) for key, value in values.items()],

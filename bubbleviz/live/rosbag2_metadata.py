@@ -27,7 +27,7 @@ class BagFacts:
         """Take note of a topic."""
         self._types[topic] = (kind, type_hash)
 
-    def add(self, topic: str, kind: str, log_ns: int) -> None:
+    def add(self, topic: str, log_ns: int) -> None:
         """Count a message."""
         self._counts[topic] = self._counts.get(topic, 0) + 1
         self._first_ns, self._last_ns = min(log_ns, self._first_ns), max(log_ns, self._last_ns)

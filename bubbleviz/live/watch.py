@@ -27,12 +27,14 @@ from bubbleviz.live.signals import stopped_by_signals
 from bubbleviz.live.stream import LiveStream
 from bubbleviz.live.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.zenoh_session import SessionOptions
+from bubbleviz.objects import load_object
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.pressure_zero import PressureZero, rest_pressure_pa, untouched
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 
-PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
+"""There is a pose only where the pipeline follows an object."""
 CAMERA_S = 0.5
 """How long the first frames may come without camera info before the sensor file's counts."""
 DIAGNOSTICS_S = 1.0
@@ -51,6 +53,8 @@ class WatchOptions:
     duration_s : float or None
         From the first frame; None until ^C.
     solver : str or None
+    object_name : str or None
+        Object to track, a mesh file or preset.
     zero : bool
         Whether the gas pressure is zeroed on the first contact-free frames.
     """
@@ -59,6 +63,7 @@ class WatchOptions:
     publish: SessionOptions | None = None
     duration_s: float | None = None
     solver: str | None = None
+    object_name: str | None = None
     zero: bool = True
 
 
@@ -156,6 +161,7 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
     with ExitStack() as stack:
         stop = stack.enter_context(stopped_by_signals())
         stream = open_stream(source, sensor)
+        obj = None if options.object_name is None else load_object(options.object_name)
         recorder = _recorder(stack, stream, options.out)
         publisher = _publisher(stack, options.publish)
         stack.enter_context(stream)
@@ -165,6 +171,7 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
         named = EstimatorOptions.named(options.solver)
         pipeline = Pipeline(sensor, intrinsics=first.intrinsics, options=named)
         pipeline.prepare(PRODUCTS)
+        pipeline.follow(obj)
         zero = PressureZero(rest_pressure_pa(sensor)) if options.zero else None
         watcher = Watcher(stream, pipeline, zero)
         out = _Out(ResultMessages(pipeline.mesh, RESULTS), publisher, recorder)

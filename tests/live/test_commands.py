@@ -162,7 +162,7 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     try:
         done = run(
             *("watch", "--source", f"zenoh:{endpoint}", "--sensor", sensor, "--out", str(out)),
-            *("--duration", "1.6", "--json", "--publish", "tcp/127.0.0.1:0"),
+            *("--duration", "1.6", "--json", "--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
         )
     finally:
         publisher.terminate()
@@ -178,6 +178,7 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     assert topics["/bubbleviz/contact_patch"] == facts["frames"]
     assert topics["/bubbleviz/contact_wrench"] == facts["frames"]
     assert topics["/diagnostics"] >= 1
+    assert 0 < topics["/bubbleviz/object_pose"] <= facts["status"]["ok"]
     assert info.frames >= facts["frames"]
     assert info.wrench is False  # ours is no measurement
     assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= info.frames

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ from bubbleviz.live.zenoh_session import SessionOptions, open_session
 from bubbleviz.objects import load_object
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pressure_zero import ENOUGH, PressureZero, rest_pressure_pa
-from bubbleviz.result import Result
+from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import Sensor
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -113,17 +112,16 @@ def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Res
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     T[:3, 3] = [0.01, -0.02, 0.05]
-    posed = SimpleNamespace(**vars(pressed) | {"pose": SimpleNamespace(T_B_O=T)})
-    found = decoded(ResultMessages(pipeline.mesh).of(posed))  # type: ignore[arg-type]
+    posed = replace(pressed, pose=Pose("ok", T))
+    found = decoded(ResultMessages(pipeline.mesh).of(posed))
     pose = found["/bubble/object_pose"].pose  # type: ignore[attr-defined]
     assert [pose.position.x, pose.position.y, pose.position.z] == [0.01, -0.02, 0.05]
     half = np.sqrt(0.5)
     assert abs(pose.orientation.z) == pytest.approx(half)
     assert pose.orientation.w * pose.orientation.z > 0
-    posed.pose.T_B_O = np.full((4, 4), np.nan)  # lost
-    assert "/bubble/object_pose" not in decoded(
-        ResultMessages(pipeline.mesh).of(posed)  # type: ignore[arg-type]
-    )
+    for status in ("lost", "no_contact", "few_points", "no_data"):  # `lost` keeps its last place
+        gone = replace(pressed, pose=Pose(status, T))
+        assert "/bubble/object_pose" not in decoded(ResultMessages(pipeline.mesh).of(gone))
     assert POSE == "geometry_msgs/msg/PoseStamped"
 
 
