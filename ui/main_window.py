@@ -16,14 +16,17 @@ from bubbleviz.result import Result
 from ui import theme
 from ui.calibration.session import Calibration
 from ui.controller import Controller
+from ui.hover import Hover
 from ui.menus import Menus
 from ui.panels.gamma0.panel import Gamma0Panel
+from ui.panels.images import ImagesPanel
 from ui.panels.kappa import KappaPanel
 from ui.panels.layers import LayersPanel
 from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
 from ui.panels.plots import PlotsPanel
 from ui.panels.status import Rates, StatusBar
+from ui.pointing import Pointing
 from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
@@ -64,6 +67,9 @@ class MainWindow(QMainWindow):
         self.kappa = KappaPanel(state)
         self.playback = PlaybackPanel(state)
         self.plots = PlotsPanel(state, controller)
+        self.hover = Hover(controller)
+        self.images = ImagesPanel(state, controller, self.hover)
+        self.pointing = Pointing(state, self.view, self.scene, self.hover)
         self.undo_stack = QUndoStack(self)
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
@@ -134,11 +140,15 @@ class MainWindow(QMainWindow):
         self.playback_dock = self._dock("Playback", self.playback, bottom)
         self.splitDockWidget(self.plots_dock, self.playback_dock, Qt.Orientation.Vertical)
         self.plots_dock.hide()
+        left = Qt.DockWidgetArea.LeftDockWidgetArea
+        self.images_dock = self._dock("Images", self.images, left)
+        self.images_dock.hide()
         self.panels: dict[str, QWidget] = {
             "layers": self.layers_dock,
             "kappa": self.kappa_dock,
             "calibration": self.gamma0_dock,
             "plots": self.plots_dock,
+            "images": self.images_dock,
             "playback": self.playback_dock,
             "status": self.status,
         }
@@ -157,7 +167,11 @@ class MainWindow(QMainWindow):
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
         self.view.dropped_files.connect(lambda paths: self.open_file(paths[0]))
-        for dock, name in ((self.kappa_dock, "kappa_panel"), (self.plots_dock, "plots")):
+        for dock, name in (
+            (self.kappa_dock, "kappa_panel"),
+            (self.plots_dock, "plots"),
+            (self.images_dock, "images"),
+        ):
             dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
         self.gamma0.painted.connect(self._paint)
         self._rates.timeout.connect(self.show_rates)

@@ -85,7 +85,7 @@ class Menus:
             self._add(scenes, preset.title, partial(window.use_scene, preset))
         self._theme(menu.addMenu("&Theme"))
         menu.addSeparator()
-        for name in ("layers", "kappa", "calibration", "plots", "playback"):
+        for name in ("layers", "kappa", "calibration", "plots", "images", "playback"):
             dock = cast(QDockWidget, window.panels[name])
             menu.addAction(dock.toggleViewAction())
         status = self._add(menu, "Status bar", self._toggle_status)

@@ -26,6 +26,7 @@ CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
         "kappa_panel": frozenset({"estimate", "patch"}),
         "status": frozenset({"estimate", "patch"}),
         "plots": frozenset(),
+        "images": frozenset(),
     }
 )
 """Products by the name of a layer, panel or bar."""
@@ -63,6 +64,8 @@ def products(choices: Choices) -> frozenset[Product]:
         needed |= CLOUD_COLOURS[choices.cloud_colour]
     if "plots" in choices.panels:
         needed |= plotted(choices)
+    if "images" in choices.panels and "patch" in choices.images:
+        needed |= {"estimate", "patch", "pixel_mask"}
     for look in looks(choices):
         needed |= NEEDS[look]
     return needed
@@ -79,4 +82,6 @@ def looks(choices: Choices) -> frozenset[Look]:
     wanted: set[Look] = set()
     if "plots" in choices.panels and "kappa" in choices.plots:
         wanted.add("kappa_curve")
+    if "images" in choices.panels:
+        wanted |= {look for look in NEEDS if look in choices.images}
     return frozenset(wanted)

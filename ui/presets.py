@@ -13,8 +13,8 @@ from bubbleviz.sensor import presets_folder
 from ui.state import CloudColour
 
 Layer = Literal["membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim"]
-Panel = Literal["layers", "kappa", "calibration", "plots", "playback", "status"]
-PANELS_THAT_ASK = {"kappa": "kappa_panel", "plots": "plots", "status": "status"}
+Panel = Literal["layers", "kappa", "calibration", "plots", "images", "playback", "status"]
+PANELS_THAT_ASK = {"kappa": "kappa_panel", "plots": "plots", "images": "images", "status": "status"}
 """Panels that show results, by their name in `Choices.panels`."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

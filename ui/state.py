@@ -41,8 +41,8 @@ class Choices:
         Begin again after the last frame, or the last of the looped range.
     layers, panels : frozenset of str
         What is visible.
-    plots : frozenset of str
-        What the plots panel shows.
+    plots, images : frozenset of str
+        What the panels of these names show.
     cloud_colour : {"residual", "patch", "plain"}
         What colours the measured points.
     cloud_points : int or None
@@ -68,6 +68,7 @@ class Choices:
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
     plots: frozenset[str] = frozenset({"force", "gas", "area"})
+    images: frozenset[str] = frozenset({"depth", "change", "residual"})
     cloud_colour: CloudColour = "residual"
     cloud_points: int | None = 10_000
     membrane_opacity: float = 1.0

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage, QKeyEvent
+from PySide6.QtCore import QEvent, Signal
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage, QKeyEvent, QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QWidget
 from pyvistaqt import QtInteractor
 
@@ -27,6 +27,12 @@ class View(QtInteractor):  # type: ignore[misc]
     ----------
     dropped_files : Signal
         List of paths the user dropped on the view.
+    moved : Signal
+        Where the mouse is, in Qt's pixels, while no button is held.
+    left : Signal
+        The mouse is elsewhere.
+    resized : Signal
+        The view has another size.
     rendered : Signal
         VTK has rendered a picture.
     renders : RateMeter
@@ -39,6 +45,9 @@ class View(QtInteractor):  # type: ignore[misc]
 
     dropped_files = Signal(list)
     rendered = Signal()
+    moved = Signal(float, float)
+    left = Signal()
+    resized = Signal()
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
@@ -95,6 +104,22 @@ class View(QtInteractor):  # type: ignore[misc]
             subject.RemoveObserver(tag)
         self._tags, self._painters = [], ()
         super().close()
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Turn the scene while a button is held, else say where the mouse is."""
+        super().mouseMoveEvent(event)
+        if not event.buttons():
+            self.moved.emit(event.position().x(), event.position().y())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Say that the size is another."""
+        super().resizeEvent(event)
+        self.resized.emit()
+
+    def leaveEvent(self, event: QEvent) -> None:
+        """Say that the mouse is elsewhere."""
+        super().leaveEvent(event)
+        self.left.emit()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Leave keys to the window: VTK's own would quit or change styles."""

@@ -8,6 +8,9 @@ from ui.scene.colours import ENTRIES
 from ui.scene.text import write_in
 from ui.view import View
 
+WIDTH = 112
+"""Width that the widest title needs, screen pixels."""
+
 
 class ColourBar:
     """Colour bar at a fixed place at the right edge of the view.
@@ -33,20 +36,26 @@ class ColourBar:
         bar.UnconstrainedFontSizeOn()
         bar.SetBarRatio(0.22)
         bar.SetVerticalTitleSeparation(6)
-        bar.SetPosition(0.88, bottom)
-        bar.SetWidth(0.11)
         bar.SetHeight(0.42)
         bar.SetMaximumNumberOfColors(ENTRIES)
         write_in(view, bar.GetTitleTextProperty(), 12)
         write_in(view, bar.GetLabelTextProperty(), 12)
         view.renderer.AddViewProp(bar)
-        self._bar = bar
+        self._view, self._bar, self._bottom = view, bar, bottom
         self._table = table
+        self._fit()
+        view.resized.connect(self._fit)
 
     def set_range(self, low: float, high: float) -> None:
         """Take other ends, in displayed units."""
         if tuple(self._table.scalar_range) != (low, high):
             self._table.scalar_range = (low, high)
+
+    def _fit(self) -> None:
+        """Keep room for the title, however narrow the view is."""
+        width = min(max(0.11, WIDTH / max(self._view.width(), 1)), 0.5)
+        self._bar.SetWidth(width)
+        self._bar.SetPosition(0.99 - width, self._bottom)
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide."""

@@ -32,7 +32,7 @@ class CloudLayer:
         self._table = residual_map(theme.of(view).cloud)
         self._plain = theme.of(view).cloud
         self._reserve(CHUNK)
-        self._actor = view.add_mesh(
+        self.actor = view.add_mesh(
             self._poly,
             scalars=self.RESIDUAL,
             cmap=self._table,
@@ -46,8 +46,8 @@ class CloudLayer:
             reset_camera=False,
             render=False,
         )
-        self._actor.mapper.SetScalarModeToUsePointFieldData()
-        self._actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
+        self.actor.mapper.SetScalarModeToUsePointFieldData()
+        self.actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
         self._bar = ColourBar(view, self._table, f"residual\n({unit.symbol})", bottom=0.04)
         self._visible = True
         view.follow_theme(self._take_colours)
@@ -60,7 +60,7 @@ class CloudLayer:
         """Write the points and their colours into the buffers."""
         result = picture.result
         if result.cloud_m is None or len(result.cloud_m) == 0:
-            self._actor.visibility = False
+            self.actor.visibility = False
             return
         most = picture.choices.cloud_points or len(result.cloud_m)
         step = -(-len(result.cloud_m) // most)
@@ -73,13 +73,13 @@ class CloudLayer:
         else:
             self._colour(result if picture.choices.cloud_colour == "patch" else None, step)
         self._poly.Modified()
-        self._actor.visibility = self._visible
+        self.actor.visibility = self._visible
         self._bar.set_visible(self._visible and by_residual)
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the points and their bar."""
         self._visible = visible
-        self._actor.visibility = visible
+        self.actor.visibility = visible
         self._bar.set_visible(visible)
 
     def _take_colours(self, colours: theme.Colours) -> None:
@@ -90,7 +90,7 @@ class CloudLayer:
         high = self._unit.of(high_m)
         _fill(self._poly.point_data[self.RESIDUAL], self._unit.of(1.0) * residual_m)
         self._bar.set_range(-high, high)
-        self._actor.mapper.scalar_range = (-high, high)
+        self.actor.mapper.scalar_range = (-high, high)
         self._use(self.RESIDUAL, direct=False)
 
     def _colour(self, patch_of: Result | None, step: int) -> None:
@@ -105,7 +105,7 @@ class CloudLayer:
         self._use(self.COLOUR, direct=True)
 
     def _use(self, array: str, *, direct: bool) -> None:
-        mapper = self._actor.mapper
+        mapper = self.actor.mapper
         mapper.SelectColorArray(array)
         mapper.SetColorModeToDirectScalars() if direct else mapper.SetColorModeToMapScalars()
 

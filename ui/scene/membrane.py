@@ -22,7 +22,7 @@ class MembraneLayer:
         self._surface = surface
         self._unit = unit
         self._table = pressure_map()
-        self._actor = view.add_mesh(
+        self.actor = view.add_mesh(
             surface.poly,
             scalars=surface.PRESSURE,
             cmap=self._table,
@@ -36,7 +36,7 @@ class MembraneLayer:
             reset_camera=False,
             render=False,
         )
-        surface.shade(self._actor)
+        surface.shade(self.actor)
         title = f"contact pressure\n({unit.symbol})"
         self._bar = ColourBar(view, self._table, title, bottom=0.53)
 
@@ -47,12 +47,12 @@ class MembraneLayer:
         """Take the colour range and the opacity; the surface itself is shared."""
         high = self._unit.of(picture.ranges.pressure_pa)
         self._bar.set_range(0.0, high)
-        self._actor.mapper.scalar_range = (0.0, high)
-        self._actor.prop.opacity = picture.choices.membrane_opacity
+        self.actor.mapper.scalar_range = (0.0, high)
+        self.actor.prop.opacity = picture.choices.membrane_opacity
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the surface and its bar."""
-        self._actor.visibility = visible
+        self.actor.visibility = visible
         self._bar.set_visible(visible)
 
 

@@ -13,6 +13,8 @@ from ui.scene.force import ForceLayer
 from ui.scene.frustum import FrustumLayer
 from ui.scene.layer import Layer, Picture
 from ui.scene.membrane import MembraneLayer, WireframeLayer
+from ui.scene.picker import Picker
+from ui.scene.probe import ProbeMarks
 from ui.scene.ranges import HeldRanges
 from ui.scene.readout import ReadoutLayer
 from ui.scene.rim import RimLayer
@@ -38,16 +40,20 @@ class Scene:
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
+        membrane = MembraneLayer(view, self._surface, units.pressure)
+        cloud = CloudLayer(view, units.length)
         self.layers: dict[str, Layer] = {
-            "membrane": MembraneLayer(view, self._surface, units.pressure),
+            "membrane": membrane,
             "wireframe": WireframeLayer(view, self._surface),
             "contour": ContourLayer(view, self._surface),
-            "cloud": CloudLayer(view, units.length),
+            "cloud": cloud,
             "force": ForceLayer(view),
             "readout": ReadoutLayer(view, units),
             "frustum": FrustumLayer(view),
             "rim": RimLayer(view, self._surface),
         }
+        self.marks = ProbeMarks(view)
+        self.picker = Picker(view, surfaces=[membrane.actor], clouds=[cloud.actor])
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another sensor; the camera stays where the user has put it."""
@@ -56,6 +62,7 @@ class Scene:
         self._bounds = _bounds(mesh, sensor)
         self._surface.set_mesh(mesh)
         self._ranges.set_sensor(sensor)
+        self.marks.set_camera(np.array(sensor.camera.position_m))
         for layer in self.layers.values():
             layer.set_sensor(sensor, mesh)
         if self._placed is None or self._placed == self._camera_place():
