@@ -31,6 +31,7 @@ from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
 from ui.state import ChoicesChanged, Event, PlayingChanged, SessionState, SourceChanged
+from ui.units import SYSTEMS
 from ui.view import View
 
 RATES_EVERY_MS = 500
@@ -191,7 +192,17 @@ class MainWindow(QMainWindow):
         elif isinstance(event, ChoicesChanged) and event.names - UNSEEN:
             if "theme" in event.names:
                 self._use_theme(theme.system_scheme())
+            if event.names & SYSTEMS.keys():
+                self._show_units()
             self.scene.apply(self.state.choices)
+
+    def _show_units(self) -> None:
+        """Write every number anew, in the units that are chosen now."""
+        self.status.fit_units()
+        if self.controller.result is not None:
+            self._show_numbers(self.controller.result)
+        self.show_rates()
+        self.gamma0.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
         self.message.hide()

@@ -13,6 +13,7 @@ from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
 from ui.panels.playback import next_speed
 from ui.presets import load_scene, scene_names
 from ui.state import ThemeName
+from ui.units import SYSTEMS
 
 if TYPE_CHECKING:
     from ui.main_window import MainWindow
@@ -84,6 +85,7 @@ class Menus:
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
         self._theme(menu.addMenu("&Theme"))
+        self._units(menu.addMenu("&Units"))
         menu.addSeparator()
         for name in ("layers", "kappa", "calibration", "plots", "images", "playback"):
             dock = cast(QDockWidget, window.panels[name])
@@ -91,6 +93,26 @@ class Menus:
         status = self._add(menu, "Status bar", self._toggle_status)
         status.setCheckable(True)
         menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
+
+    def _units(self, menu: QMenu) -> None:
+        """A choice of each kind of unit, with a line between kinds."""
+        menu.setObjectName("menu_units")
+        state = self._window.state
+        actions: dict[tuple[str, str], QAction] = {}
+        for kind, system in SYSTEMS.items():
+            group = QActionGroup(menu)
+            for symbol in system:
+                action = self._add(menu, symbol, partial(state.choose, **{kind: symbol}))
+                action.setCheckable(True)
+                group.addAction(action)
+                actions[kind, symbol] = action
+            menu.addSeparator()
+
+        def check() -> None:
+            for (kind, symbol), action in actions.items():
+                action.setChecked(getattr(state.choices, kind) == symbol)
+
+        menu.aboutToShow.connect(check)
 
     def _theme(self, menu: QMenu) -> None:
         menu.setObjectName("menu_theme")

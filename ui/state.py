@@ -10,7 +10,7 @@ import numpy as np
 
 from bubbleviz.numbers import Numbers
 from ui.history import History
-from ui.units import Units
+from ui.units import SYSTEMS, Units
 
 CloudColour = Literal["residual", "patch", "plain"]
 ThemeName = Literal["system", "dark", "light"]
@@ -19,6 +19,8 @@ LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frus
 """Names of the 3-D layers, in the order the panel lists them."""
 
 
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Playback speeds to choose from."""
 PATCH_CHOICES = frozenset({"kappa"})
 """Choices that make another patch of the same contact pressure."""
 
@@ -56,6 +58,8 @@ class Choices:
         How near a fresh view is; 1 shows the whole box around the membrane.
     pressure_max_pa, residual_max_m : float or None
         Upper ends of the colour ranges; None: the largest value seen, rounded up.
+    length_unit, pressure_unit, force_unit, duration_unit : str
+        What numbers are shown in, see `units.SYSTEMS`.
     theme : {"system", "dark", "light"}
         Colours of the window.
     """
@@ -76,6 +80,10 @@ class Choices:
     zoom: float = 1.32
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None
+    length_unit: str = "mm"
+    pressure_unit: str = "kPa"
+    force_unit: str = "N"
+    duration_unit: str = "ms"
     theme: ThemeName = "system"
 
 
@@ -214,6 +222,7 @@ class SessionState:
         self.markers: tuple[int, ...] = ()
         self.history = History(0)
         self.units = Units()
+        self.units.use({name: getattr(self.choices, name) for name in SYSTEMS})
         self._observers: list[Callable[[Event], None]] = []
 
     def subscribe(self, observer: Callable[[Event], None]) -> None:
@@ -326,6 +335,7 @@ class SessionState:
         )
         if names:
             self.choices = new
+            self.units.use({name: getattr(new, name) for name in names & SYSTEMS.keys()})
             if names & PATCH_CHOICES:
                 self.history.forget_patches()
             self._tell(ChoicesChanged(names))

@@ -52,21 +52,71 @@ class Unit:
         )
 
 
-@dataclass(frozen=True)
-class Units:
-    """The units of everything the window shows."""
+PSI = 6894.757293168
+"""Pascals in a pound-force per square inch (NIST SP 811)."""
 
-    pressure: Unit = Unit("kPa", 1e-3, 2)
-    gas_pressure: Unit = Unit("Pa", 1.0, 0)
-    force: Unit = Unit("N", 1.0, 2)
-    area: Unit = Unit("mm²", 1e6, 0)
-    length: Unit = Unit("mm", 1e3, 2)
-    time: Unit = Unit("s", 1.0, 3)
-    fine_length: Unit = Unit("mm", 1e3, 3)
-    tension: Unit = Unit("N/m", 1.0, 2)
-    volume: Unit = Unit("cm³", 1e6, 1)
-    share: Unit = Unit("%", 100.0, 1)
-    rate: Unit = Unit("Hz", 1.0, 1)
-    render_rate: Unit = Unit("fps", 1.0, 0)
-    duration: Unit = Unit("ms", 1.0, 1)
-    """Durations of stages arrive in ms already (`Result.times_ms`)."""
+SYSTEMS: dict[str, dict[str, dict[str, Unit]]] = {
+    "length_unit": {
+        "mm": {
+            "length": Unit("mm", 1e3, 2),
+            "fine_length": Unit("mm", 1e3, 3),
+            "area": Unit("mm²", 1e6, 0),
+            "volume": Unit("cm³", 1e6, 1),
+        },
+        "m": {
+            "length": Unit("m", 1.0, 5),
+            "fine_length": Unit("m", 1.0, 6),
+            "area": Unit("m²", 1.0, 6),
+            "volume": Unit("m³", 1.0, 7),
+        },
+    },
+    "pressure_unit": {
+        "kPa": {"pressure": Unit("kPa", 1e-3, 2), "gas_pressure": Unit("Pa", 1.0, 0)},
+        "Pa": {"pressure": Unit("Pa", 1.0, 0), "gas_pressure": Unit("Pa", 1.0, 0)},
+        "psi": {"pressure": Unit("psi", 1 / PSI, 3), "gas_pressure": Unit("psi", 1 / PSI, 4)},
+    },
+    "force_unit": {
+        "N": {"force": Unit("N", 1.0, 2)},
+        "mN": {"force": Unit("mN", 1e3, 0)},
+    },
+    "duration_unit": {
+        "ms": {"duration": Unit("ms", 1.0, 1)},
+        "s": {"duration": Unit("s", 1e-3, 4)},
+    },
+}
+"""Units of `Units` by what the operator chooses. Durations of stages arrive in ms already
+(`Result.times_ms`)."""
+
+
+class Units:
+    """The units of everything the window shows; who holds it sees what the operator chooses.
+
+    Attributes
+    ----------
+    pressure, gas_pressure, force, area, length, fine_length, volume, duration : Unit
+        Of the operator's choice.
+    time, tension, share, rate, render_rate : Unit
+    """
+
+    pressure: Unit
+    gas_pressure: Unit
+    force: Unit
+    area: Unit
+    length: Unit
+    fine_length: Unit
+    volume: Unit
+    duration: Unit
+    time = Unit("s", 1.0, 3)
+    tension = Unit("N/m", 1.0, 2)
+    share = Unit("%", 100.0, 1)
+    rate = Unit("Hz", 1.0, 1)
+    render_rate = Unit("fps", 1.0, 0)
+
+    def __init__(self) -> None:
+        self.use({name: next(iter(system)) for name, system in SYSTEMS.items()})
+
+    def use(self, chosen: dict[str, str]) -> None:
+        """Take a choice of `SYSTEMS`, by name."""
+        for name, symbol in chosen.items():
+            for quantity, unit in SYSTEMS[name][symbol].items():
+                setattr(self, quantity, unit)

@@ -90,6 +90,7 @@ class ImagesPanel(QWidget):
             for name, action in self.boxes.items():
                 action.setChecked(name in self._state.choices.images)
             self._arrange()
+            self._draw()
             self._on_hover(self._hover.place)
 
     def _on_shown(self, _: object) -> None:

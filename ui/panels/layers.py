@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -38,6 +38,10 @@ CLOUD_POINTS = {
 CLOUD_COLOURS = {"residual": "residual", "patch": "patch membership", "plain": "one colour"}
 
 
+HIGHEST_PA, LARGEST_M, STEP = 1e6, 0.1, 1e-3
+"""Ends of the boxes for ranges, and a step as a share of them."""
+
+
 class LayersPanel(QWidget):
     """Check boxes for the layers and the choices that belong to them."""
 
@@ -53,9 +57,7 @@ class LayersPanel(QWidget):
             self.cloud_points.addItem(title, most)
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setRange(10, 100)
-        units = state.units
-        self.pressure_max = _range_box(units.pressure, 1e6)
-        self.residual_max = _range_box(units.length, 0.1)
+        self.pressure_max, self.residual_max = _range_box(), _range_box()
         self._lay_out()
         self._show_choices()
         self._connect()
@@ -103,12 +105,12 @@ class LayersPanel(QWidget):
             lambda _: state.choose(cloud_points=self.cloud_points.currentData())
         )
         self.opacity.valueChanged.connect(lambda v: state.choose(membrane_opacity=v / 100))
-        pressure, length = state.units.pressure, state.units.length
+        units = state.units
         self.pressure_max.valueChanged.connect(
-            lambda v: state.choose(pressure_max_pa=pressure.to_si(v) if v > 0 else None)
+            lambda v: state.choose(pressure_max_pa=units.pressure.to_si(v) if v > 0 else None)
         )
         self.residual_max.valueChanged.connect(
-            lambda v: state.choose(residual_max_m=length.to_si(v) if v > 0 else None)
+            lambda v: state.choose(residual_max_m=units.length.to_si(v) if v > 0 else None)
         )
 
     def _on_event(self, event: Event) -> None:
@@ -125,17 +127,26 @@ class LayersPanel(QWidget):
         self.opacity.setValue(round(100 * choices.membrane_opacity))
         self.cloud_colour.setEnabled("cloud" in choices.layers)
         self.opacity.setEnabled("membrane" in choices.layers)
+        units = self._state.units
+        _show_range(self.pressure_max, choices.pressure_max_pa, units.pressure, HIGHEST_PA)
+        _show_range(self.residual_max, choices.residual_max_m, units.length, LARGEST_M)
         self.pressure_max.setEnabled("membrane" in choices.layers)
         by_residual = choices.cloud_colour == "residual"
         self.residual_max.setEnabled("cloud" in choices.layers and by_residual)
 
 
-def _range_box(unit: Unit, largest_si: float) -> QDoubleSpinBox:
+def _range_box() -> QDoubleSpinBox:
     box = QDoubleSpinBox()
-    box.setRange(0.0, unit.of(largest_si))
-    box.setDecimals(unit.digits)
-    box.setSingleStep(0.1)
     box.setSpecialValueText("automatic")
-    box.setSuffix(f" {unit.symbol}")
     box.setKeyboardTracking(False)
     return box
+
+
+def _show_range(box: QDoubleSpinBox, value_si: float | None, unit: Unit, most_si: float) -> None:
+    """Show the end of a range in a unit; automatic without one."""
+    with QSignalBlocker(box):
+        box.setDecimals(unit.digits)
+        box.setRange(0.0, unit.of(most_si))
+        box.setSingleStep(unit.of(most_si) * STEP)
+        box.setSuffix(f" {unit.symbol}")
+        box.setValue(unit.of(value_si) if value_si is not None else 0.0)

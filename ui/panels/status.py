@@ -13,18 +13,6 @@ from bubbleviz.result import Result
 from ui.state import SourceFacts
 from ui.units import Units
 
-WIDEST = {
-    "sensor": "soft-bubble…",
-    "frame": "frame 888/888 · 88.888 s",
-    "force": "force 88.88 N",
-    "area": "patch 8888 mm²",
-    "gas": "Δp gas +8888 Pa",
-    "residual": "residual 8.88 mm",
-    "camera": "camera 88.8 Hz",
-    "solve": "solve 88.8 ms · 88.8 Hz",
-    "render": "render 88 fps",
-    "dropped": "dropped 8888 frames",
-}
 TIPS = {
     "sensor": "Sensor",
     "frame": "Frame shown and its time in the recording",
@@ -48,6 +36,22 @@ class Rates:
     dropped: int
 
 
+def widest(units: Units) -> dict[str, str]:
+    """The longest text of each label that one can expect."""
+    return {
+        "sensor": "soft-bubble…",
+        "frame": "frame 888/888 · 88.888 s",
+        "force": f"force {units.force.text(88.88)}",
+        "area": f"patch {units.area.text(8.888e-3)}",
+        "gas": f"Δp gas {units.gas_pressure.text(8888.0, signed=True)}",
+        "residual": f"residual {units.length.text(8.88e-3)}",
+        "camera": "camera 88.8 Hz",
+        "solve": f"solve {units.duration.text(88.8)} · 88.8 Hz",
+        "render": "render 88 fps",
+        "dropped": "dropped 8888 frames",
+    }
+
+
 class StatusBar(QStatusBar):
     """One label a fact, each as wide as its widest text, so nothing jumps."""
 
@@ -56,9 +60,16 @@ class StatusBar(QStatusBar):
         self._units = units
         self.setSizeGripEnabled(False)
         self.setContentsMargins(10, 2, 10, 2)
-        self.labels = {name: self._label(name) for name in WIDEST}
+        self.labels = {name: self._label(name) for name in TIPS}
+        self.fit_units()
         for name, label in self.labels.items():
             self.addWidget(label, 1 if name == "sensor" else 0)
+
+    def fit_units(self) -> None:
+        """Make each label as wide as its widest text in the operator's units."""
+        for name, text in widest(self._units).items():
+            label = self.labels[name]
+            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(text) + 6)
 
     def show_source(self, facts: SourceFacts) -> None:
         """Write what does not change from frame to frame."""
@@ -116,6 +127,4 @@ class StatusBar(QStatusBar):
         label.setAlignment(Qt.AlignmentFlag.AlignCenter)
         if name == "sensor":
             label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        width = label.fontMetrics().horizontalAdvance(WIDEST[name])
-        label.setMinimumWidth(width + 6)
         return label

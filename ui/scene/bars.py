@@ -6,6 +6,7 @@ from typing import Any
 
 from ui.scene.colours import ENTRIES
 from ui.scene.text import write_in
+from ui.units import Unit
 from ui.view import View
 
 WIDTH = 112
@@ -19,18 +20,17 @@ class ColourBar:
     ----------
     view : View
     table : pyvista.LookupTable
-    title : str
-        Quantity and unit.
+    quantity : str
     bottom : float
         Lower end as a share of the view's height.
     """
 
-    def __init__(self, view: View, table: Any, title: str, bottom: float) -> None:
+    def __init__(self, view: View, table: Any, quantity: str, bottom: float) -> None:
         from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 
         bar = vtkScalarBarActor()
         bar.SetLookupTable(table)
-        bar.SetTitle(title)
+        bar.SetTitle(quantity)
         bar.SetNumberOfLabels(5)
         bar.SetLabelFormat("{:.4g}")
         bar.UnconstrainedFontSizeOn()
@@ -42,12 +42,13 @@ class ColourBar:
         write_in(view, bar.GetLabelTextProperty(), 12)
         view.renderer.AddViewProp(bar)
         self._view, self._bar, self._bottom = view, bar, bottom
-        self._table = table
+        self._table, self._quantity = table, quantity
         self._fit()
         view.resized.connect(self._fit)
 
-    def set_range(self, low: float, high: float) -> None:
-        """Take other ends, in displayed units."""
+    def set_range(self, low: float, high: float, unit: Unit) -> None:
+        """Take other ends, in a unit, which the title names."""
+        self._bar.SetTitle(f"{self._quantity}\n({unit.symbol})")
         if tuple(self._table.scalar_range) != (low, high):
             self._table.scalar_range = (low, high)
 

@@ -11,7 +11,7 @@ from ui import theme
 from ui.scene.bars import ColourBar
 from ui.scene.colours import residual_colours, residual_map, rgb
 from ui.scene.layer import Picture
-from ui.units import Unit
+from ui.units import Units
 from ui.view import View
 
 CHUNK = 1024
@@ -24,10 +24,10 @@ class CloudLayer:
     RESIDUAL = "residual"
     COLOUR = "colour"
 
-    def __init__(self, view: View, unit: Unit) -> None:
+    def __init__(self, view: View, units: Units) -> None:
         import pyvista as pv
 
-        self._unit = unit
+        self._units = units
         self._poly = pv.PolyData(np.zeros((1, 3)))
         self._table = residual_map(theme.of(view).cloud)
         self._plain = theme.of(view).cloud
@@ -48,7 +48,7 @@ class CloudLayer:
         )
         self.actor.mapper.SetScalarModeToUsePointFieldData()
         self.actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
-        self._bar = ColourBar(view, self._table, f"residual\n({unit.symbol})", bottom=0.04)
+        self._bar = ColourBar(view, self._table, "residual", bottom=0.04)
         self._visible = True
         view.follow_theme(self._take_colours)
 
@@ -87,9 +87,10 @@ class CloudLayer:
         self._table.values = residual_colours(colours.cloud)
 
     def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
-        high = self._unit.of(high_m)
-        _fill(self._poly.point_data[self.RESIDUAL], self._unit.of(1.0) * residual_m)
-        self._bar.set_range(-high, high)
+        unit = self._units.length
+        high = unit.of(high_m)
+        _fill(self._poly.point_data[self.RESIDUAL], unit.of(1.0) * residual_m)
+        self._bar.set_range(-high, high, unit)
         self.actor.mapper.scalar_range = (-high, high)
         self._use(self.RESIDUAL, direct=False)
 

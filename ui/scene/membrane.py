@@ -11,16 +11,16 @@ from ui.scene.bars import ColourBar
 from ui.scene.colours import pressure_map
 from ui.scene.layer import Picture
 from ui.scene.surface import Surface
-from ui.units import Unit
+from ui.units import Units
 from ui.view import View
 
 
 class MembraneLayer:
     """The deformed surface with a colour bar in the operator's pressure unit."""
 
-    def __init__(self, view: View, surface: Surface, unit: Unit) -> None:
+    def __init__(self, view: View, surface: Surface, units: Units) -> None:
         self._surface = surface
-        self._unit = unit
+        self._units = units
         self._table = pressure_map()
         self.actor = view.add_mesh(
             surface.poly,
@@ -37,16 +37,15 @@ class MembraneLayer:
             render=False,
         )
         surface.shade(self.actor)
-        title = f"contact pressure\n({unit.symbol})"
-        self._bar = ColourBar(view, self._table, title, bottom=0.53)
+        self._bar = ColourBar(view, self._table, "contact pressure", bottom=0.53)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Nothing: the surface is shared."""
 
     def draw(self, picture: Picture) -> None:
         """Take the colour range and the opacity; the surface itself is shared."""
-        high = self._unit.of(picture.ranges.pressure_pa)
-        self._bar.set_range(0.0, high)
+        high = self._units.pressure.of(picture.ranges.pressure_pa)
+        self._bar.set_range(0.0, high, self._units.pressure)
         self.actor.mapper.scalar_range = (0.0, high)
         self.actor.prop.opacity = picture.choices.membrane_opacity
 

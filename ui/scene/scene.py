@@ -34,14 +34,14 @@ class Scene:
     def __init__(self, view: View, units: Units, choices: Choices) -> None:
         self._view = view
         self._choices = choices
-        self._surface = Surface(units.pressure)
+        self._surface = Surface(units)
         self._ranges = HeldRanges()
         self._result: Result | None = None
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
-        membrane = MembraneLayer(view, self._surface, units.pressure)
-        cloud = CloudLayer(view, units.length)
+        membrane = MembraneLayer(view, self._surface, units)
+        cloud = CloudLayer(view, units)
         self.layers: dict[str, Layer] = {
             "membrane": membrane,
             "wireframe": WireframeLayer(view, self._surface),

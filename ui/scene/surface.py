@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate
 from ui.scene.layer import Shape
-from ui.units import Unit
+from ui.units import Units
 
 
 class Surface:
@@ -26,10 +26,10 @@ class Surface:
     PRESSURE = "contact pressure"
     LEVEL = "patch level"
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, units: Units) -> None:
         import pyvista as pv
 
-        self._unit = unit
+        self._units = units
         self._mesh: MembraneMesh | None = None
         self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
         self.poly.point_data[self.PRESSURE] = np.zeros(3)
@@ -62,7 +62,7 @@ class Surface:
         """Move the vertices and colour them, in place."""
         self.poly.points[:] = shape.nodes_m
         self.poly.point_data["Normals"][:] = shape.normals
-        self.poly.point_data[self.PRESSURE][:] = self._unit.of(1.0) * shape.pressure_pa
+        self.poly.point_data[self.PRESSURE][:] = self._units.pressure.of(1.0) * shape.pressure_pa
         self.poly.GetPoints().Modified()
         self.poly.Modified()
 

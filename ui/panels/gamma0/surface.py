@@ -87,7 +87,8 @@ class SurfacePage(Page):
         for name, rms in surfaces.left_out_rms_m.items():
             self.numbers.set(f"{name} misses by", f"{length.text(rms)} rms")
         axes = " · ".join(
-            f"{units.length.of(a):.2f}" for a in surfaces.fits.ellipsoid.ellipsoid.semi_axes_m
+            f"{units.length.of(a):.{units.length.digits}f}"
+            for a in surfaces.fits.ellipsoid.ellipsoid.semi_axes_m
         )
         self.numbers.set("ellipsoid's semi-axes", f"{axes} {units.length.symbol}")
         radius = float(surfaces.fits.sphere.ellipsoid.semi_axes_m[0])
