@@ -13,9 +13,9 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.objects import RigidObject
 
-CREASE_RAD = np.radians(30.0)
+CREASE_RAD = np.radians(20.0)
 """Angle between faces from which their common edge is an edge of the object, and not of its mesh:
-a circle of 12 facets still counts as round."""
+a circle of 20 facets still counts as round."""
 
 _STEP = 0.01
 """Distance of points along creases over the object's size."""

@@ -35,7 +35,9 @@ _SIDEWAYS = 0.1
 """Cosine of a point's normal with the membrane's beyond which it looks away from it."""
 
 _REACH_M = 0.015
-_NEWTON = 3
+_STEPS = 6
+_TOLERANCE = 1e-3
+"""Steps to the place below a point, and what they may leave in units of a triangle."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class PressedMembrane:
             core.Tensor.from_numpy(mesh.nodes.astype(np.float32)),
             core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, np.uint32)),
         )
+        self._neighbours = _neighbours(mesh.triangles)
         self._row = np.full(len(mesh.nodes), -1)
         self._compliance = np.zeros((0, len(mesh.nodes)))
         self._touching = np.zeros(len(self._points), bool)
@@ -104,9 +107,10 @@ class PressedMembrane:
         start = self._touching[near]
         for k in range(len(poses)):
             f = _contact_forces(M, corners[k], weights[k], heights[k], start)
-            np.add.at(forces[k], corners[k], weights[k] * f[:, None])
-            start = f > 0.0
-            if k == 0:
+            shares = (weights[k] * f[:, None]).ravel()
+            forces[k] = np.bincount(corners[k].ravel(), shares, minlength=len(nodes))
+            if k == 0:  # the others are close to the first
+                start = f > 0.0
                 self._touching[:] = False
                 self._touching[near] = start
         return -forces @ rows
@@ -117,36 +121,57 @@ class PressedMembrane:
         center = (contact.center - first[:3, 3]) @ first[:3, :3]
         reach = 2.0 * contact.radius_m + _REACH_M
         near = np.flatnonzero(np.sum((self._points - center) ** 2, axis=1) < reach**2)
-        below = self._below(self._points[near] @ first[:3, :3].T + first[:3, 3])
+        points = self._points[near] @ first[:3, :3].T + first[:3, 3]
+        triangle = self._closest(points)
+        below = self._below(points, triangle)
         normals = self.mesh.normals[below.corners].mean(axis=1)
         looks = np.einsum("pij,pj->pi", self._normals[near] @ first[:3, :3].T, normals)
         kept = (below.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
         kept &= below.weights.min(axis=1) > -0.05  # not beyond the rim
-        near = near[kept]
+        near, triangle = near[kept], np.tile(triangle[kept], len(poses))
         points = np.einsum("sij,pj->spi", poses[:, :3, :3], self._points[near])
-        return near, self._below((points + poses[:, None, :3, 3]).reshape(-1, 3))
+        return near, self._below((points + poses[:, None, :3, 3]).reshape(-1, 3), triangle)
 
-    def _below(self, points: np.ndarray) -> _Below:
-        """Barycentric coordinates and height of points (k, 3) by Newton steps on their triangle."""
+    def _closest(self, points: np.ndarray) -> np.ndarray:
+        """Triangle (k,) of the membrane at rest that is closest to each point (k, 3)."""
         from open3d import core
 
         query = core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
-        found = self._scene.compute_closest_points(query)
-        corners = self.mesh.triangles[found["primitive_ids"].numpy().astype(np.int64)]
-        nodes, normals = self.mesh.nodes[corners], self.mesh.normals[corners]
-        u, v = found["primitive_uvs"].numpy().astype(np.float64).T
-        weights = np.column_stack([1.0 - u - v, u, v])
-        way = points - found["points"].numpy()
-        height = np.einsum("ij,ij->i", way, np.einsum("ij,ijk->ik", weights, normals))
-        for _ in range(_NEWTON):
-            lifted = nodes + height[:, None, None] * normals
-            miss = points - np.einsum("ij,ijk->ik", weights, lifted)
-            up = np.einsum("ij,ijk->ik", weights, normals)
+        found = self._scene.compute_closest_points(query)["primitive_ids"]
+        return found.numpy().astype(np.int64)
+
+    def _below(self, points: np.ndarray, triangle: np.ndarray) -> _Below:
+        """Barycentric coordinates and height of points (k, 3), walking from a triangle close by.
+
+        Newton's method on the triangle, and on to the neighbour where it leads out of it.
+        """
+        triangle = triangle.copy()
+        weights = np.full((len(points), 3), 1.0 / 3.0)
+        height = np.zeros(len(points))
+        moving = np.arange(len(points))
+        for step in range(_STEPS):
+            corners = self.mesh.triangles[triangle[moving]]
+            w, h = weights[moving], height[moving]
+            normals = self.mesh.normals[corners]
+            lifted = self.mesh.nodes[corners] + h[:, None, None] * normals
+            miss = points[moving] - np.einsum("ij,ijk->ik", w, lifted)
+            up = np.einsum("ij,ijk->ik", w, normals)
             change = _solve3(lifted[:, 0] - lifted[:, 2], lifted[:, 1] - lifted[:, 2], up, miss)
-            weights[:, :2] += change[:, :2]
-            weights[:, 2] = 1.0 - weights[:, 0] - weights[:, 1]
-            height += change[:, 2]
-        return _Below(corners, weights, height)
+            w[:, :2] += change[:, :2]
+            w[:, 2] = 1.0 - w[:, 0] - w[:, 1]
+            weights[moving], height[moving] = w, h + change[:, 2]
+            if step == _STEPS - 1:
+                break
+            out = np.argmin(w, axis=1)
+            following = self._neighbours[triangle[moving], out]
+            leaves = (w.min(axis=1) < -_TOLERANCE) & (following >= 0)
+            walking = moving[leaves]
+            triangle[walking] = following[leaves]
+            weights[walking] = 1.0 / 3.0
+            moving = moving[leaves | (np.abs(change[:, 2]) > _TOLERANCE * self.mesh.edge_length)]
+            if not len(moving):
+                break
+        return _Below(self.mesh.triangles[triangle], weights, height)
 
     def _responses(self, nodes: np.ndarray) -> np.ndarray:
         """Displacement (k, n) under a unit force into the bubble on each node; 0 for the rim's."""
@@ -189,3 +214,15 @@ def _solve3(a: np.ndarray, b: np.ndarray, c: np.ndarray, right: np.ndarray) -> n
     volume = np.einsum("ij,ij->i", a, bc)
     parts = [np.einsum("ij,ij->i", right, side) for side in (bc, ca, ab)]
     return np.stack(parts, axis=1) / volume[:, None]
+
+
+def _neighbours(triangles: np.ndarray) -> np.ndarray:
+    """Triangle (m, 3) across the side opposite each corner; −1 at the rim."""
+    n = int(triangles.max()) + 1
+    start, end = np.roll(triangles, -1, axis=1).ravel(), np.roll(triangles, -2, axis=1).ravel()
+    key = start * n + end
+    order = np.argsort(key)
+    there = np.minimum(np.searchsorted(key[order], end * n + start), len(key) - 1)
+    found = order[there]
+    across = np.where(key[found] == end * n + start, found // 3, -1)
+    return across.reshape(-1, 3)

@@ -108,7 +108,8 @@ class Fit:
     surface : (6, 6) array
         Information of the contact normals about small motions in B about the patch's centre.
     outline : (6, 6) array
-        Information of all else: points beside the object, the free membrane, the depth image.
+        Information of all else: points beside the object and the free membrane, about shifts
+        alone, and the depth image.
     distance_m : (k,) array
         Signed distance of each contact point from the object, positive outside.
     places_m : (k, 3) array
@@ -150,6 +151,9 @@ class _Term:
     def __add__(self, other: _Term) -> _Term:
         return _Term(self.H + other.H, self.g + other.g, self.cost + other.cost)
 
+
+_SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+"""Where a point beside the object is off to is half noise: turns cannot be told from it."""
 
 _NOTHING = _Term(np.zeros((6, 6)), np.zeros(6), 0.0)
 
@@ -283,7 +287,7 @@ class Registration:
             correspondences=count,
             cost=surface.cost + outline.cost,
             surface=surface.H,
-            outline=outline.H,
+            outline=_SHIFTS @ outline.H @ _SHIFTS,
             distance_m=distance.signed_m,
             places_m=distance.place,
             history=np.array([*history, (fitness, rmse)]),
@@ -324,8 +328,10 @@ class Registration:
     def _beside(
         self, contact: ContactPoints, share_m2: np.ndarray, distance: _Distance, scale: float
     ) -> _Term:
-        """Contact points beside the object draw it over themselves."""
-        used = ~distance.over
+        """Contact points beside the object, or at its sides, draw it over themselves."""
+        facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
+        beside = (facing >= -_PARALLEL) & (facing <= _AWAY)
+        used = ~distance.over | beside
         J = -rows(distance.gradient[used], contact.points[used], contact.center)
         weight = self.precision.beside * share_m2[used]
         return _Term.of(J, distance.signed_m[used], weight, 2.0 * scale)

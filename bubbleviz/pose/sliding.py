@@ -29,7 +29,7 @@ _OUTLYING = 4.0
 _MOST = 2_500
 """Pixels beyond which more of them say too little for their time."""
 
-_LEAST_SIGMA_M = 1e-4
+_LEAST_SIGMA_M = 5e-4
 """Noise below which it is the model that is wrong."""
 
 _MAD = 0.6745
@@ -174,6 +174,6 @@ def slide(
     H, g = H[free][:, free] - gain @ H[~free][:, free], g[free] - gain @ g[~free]
     open_motions = motions[:, free]
     step = -np.linalg.solve(H + open_motions.T @ known @ open_motions, g)
-    step *= min(1.0, 2.0 * wide / max(float(np.linalg.norm(step)), 1e-12))
+    step = np.clip(step, -wide, wide)  # beyond, the derivative is another one
     inverse = np.linalg.pinv(open_motions)
     return Slide(open_motions @ step, inverse.T @ H @ inverse)

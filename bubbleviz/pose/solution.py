@@ -156,7 +156,7 @@ class Solver:
         if self._registration.model.creases is None or found.determined.all():
             return fit
         sight = self._viewer.look(frame.depth_m, estimate, contact)
-        known = fit.surface + prior.information
+        known = fit.surface + fit.outline + prior.information
         step = slide(self._pressed, sight, contact, fit.T_B_O, found, known)
         T = moved(fit.T_B_O, step.motion, contact.center)
         return self._registration.slid(contact, fit, T, step.information)

@@ -70,12 +70,10 @@ def screw_path(height_m: float, depth_m: float, frames: int) -> np.ndarray:
     return poses
 
 
-def screw_source(
-    sensor: Sensor, nodes: int | None = SCREW_NODES, frames: int = FRAMES
-) -> SyntheticSource:
+def screw_source(sensor: Sensor, nodes: int = SCREW_NODES) -> SyntheticSource:
     """The nut pressed 13 mm into the dome, at 1 % noise."""
     height = float(build_mesh(sensor).nodes[:, 2].max())
-    poses = screw_path(height, 0.013, frames)
+    poses = screw_path(height, 0.013, FRAMES)
     noise = DepthNoise(relative=0.01)
     return SyntheticSource(sensor, made("hex_nut"), poses, noise, seed=3, nodes=nodes)
 

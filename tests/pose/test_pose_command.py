@@ -1,0 +1,118 @@
+"""The command pose: from a recording to POSES.csv, checked against what was simulated."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bubbleviz.cli import main
+from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.pose.export import PoseRow, write_poses
+from bubbleviz.posefile import read_path
+from bubbleviz.result import Pose, Result
+from bubbleviz.sensor import load_sensor
+
+PRESET = "pico_flexx_75mm"
+HEADER = "frame,time_s,status,x_m,y_m,z_m,qx,qy,qz,qw,fitness,rmse_m,stage1_rmse_m,total_ms"
+HEIGHTS = (0.060, 0.038, 0.0375, 0.037)
+"""Of a frustum's tip above the rim: clear of the dome (50 mm high), then pressed in."""
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pose")
+    lines = [f"{0.1 * k},0.004,0.002,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
+    (folder / "path.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,qx,qy,qz,qw", *lines]))
+    done = run(
+        "simulate", "--sensor", PRESET, "--object", "frustum", "--path", folder / "path.csv",
+        "--noise-relative", "0.005", "--out", folder / "rec.mcap", "--truth", folder / "truth.npz",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def command(folder, out, *more, obj="frustum"):
+    words = ["--sensor", PRESET, "--object", obj, "--out", folder / out]
+    return run("pose", folder / "rec.mcap", *words, *more)
+
+
+def test_poses_are_those_of_the_simulation(folder):
+    done = command(folder, "poses.csv", "--init", "0.006 0.001 0.037 0 0 0.05 0.99875", "--json")
+    assert done.exit_code == 0, done.output
+    text = (folder / "poses.csv").read_text()
+    assert text.splitlines()[0] == HEADER
+    rows = list(csv.DictReader(text.splitlines()))
+    assert [row["status"] for row in rows] == ["no_contact", "ok", "ok", "ok"]
+    with np.load(folder / "truth.npz") as truth:
+        for row, T in list(zip(rows, truth["T_B_O"], strict=True))[1:]:
+            # where a flat tip is determined: its height and tilt
+            assert float(row["z_m"]) == pytest.approx(T[2, 3], abs=8e-4)
+            assert np.hypot(float(row["qx"]), float(row["qy"])) < np.radians(2.0) / 2.0
+            assert abs(float(row["x_m"]) - T[0, 3]) < 3e-3
+            assert float(row["fitness"]) > 0.8
+            assert float(row["total_ms"]) > 0.0
+    summary = json.loads(done.stdout)
+    assert summary["status"] == {"no_contact": 1, "ok": 3}
+    assert summary["median_fitness"] > 0.8
+
+
+def test_bad_input_is_one_line(folder, tmp_path):
+    (folder / "there.csv").write_text("")
+    flat = tmp_path / "flat.obj"
+    flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
+    big = tmp_path / "big.obj"
+    big.write_text("v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    cases = [
+        (command(folder, "there.csv"), "exists already"),
+        (command(folder, "a.csv", obj=flat), "no area"),
+        (command(folder, "b.csv", obj=big), "is it in millimetres"),
+        (command(folder, "c.csv", "--init", "1 2"), "give seven numbers"),
+        (command(folder, "d.csv", "--frames", "0:1"), "nothing touches the membrane"),
+        (command(folder, "e.csv", obj="teapot"), "no such object"),
+    ]
+    for done, said in cases:
+        assert done.exit_code == 2, done.output
+        assert said in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+    assert sorted(p.name for p in folder.glob("[a-e].csv")) == []
+
+
+def test_unit_of_the_file_may_be_named(folder, tmp_path):
+    block = tmp_path / "block.obj"
+    corners = [f"v {x} {y} {z}" for z in (0, 40) for y in (-12.5, 12.5) for x in (-12.5, 12.5)]
+    faces = ["f 1 3 4 2", "f 5 6 8 7", "f 1 2 6 5", "f 3 7 8 4", "f 1 5 7 3", "f 2 4 8 6"]
+    block.write_text("\n".join([*corners, *faces]))
+    more = ("--init", "0.004 0.002 0.038 0 0 0 1", "--frames", "1:3")
+    assert command(folder, "m.csv", *more, obj=block).exit_code == 2
+    done = command(folder, "mm.csv", "--unit", "mm", *more, obj=block)
+    assert done.exit_code == 0, done.output
+
+
+def test_tum_has_the_good_poses_only(tmp_path):
+    T = np.eye(4)
+    T[:3, 3] = [0.01, 0.02, 0.03]
+    frame = Frame(7, 0.25, np.zeros((2, 2), np.float32))
+    rows = [
+        PoseRow.of(Result(frame, pose=Pose(status, T), times_ms={"total": 5.0}))
+        for status in ("ok", "lost")
+    ]
+    assert write_poses(tmp_path / "a.tum", rows, "tum") == 1
+    numbers = np.loadtxt(tmp_path / "a.tum")
+    assert np.allclose(numbers, [0.25, 0.01, 0.02, 0.03, 0.0, 0.0, 0.0, 1.0])
+    assert write_poses(tmp_path / "a.csv", rows[:1], "csv") == 1
+    poses, _ = read_path(tmp_path / "a.csv")
+    assert np.allclose(poses[0], T)
+
+
+def test_a_pose_that_nobody_asked_for_is_no_row():
+    with pytest.raises(ValueError, match="not asked for"):
+        PoseRow.of(Result(Frame(0, 0.0, np.zeros((2, 2), np.float32))))
+    pipeline = Pipeline(load_sensor(PRESET))
+    assert pipeline.tracker is None

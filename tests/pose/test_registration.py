@@ -1,0 +1,170 @@
+"""Registration against cases whose answer is known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.pose.contact import ContactPoints
+from bubbleviz.pose.model import ObjectModel
+from bubbleviz.pose.motion import about, motion_between, moved, rows
+from bubbleviz.pose.registration import Precision, Prior, Registration
+from bubbleviz.pose.uncertainty import directions
+from bubbleviz.study.presses import made
+
+PRECISION = Precision(1e12, 3e-3)
+WEAK = 1e-3 * np.eye(6)
+
+
+def contact_of(points, normals, free=None):
+    """Contact points whose membrane normals oppose the given ones."""
+    center = points.mean(axis=0)
+    free = np.zeros((0, 3)) if free is None else free
+    return ContactPoints(
+        points=points,
+        normals=-normals,
+        areas_m2=np.full(len(points), 1e-6),
+        pressure_pa=np.full(len(points), 2e3),
+        free=free,
+        free_areas_m2=np.full(len(free), 1e-6),
+        center=center,
+        radius_m=float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=1)))),
+    )
+
+
+def pose(x=0.004, turn=(0.2, -0.3, 0.5)):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    T[:3, 3] = [x, -0.003, 0.04]
+    return T
+
+
+def on_surface(model, T, count=240, keep=None):
+    points, normals = model.sample(count, seed=3)
+    if keep is not None:
+        kept = keep(points, normals)
+        points, normals = points[kept], normals[kept]
+    return contact_of(points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T)
+
+
+@pytest.fixture(scope="module")
+def frustum():
+    return ObjectModel(made("frustum"))
+
+
+def test_points_on_the_surface_give_the_pose_back(frustum):
+    T = pose()
+    contact = on_surface(frustum, T)
+    start = moved(T, np.array([2e-3, -1e-3, 1e-3, 0.04, -0.05, 0.06]), contact.center)
+    registration = Registration(frustum, PRECISION)
+    one = registration.stage_one(contact, start, Prior(start, WEAK), iterations=40)
+    two = registration.stage_two(contact, one.T_B_O, Prior(start, WEAK), iterations=40)
+    assert one.fitness == pytest.approx(1.0)
+    assert np.abs(motion_between(T, two.T_B_O, contact.center)).max() < 2e-5
+    assert two.rmse_m < 1e-5
+    assert two.correspondences == len(contact.points)
+    assert two.history[0, 0] <= two.history[-1, 0]
+
+
+def test_a_rigid_motion_of_everything_moves_the_answer_along(frustum):
+    T = pose()
+    contact = on_surface(frustum, T, keep=lambda p, n: n[:, 2] < -0.9)
+    start = moved(T, np.array([1e-3, 1e-3, 2e-3, 0.05, -0.04, 0.02]), contact.center)
+    information = np.diag([1e5, 2e5, 3e5, 10.0, 20.0, 30.0])
+    G = pose(0.02, (-0.7, 0.4, 1.1))
+    R = np.kron(np.eye(2), G[:3, :3])
+    there = contact_of(contact.points @ G[:3, :3].T + G[:3, 3], -contact.normals @ G[:3, :3].T)
+    registration = Registration(frustum, PRECISION)
+    here = registration.stage_one(contact, start, Prior(start, information))
+    moved_along = registration.stage_one(there, G @ start, Prior(G @ start, R @ information @ R.T))
+    off = motion_between(G @ here.T_B_O, moved_along.T_B_O, there.center)
+    assert np.abs(off).max() < 1e-5
+
+
+def test_contact_with_the_wrong_side_does_not_count(frustum):
+    T = pose()
+    right = on_surface(frustum, T, keep=lambda p, n: n[:, 2] < -0.9)
+    wrong = contact_of(right.points, right.normals)  # the membrane would be inside the object
+    registration = Registration(frustum, PRECISION)
+    assert registration.stage_one(right, T, Prior(T, WEAK), iterations=1).fitness > 0.99
+    assert registration.stage_one(wrong, T, Prior(T, WEAK), iterations=1).fitness == 0.0
+
+
+def test_free_membrane_pushes_the_object_out(frustum):
+    T = pose(turn=(0.0, 0.0, 0.0))
+    contact = on_surface(frustum, T, keep=lambda p, n: (n[:, 2] < -0.9) & (p[:, 0] < 0.0))
+    # free membrane just inside the side at −x, where the object must not be
+    y, z = np.meshgrid(np.linspace(-5e-3, 5e-3, 9), np.linspace(4e-3, 8e-3, 5))
+    x = -0.0125 - 0.4375 * z + 3e-3
+    free = np.stack([x, y, z], axis=-1).reshape(-1, 3) + T[:3, 3]
+    registration = Registration(frustum, PRECISION)
+    prior = Prior(T, np.diag([1e4, 1e10, 1e10, 1e6, 1e6, 1e6]))
+    without = registration.stage_two(contact, T, prior)
+    crowded = contact_of(contact.points, -contact.normals, free)
+    pushed = registration.stage_two(crowded, T, prior)
+    assert abs(without.T_B_O[0, 3] - T[0, 3]) < 1e-4
+    assert 1e-3 < pushed.T_B_O[0, 3] - T[0, 3] < 3.5e-3
+
+
+def surface_information(points, normals, center):
+    J = rows(normals, points, center)
+    return 1e10 * J.T @ J
+
+
+def disc(count=200):
+    a = np.random.default_rng(0).uniform(-0.01, 0.01, (count, 2))
+    return np.column_stack([a, np.zeros(count)])
+
+
+def test_a_plane_slides_and_turns():
+    points = disc()
+    found = directions(surface_information(points, np.tile([0.0, 0.0, 1.0], (200, 1)), 0.0), 7e-3)
+    assert found.determined.tolist() == [True] * 3 + [False] * 3
+    assert np.allclose(found.open[[2, 3, 4]], 0.0, atol=1e-9)  # neither lifts nor tilts
+    assert np.all(np.diff(found.deviation_m[:3]) >= 0.0)
+
+
+def test_a_ball_spins_about_its_own_centre():
+    flat = disc()
+    middle = np.array([0.0, 0.0, 0.015])
+    points = middle - 0.015 * (middle - flat) / np.linalg.norm(middle - flat, axis=1)[:, None]
+    normals = (points - middle) / 0.015
+    found = directions(surface_information(points, normals, np.zeros(3)), 7e-3)
+    assert found.determined.tolist() == [True] * 3 + [False] * 3
+    for motion in found.open.T:  # the middle stays where it is
+        assert np.allclose(motion[:3] + np.cross(motion[3:], middle), 0.0, atol=1e-9)
+
+
+def test_a_rod_slides_and_rolls():
+    a, x = np.random.default_rng(1).uniform([-0.8, -0.02], [0.8, 0.02], (300, 2)).T
+    normals = np.column_stack([np.zeros(300), np.sin(a), -np.cos(a)])
+    points = np.column_stack([x, 0.01 * np.sin(a), -0.01 * np.cos(a)])
+    found = directions(surface_information(points, normals, np.zeros(3)), 0.01)
+    assert found.determined.sum() == 4
+    assert np.allclose(found.open[[1, 2, 4, 5]], 0.0, atol=1e-9)
+
+
+def test_jacobian_of_distances_is_their_derivative(frustum):
+    T = pose()
+    registration = Registration(frustum, PRECISION)
+    contact = on_surface(frustum, T, keep=lambda p, n: n[:, 2] < -0.9)
+    at = moved(T, np.array([0.0, 0.0, 4e-4, 0.01, -0.02, 0.0]), contact.center)
+    distance = registration._distance(contact.points, at)
+    J = -rows(distance.gradient, contact.points, contact.center)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-5 if k < 3 else 1e-3
+        ahead = registration._distance(contact.points, moved(at, step, contact.center))
+        back = registration._distance(contact.points, moved(at, -step, contact.center))
+        change = (ahead.signed_m - back.signed_m) / (2.0 * step[k])
+        assert np.median(np.abs(change - J[:, k])) < 2e-3 * max(1.0, np.abs(J[:, k]).max())
+
+
+def test_motions_undo_each_other():
+    T, center = pose(), np.array([0.01, 0.02, 0.03])
+    motion = np.array([1e-3, 2e-3, -3e-3, 0.1, -0.2, 0.3])
+    assert np.allclose(motion_between(T, moved(T, motion, center), center), motion)
+    small = 1e-6 * motion
+    other = np.array([-0.02, 0.01, 0.05])
+    assert np.allclose(
+        moved(T, small, center), moved(T, about(center, other) @ small, other), atol=1e-11
+    )

@@ -1,0 +1,156 @@
+"""The tracker on a simulated press: followed, lost, found again, and why there is no pose."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.noise import DepthNoise
+from bubbleviz.frames.synthetic import SyntheticSource
+from bubbleviz.objects import RigidObject
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.pose.motion import motion_between, moved
+from bubbleviz.result import Pose
+from bubbleviz.sensor import load_sensor
+from bubbleviz.study.presses import made
+
+PRODUCTS = frozenset({"pose"})
+FRAMES = 6
+
+
+def path():
+    """The toy, pressed and then tilted and moved a little from frame to frame."""
+    T = np.eye(4)
+    T[:3, 3] = [0.003, 0.002, 0.038]
+    step = np.array([3e-4, 0.0, -2e-4, 0.008, 0.0, 0.01])
+    poses = [T]
+    for _ in range(FRAMES - 1):
+        poses.append(moved(poses[-1], step, poses[-1][:3, 3]))
+    return np.array(poses)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_sensor("pico_flexx_75mm")
+
+
+@pytest.fixture(scope="module")
+def source(sensor):
+    return SyntheticSource(
+        sensor, made("two_legged_toy"), path(), DepthNoise(relative=0.005), seed=4, nodes=4_000
+    )
+
+
+@pytest.fixture
+def pipeline(sensor):
+    return Pipeline(sensor)
+
+
+def close(pose: Pose, truth: np.ndarray) -> bool:
+    off = motion_between(truth, pose.T_B_O, truth[:3, 3])
+    return np.linalg.norm(off[:3]) < 3e-3 and np.linalg.norm(off[3:]) < np.radians(5.0)
+
+
+def blank(frame):
+    return replace(frame, depth_m=np.full_like(frame.depth_m, np.nan))
+
+
+def test_followed_lost_and_found_again(pipeline, source):
+    off = moved(source.poses[0], np.array([2e-3, -1e-3, 1e-3, 0.05, 0.03, 0.05]), np.zeros(3))
+    pipeline.follow(source.obj, off)
+    frames = [source[k] for k in range(FRAMES)]
+    frames[3] = blank(frames[3])
+    poses = [pipeline.process(frame, PRODUCTS).pose for frame in frames]
+    assert [pose.status for pose in poses] == ["ok", "ok", "ok", "lost", "ok", "ok"]
+    assert np.array_equal(poses[3].T_B_O, poses[2].T_B_O)
+    for k in (0, 2, 4, 5):
+        assert close(poses[k], source.poses[k])
+    last = poses[-1]
+    assert last.stage_one is not None and last.stage_two is not None
+    assert last.stage_two.fitness > 0.7
+    assert last.points_m.shape == last.places_m.shape == (len(last.distance_m), 3)
+    assert np.all(np.linalg.eigvalsh(last.covariance) > 0.0)
+    assert last.determined.sum() == 3  # two flat feet slide and turn
+
+
+def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
+    here, far = np.eye(4), np.eye(4)
+    here[:3, 3], far[:3, 3] = [0.018, 0.0, 0.036], [-0.018, 0.0, 0.036]
+    path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
+    jumping = SyntheticSource(sensor, made("frustum"), path, DepthNoise(0.005), nodes=4_000)
+    pipeline.follow(jumping.obj, here)
+    poses = [pipeline.process(jumping[k], PRODUCTS).pose for k in range(8)]
+    assert close(poses[0], here)
+    assert poses[-1].status == "ok"
+    # a flat tip: where it is and how it is tilted, not how it is turned
+    assert np.linalg.norm(poses[-1].T_B_O[:3, 3] - far[:3, 3]) < 4e-3
+    assert poses[-1].T_B_O[2, 2] > np.cos(np.radians(5.0))
+
+
+def test_without_a_start_it_is_searched_for(pipeline, source):
+    pipeline.follow(source.obj)
+    pose = pipeline.process(source[0], PRODUCTS).pose
+    assert pose.status == "ok"
+    assert pose.stage_two.fitness > 0.7
+    # what the contact determines: feet on the membrane, that is height and tilt
+    assert abs(pose.T_B_O[2, 3] - source.poses[0][2, 3]) < 1.5e-3
+    assert pose.T_B_O[2, 2] > np.cos(np.radians(4.0))
+
+
+def test_no_contact_and_no_data_are_said(pipeline, source, sensor):
+    far = np.eye(4)
+    far[2, 3] = 1.0
+    untouched = SyntheticSource(sensor, source.obj, far[None], nodes=4_000)[0]
+    pipeline.follow(source.obj)
+    pose = pipeline.process(untouched, PRODUCTS).pose
+    assert pose.status == "no_contact"
+    assert np.isnan(pose.T_B_O).all()
+    assert pipeline.process(blank(untouched), PRODUCTS).pose.status == "no_data"
+
+
+def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
+    pipeline.follow(source.obj, source.poses[0])
+    result = pipeline.process(source[0], frozenset({"estimate", "patch"}))
+    level = np.full_like(result.patch.level, -1.0)
+    level[np.argmax(result.patch.level)] = 0.05  # one node, and hardly
+    small = replace(result.patch, level=level)
+    pose = pipeline.tracker.update(result.frame, result.estimate, small)
+    assert pose.status == "few_points"
+
+
+def test_objects_that_cannot_be_are_refused(pipeline):
+    obj = made("frustum")
+    with pytest.raises(InputError, match="millimetres"):
+        pipeline.follow(RigidObject("big", 1e3 * obj.vertices, obj.triangles))
+    with pytest.raises(InputError, match="no area"):
+        pipeline.follow(RigidObject("flat", 0.0 * obj.vertices + obj.vertices[0], obj.triangles))
+
+
+def test_nobody_asks_nothing_runs(pipeline, source):
+    pipeline.follow(source.obj, source.poses[0])
+    result = pipeline.process(source[0], frozenset({"patch"}))
+    assert result.pose is None
+    assert pipeline.counts["pose"] == 0
+    pipeline.follow(None)
+    assert pipeline.process(source[0], PRODUCTS).pose is None
+    assert pipeline.counts["pose"] == 0
+
+
+def test_without_a_pose_consumer_nothing_of_it_is_imported():
+    program = """
+import sys
+import numpy as np
+from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
+pipeline = Pipeline(load_sensor("pico_flexx_75mm"))
+pipeline.process(Frame(0, 0.0, np.full((171, 224), 0.13, np.float32)), frozenset({"patch"}))
+print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
