@@ -79,18 +79,19 @@ def _print_measured(measured: dict[str, float], as_json: bool) -> None:
 
 @click.group(cls=OneLineErrors, invoke_without_command=True)
 @click.version_option(bubbleviz.__version__)
+@click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
 @click.pass_context
-def main(context: click.Context) -> int:
+def main(context: click.Context, fresh: bool) -> int:
     """Calibrate, watch and debug Soft-bubble tactile sensors.
 
-    Without a command: the window on a live synthetic sensor.
+    Without a command: the window as it was left, at first on a live synthetic sensor.
     """
     if context.invoked_subcommand is not None:
         return 0
     from bubbleviz.sensor import load_sensor
     from ui.app import run_window
 
-    return run_window(load_sensor(SYNTHETIC_SENSOR))
+    return run_window(load_sensor(SYNTHETIC_SENSOR), fresh=fresh)
 
 
 # -- the window: open, bench --------------------------------------------------------------------
@@ -102,12 +103,14 @@ def main(context: click.Context) -> int:
 @click.option("--scene", help="Scene preset: press, cloud, residual.")
 @click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
+@click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
 def open_recording(
     recording: Path,
     sensor: str | None,
     scene: str | None,
     frame: int | None,
     screenshot: Path | None,
+    fresh: bool,
 ) -> int:
     """Show a recording in the window."""
     from bubbleviz.matching import checked_sensor
@@ -124,7 +127,7 @@ def open_recording(
     from ui import app
 
     if screenshot is None:
-        return app.run_window(chosen, recording, frame, preset)
+        return app.run_window(chosen, recording, frame, preset, fresh=fresh)
     app.screenshot(chosen, recording, frame or 0, screenshot, preset)
     click.echo(f"wrote {screenshot}")
     return 0

@@ -115,7 +115,8 @@ class Calibration(_Section):
 class Sensor(_Section):
     """One Soft-bubble sensor, as its file describes it.
 
-    `folder` is where relative file names inside it start; it is not part of the file.
+    `folder` is where relative file names inside it start and `file` its name there, empty for a
+    sensor of no file; neither is part of the file.
     """
 
     schema_version: Literal[1] = 1
@@ -125,6 +126,7 @@ class Sensor(_Section):
     camera: Camera
     calibration: Calibration | None = None
     folder: Path = Field(default=Path(), exclude=True)
+    file: str = Field(default="", exclude=True)
 
     def resolve(self, file: str) -> Path:
         """Path of a file named in the sensor file."""
@@ -155,10 +157,11 @@ def load_sensor(name: str | Path) -> Sensor:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
-    if "folder" in data:
-        raise InputError(f"{path}: folder: unknown key; remove it")
+    for key in ("folder", "file"):
+        if key in data:
+            raise InputError(f"{path}: {key}: unknown key; remove it")
     try:
-        return Sensor.model_validate({**data, "folder": path.parent})
+        return Sensor.model_validate({**data, "folder": path.parent, "file": path.name})
     except ValidationError as error:
         raise InputError(f"{path}: {_first_problem(error)}") from error
 

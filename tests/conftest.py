@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, see bubbleviz/cli.py
+_SETTINGS = TemporaryDirectory(prefix="bubbleviz-tests-")
+os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
 
 REPOSITORY = Path(__file__).parents[1]
 

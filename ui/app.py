@@ -26,6 +26,8 @@ def run_window(
     recording: Path | None = None,
     frame: int | None = None,
     scene: ScenePreset | None = None,
+    *,
+    fresh: bool = True,
 ) -> int:
     """Show the window until it is closed.
 
@@ -41,6 +43,8 @@ def run_window(
         Stay at this frame; None plays from the first.
     scene : ScenePreset, optional
         What is visible; None for the window's default.
+    fresh : bool
+        Leave the user's last session alone; else come back to it, and keep this one.
 
     Returns
     -------
@@ -53,7 +57,8 @@ def run_window(
         The recording cannot be opened or does not fit the sensor; no window appears.
     """
     if has_display():
-        with window_session(sensor, recording, frame, scene) as session:
+        keep_in = None if fresh else _user_file()
+        with window_session(sensor, recording, frame, scene, keep_in) as session:
             signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
             return session.application.exec()
@@ -90,6 +95,14 @@ def screenshot(
         session.window.show()
         session.settle()
         session.save(out)
+
+
+def _user_file() -> Path:
+    from ui.session import application
+    from ui.session_keeper import user_file
+
+    application()  # its name is part of the path
+    return user_file()
 
 
 def _offscreen(session: WindowSession) -> Iterator[Path]:

@@ -138,12 +138,15 @@ class Controller(QObject):
         )
         self.worker.ask(request)
 
-    def open_recording(self, path: Path) -> None:
-        """Open a recording with the present sensor, or with the preset that fits its images."""
+    def open_recording(self, path: Path, sensor_file: Path | None = None) -> None:
+        """Open a recording with a sensor, with the present one, or with the preset that fits."""
+        from bubbleviz.sensor import load_sensor
         from ui.sources import recording, sensor_for
 
         sensor = self.sensor
-        if sensor is not None:
+        if sensor_file is not None:
+            self.open(path.name, recording(path), lambda: load_sensor(sensor_file))
+        elif sensor is not None:
             self.open(path.name, recording(path), lambda: sensor_for(path, sensor))
 
     def open_sensor(self, path: Path) -> None:

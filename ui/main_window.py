@@ -18,6 +18,7 @@ from ui.calibration.session import Calibration
 from ui.controller import Controller
 from ui.hover import Hover
 from ui.menus import Menus
+from ui.palette import CommandPalette
 from ui.panels.gamma0.panel import Gamma0Panel
 from ui.panels.images import ImagesPanel
 from ui.panels.kappa import KappaPanel
@@ -30,7 +31,12 @@ from ui.pointing import Pointing
 from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
+from ui.session_file import SUFFIX
+from ui.session_keeper import SessionKeeper
+from ui.shortcuts import Shortcuts
+from ui.shortcuts_dialog import ShortcutsDialog
 from ui.state import ChoicesChanged, Event, PlayingChanged, SessionState, SourceChanged
+from ui.undo import SettingsHistory
 from ui.units import SYSTEMS
 from ui.view import View
 
@@ -72,21 +78,34 @@ class MainWindow(QMainWindow):
         self.images = ImagesPanel(state, controller, self.hover)
         self.pointing = Pointing(state, self.view, self.scene, self.hover)
         self.undo_stack = QUndoStack(self)
+        self.settings = SettingsHistory(state, self.undo_stack)
+        self.keeper = SessionKeeper(self)
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
         )
         self._lay_out()
         self.menus = Menus(self)
+        self.shortcuts = Shortcuts(self.menuBar())
         self._rates = QTimer(self)
         self._rates.setInterval(RATES_EVERY_MS)
         self._connect()
 
     def open_file(self, path: Path) -> None:
-        """Open a sensor file (.toml) or a recording (anything else)."""
+        """Open a sensor file (.toml), a session, or a recording (anything else)."""
         if path.suffix.lower() == ".toml":
             self.controller.open_sensor(path)
+        elif path.suffix.lower() == SUFFIX:
+            self.keeper.open(path)
         else:
             self.controller.open_recording(path)
+
+    def show_palette(self) -> None:
+        """Show the command palette."""
+        CommandPalette(self, self.shortcuts).open_over(self)
+
+    def show_shortcuts(self) -> None:
+        """Show the keys of every action."""
+        ShortcutsDialog(self, self.shortcuts).open()
 
     def use_scene(self, preset: ScenePreset) -> None:
         """Show the layers and panels of a scene, from its point of view; the rest stays."""
@@ -107,6 +126,7 @@ class MainWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Stop the timers and the solver thread, then let go of VTK."""
+        self.keeper.close()
         self._rates.stop()
         self.state.unsubscribe_all()
         self.gamma0.close_all()
@@ -167,7 +187,7 @@ class MainWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
-        self.view.dropped_files.connect(lambda paths: self.open_file(paths[0]))
+        self.view.dropped_files.connect(self._open_dropped)
         for dock, name in (
             (self.kappa_dock, "kappa_panel"),
             (self.plots_dock, "plots"),
@@ -180,6 +200,15 @@ class MainWindow(QMainWindow):
         self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.subscribe(self._on_event)
+
+    def _open_dropped(self, paths: list[Path]) -> None:
+        """Open the first of the files; a recording and a sensor file are opened together."""
+        sensors = [path for path in paths if path.suffix.lower() == ".toml"]
+        recordings = [path for path in paths if path.suffix.lower() not in (".toml", SUFFIX)]
+        if sensors and recordings:
+            self.controller.open_recording(recordings[0], sensors[0])
+        else:
+            self.open_file(paths[0])
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, SourceChanged):

@@ -12,12 +12,15 @@ from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
 
 from ui.panels.playback import next_speed
 from ui.presets import load_scene, scene_names
+from ui.session_file import SUFFIX
+from ui.shortcuts import UNLISTED
 from ui.state import ThemeName
 from ui.units import SYSTEMS
 
 if TYPE_CHECKING:
     from ui.main_window import MainWindow
 
+SESSIONS = f"Sessions (*{SUFFIX});;All files (*)"
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
 
 
@@ -31,14 +34,41 @@ class Menus:
         self._edit(bar.addMenu("&Edit"))
         self._playback(bar.addMenu("&Playback"))
         self._view(bar.addMenu("&View"))
+        self._help(bar.addMenu("&Help"))
 
     def _file(self, menu: QMenu) -> None:
         self._add(menu, "&Open recording…", self._open_recording, QKeySequence.StandardKey.Open)
         self._add(menu, "Open recording &folder…", self._open_folder, "Ctrl+Shift+O")
         self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
+        self._recent(menu.addMenu("Open &recent"))
+        self._add(menu, "Re&load", self._window.keeper.reload, "F5")
+        menu.addSeparator()
+        self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
+        self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
+        menu.addSeparator()
         self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
         menu.addSeparator()
         self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
+
+    def _recent(self, menu: QMenu) -> None:
+        keeper = self._window.keeper
+        menu.setProperty(UNLISTED, True)
+
+        def fill() -> None:
+            menu.clear()
+            for path in keeper.recent:
+                menu.addAction(path).triggered.connect(
+                    partial(self._window.open_file, Path(path))
+                )
+            menu.setEnabled(bool(keeper.recent))
+
+        keeper.recent_changed.connect(fill)
+        fill()
+
+    def _help(self, menu: QMenu) -> None:
+        palette = self._add(menu, "&Command palette…", self._window.show_palette)
+        palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
+        self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
 
     def _edit(self, menu: QMenu) -> None:
         stack = self._window.undo_stack
@@ -181,6 +211,19 @@ class Menus:
         )
         if name:
             self._window.controller.open_sensor(Path(name))
+
+    def _open_session(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self._window, "Open session", "", SESSIONS)
+        if name:
+            self._window.keeper.open(Path(name))
+
+    def _save_session(self) -> None:
+        name, _ = QFileDialog.getSaveFileName(
+            self._window, "Save session as", f"session{SUFFIX}", SESSIONS
+        )
+        if name:
+            path = Path(name)
+            self._window.keeper.save_as(path if path.suffix else path.with_suffix(SUFFIX))
 
     def _screenshot(self) -> None:
         name, _ = QFileDialog.getSaveFileName(

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
     from ui.presets import ScenePreset
+    from ui.requests import Failed, Opened
 
 PATIENCE_S = 60.0
 """How long a picture may take before something is called broken."""
@@ -26,6 +27,8 @@ SWITCH_S = 5e-4
 
 class WindowSession:
     """The application, one window on a recording or the synthetic press, and its event loop.
+
+    With `keep_in`, the user's last session is read from that file, and this one kept in it.
 
     Raises
     ------
@@ -39,12 +42,10 @@ class WindowSession:
         recording: Path | None,
         frame: int | None,
         scene: ScenePreset | None = None,
+        keep_in: Path | None = None,
     ) -> None:
         from ui.controller import Controller
         from ui.main_window import MainWindow
-        from ui.requests import Failed, Opened
-        from ui.sources import recording as recording_opener
-        from ui.sources import synthetic
         from ui.state import SessionState
         from ui.worker import Worker
 
@@ -54,11 +55,27 @@ class WindowSession:
         # The window first: VTK and Open3D share modules, and two threads that import them at the
         # same time can lock each other out.
         self.window = MainWindow(state, self.controller)
+        self._answers: list[Opened | Failed] = []
+        self.controller.opened.connect(self._answers.append)
+        self.controller.failed.connect(self._answers.append)
+        restored = keep_in is not None and self._restore(keep_in, recording)
         if scene is not None:
             self.window.use_scene(scene)
-        answers: list[Opened | Failed] = []
-        self.controller.opened.connect(answers.append)
-        self.controller.failed.connect(answers.append)
+        if not restored:
+            self._open(sensor, recording, frame)
+        if frame is not None and state.facts is not None and frame != state.frame:
+            self.window.close()
+            raise InputError(
+                f"{recording or 'synthetic press'}: has no frame {frame}; "
+                f"choose 0 to {state.facts.frames - 1}"
+            )
+
+    def _open(self, sensor: Sensor, recording: Path | None, frame: int | None) -> None:
+        from ui.requests import Failed
+        from ui.sources import recording as recording_opener
+        from ui.sources import synthetic
+
+        self._answers.clear()
         self.controller.open(
             str(recording) if recording else "synthetic press",
             recording_opener(recording) if recording else synthetic,
@@ -67,18 +84,33 @@ class WindowSession:
             playing=frame is None,
             live=recording is None,
         )
-        self.wait_for(lambda: bool(answers), "opening")
-        if isinstance(answers[0], Failed):
+        self.wait_for(lambda: bool(self._answers), "opening")
+        answer = self._answers[0]
+        if isinstance(answer, Failed):
             self.window.close()
-            if answers[0].details:
-                raise RuntimeError(answers[0].details)  # a bug, not the user's file
-            raise InputError(answers[0].message)
-        if frame is not None and state.facts is not None and frame != state.frame:
-            self.window.close()
-            raise InputError(
-                f"{recording or 'synthetic press'}: has no frame {frame}; "
-                f"choose 0 to {state.facts.frames - 1}"
-            )
+            if answer.details:
+                raise RuntimeError(answer.details)  # a bug, not the user's file
+            raise InputError(answer.message)
+
+    def _restore(self, file: Path, recording: Path | None) -> bool:
+        """Come back to the user's last session; whether its source is open now.
+
+        A recording that is asked for is opened in its place; what cannot be opened any more is a
+        message in the window.
+        """
+        from ui.requests import Opened
+
+        keeper = self.window.keeper
+        saved = keeper.keep_in(file)
+        keeper.use(saved)
+        self.window.shortcuts.use(saved.shortcuts)
+        if recording is not None:
+            keeper.expect(saved, recording)
+            return False
+        if not keeper.open_source(saved):
+            return False
+        self.wait_for(lambda: bool(self._answers), "opening")
+        return isinstance(self._answers[0], Opened)
 
     def wait_for(self, done: Callable[[], bool], what: str) -> None:
         """Run the event loop until something is done."""
@@ -111,10 +143,14 @@ class WindowSession:
 
 @contextmanager
 def window_session(
-    sensor: Sensor, recording: Path | None, frame: int | None, scene: ScenePreset | None = None
+    sensor: Sensor,
+    recording: Path | None,
+    frame: int | None,
+    scene: ScenePreset | None = None,
+    keep_in: Path | None = None,
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and gone at the end."""
-    session = WindowSession(sensor, recording, frame, scene)
+    session = WindowSession(sensor, recording, frame, scene, keep_in)
     try:
         yield session
     finally:

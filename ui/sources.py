@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from bubbleviz.errors import InputError
@@ -14,14 +15,24 @@ LIVE_FINER = 2
 """Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
 
 
-def recording(path: Path) -> Callable[[Sensor], FrameSource]:
-    """Opener of a recording."""
+@dataclass(frozen=True, eq=False)
+class RecordingOpener:
+    """Opens a recording for a sensor; two are never equal, as each stands for one opening."""
 
-    def open_recording(sensor: Sensor) -> FrameSource:
+    path: Path
+
+    def __call__(self, sensor: Sensor) -> FrameSource:
+        """Open it.
+
+        Raises
+        ------
+        InputError
+            It cannot be opened or does not fit the sensor.
+        """
         from bubbleviz.frames.recording import Recording
         from bubbleviz.matching import check_fits
 
-        opened = Recording(path)
+        opened = Recording(self.path)
         try:
             check_fits(opened, sensor, sensor.name)
         except InputError:
@@ -29,7 +40,10 @@ def recording(path: Path) -> Callable[[Sensor], FrameSource]:
             raise
         return opened
 
-    return open_recording
+
+def recording(path: Path) -> Callable[[Sensor], FrameSource]:
+    """Opener of a recording."""
+    return RecordingOpener(path)
 
 
 def sensor_for(path: Path, present: Sensor) -> Sensor:

@@ -21,6 +21,8 @@ LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frus
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Playback speeds to choose from."""
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Playback speeds to choose from."""
 PATCH_CHOICES = frozenset({"kappa"})
 """Choices that make another patch of the same contact pressure."""
 
@@ -298,9 +300,12 @@ class SessionState:
 
     def toggle_marker(self, frame: int) -> None:
         """Mark a frame, or take its mark away."""
-        marked = set(self.markers) ^ {frame}
-        self.markers = tuple(sorted(marked))
-        self._tell(MarkersChanged(self.markers))
+        self.choose_markers(tuple(sorted(set(self.markers) ^ {frame})))
+
+    def choose_markers(self, frames: tuple[int, ...]) -> None:
+        """Mark these frames, in order, and no others."""
+        self.markers = frames
+        self._tell(MarkersChanged(frames))
 
     def seek_marker(self, direction: int) -> None:
         """Go to the next marker (1) or the one before (-1)."""

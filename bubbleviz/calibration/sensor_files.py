@@ -116,7 +116,12 @@ def _described(identification: Identification, path: Path, origin: Origin | None
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
     )
     return sensor.model_copy(
-        update={"membrane": membrane, "calibration": calibration, "folder": path.parent}
+        update={
+            "membrane": membrane,
+            "calibration": calibration,
+            "folder": path.parent,
+            "file": path.name,
+        }
     )
 
 

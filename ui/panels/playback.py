@@ -20,11 +20,17 @@ from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.icons import icon
 from ui.panels.keys import keep_keys
 from ui.panels.timeline import Timeline
-from ui.state import Event, FrameChanged, HistoryChanged, SessionState, SourceChanged
+from ui.state import (
+    SPEEDS,
+    Event,
+    FrameChanged,
+    HistoryChanged,
+    SessionState,
+    SourceChanged,
+)
 
 EVERY_S = 0.1
 """While playing: nobody reads faster."""
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 MODES = {False: "real time", True: "every frame"}
 JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
 JUMP_KEYS = {-1.0: "Ctrl+←", -0.1: "Shift+←", 0.1: "Shift+→", 1.0: "Ctrl+→"}

@@ -68,6 +68,11 @@ class Scene:
         if self._placed is None or self._placed == self._camera_place():
             self.reset_view()
 
+    @property
+    def moved_by_user(self) -> bool:
+        """Whether one looks from elsewhere than the scene says."""
+        return self._placed is not None and self._placed != self._camera_place()
+
     def reset_view(self) -> None:
         """Look at the whole membrane from where the scene says."""
         if self._mesh is None:
