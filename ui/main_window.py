@@ -27,6 +27,7 @@ from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
 from ui.panels.plots import PlotsPanel
 from ui.panels.status import Rates, StatusBar
+from ui.panels.view_tools import ViewTools
 from ui.pointing import Pointing
 from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
@@ -76,6 +77,7 @@ class MainWindow(QMainWindow):
         self.plots = PlotsPanel(state, controller)
         self.hover = Hover(controller)
         self.images = ImagesPanel(state, controller, self.hover)
+        self.tools = ViewTools(state, controller, self.view, self.scene)
         self.pointing = Pointing(state, self.view, self.scene, self.hover)
         self.undo_stack = QUndoStack(self)
         self.settings = SettingsHistory(state, self.undo_stack)
@@ -155,6 +157,9 @@ class MainWindow(QMainWindow):
         bottom = Qt.DockWidgetArea.BottomDockWidgetArea
         self.layers_dock = self._dock("Layers", self.layers, right)
         self.kappa_dock = self._dock("Contact patch", self.kappa, right)
+        self.tools_dock = self._dock("3-D tools", self.tools, right)
+        self.tabifyDockWidget(self.layers_dock, self.tools_dock)
+        self.tools_dock.hide()
         self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
         self.gamma0_dock.hide()
         self.plots_dock = self._dock("Plots", self.plots, bottom)
@@ -167,6 +172,7 @@ class MainWindow(QMainWindow):
         self.panels: dict[str, QWidget] = {
             "layers": self.layers_dock,
             "kappa": self.kappa_dock,
+            "tools": self.tools_dock,
             "calibration": self.gamma0_dock,
             "plots": self.plots_dock,
             "images": self.images_dock,
@@ -195,6 +201,7 @@ class MainWindow(QMainWindow):
         ):
             dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
         self.gamma0.painted.connect(self._paint)
+        self.tools.failed.connect(self.message.say)
         self._rates.timeout.connect(self.show_rates)
         self._rates.start()
         self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
@@ -235,6 +242,7 @@ class MainWindow(QMainWindow):
 
     def _on_opened(self, opened: Opened) -> None:
         self.message.hide()
+        self.scene.depth_camera = opened.camera
         self.scene.set_sensor(opened.sensor, opened.mesh)
         self.kappa.set_mesh(opened.mesh)
 

@@ -11,6 +11,7 @@ from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
 
 from ui.panels.playback import next_speed
+from ui.panels.view_tools import VIEWS
 from ui.presets import load_scene, scene_names
 from ui.session_file import SUFFIX
 from ui.shortcuts import UNLISTED
@@ -57,9 +58,7 @@ class Menus:
         def fill() -> None:
             menu.clear()
             for path in keeper.recent:
-                menu.addAction(path).triggered.connect(
-                    partial(self._window.open_file, Path(path))
-                )
+                menu.addAction(path).triggered.connect(partial(self._window.open_file, Path(path)))
             menu.setEnabled(bool(keeper.recent))
 
         keeper.recent_changed.connect(fill)
@@ -110,6 +109,12 @@ class Menus:
     def _view(self, menu: QMenu) -> None:
         window = self._window
         self._add(menu, "&Reset view", window.scene.reset_view, "R")
+        look = menu.addMenu("&Look from")
+        for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
+            self._add(look, title, partial(window.scene.look, viewpoint), f"Ctrl+{number}")
+        self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
+        for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
+            self._add(menu, title, partial(window.tools.use_tool, tool))
         scenes = menu.addMenu("&Scene")
         for name in scene_names():
             preset = load_scene(name)
@@ -117,7 +122,7 @@ class Menus:
         self._theme(menu.addMenu("&Theme"))
         self._units(menu.addMenu("&Units"))
         menu.addSeparator()
-        for name in ("layers", "kappa", "calibration", "plots", "images", "playback"):
+        for name in ("layers", "kappa", "tools", "calibration", "plots", "images", "playback"):
             dock = cast(QDockWidget, window.panels[name])
             menu.addAction(dock.toggleViewAction())
         status = self._add(menu, "Status bar", self._toggle_status)

@@ -23,6 +23,7 @@ CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
         "readout": frozenset({"estimate", "patch"}),
         "frustum": frozenset(),
         "rim": frozenset(),
+        "vectors": frozenset({"estimate"}),
         "kappa_panel": frozenset({"estimate", "patch"}),
         "status": frozenset({"estimate", "patch"}),
         "plots": frozenset(),

@@ -46,7 +46,7 @@ class Pointing(QObject):
         self._hover.leave()
 
     def _pick(self) -> None:
-        point = self._scene.picker.at(*self._at)
+        point = self._scene.pick(*self._at)
         if point is None:
             self._hover.leave()
         else:

@@ -12,8 +12,10 @@ from bubbleviz.errors import InputError
 from bubbleviz.sensor import presets_folder
 from ui.state import CloudColour
 
-Layer = Literal["membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim"]
-Panel = Literal["layers", "kappa", "calibration", "plots", "images", "playback", "status"]
+Layer = Literal[
+    "membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim", "vectors"
+]
+Panel = Literal["layers", "kappa", "tools", "calibration", "plots", "images", "playback", "status"]
 PANELS_THAT_ASK = {"kappa": "kappa_panel", "plots": "plots", "images": "images", "status": "status"}
 """Panels that show results, by their name in `Choices.panels`."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]

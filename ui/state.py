@@ -13,14 +13,16 @@ from ui.history import History
 from ui.units import SYSTEMS, Units
 
 CloudColour = Literal["residual", "patch", "plain"]
+Axis = Literal["x", "y", "z"]
+COLOUR_MAPS = ("inferno", "viridis", "cividis", "magma", "plasma")
+"""All perceptually uniform (van der Walt and Smith 2015; Nuñez 2018)."""
 ThemeName = Literal["system", "dark", "light"]
 
-LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim")
+LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim",
+          "vectors")  # fmt: skip
 """Names of the 3-D layers, in the order the panel lists them."""
 
 
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Playback speeds to choose from."""
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Playback speeds to choose from."""
 PATCH_CHOICES = frozenset({"kappa"})
@@ -58,6 +60,16 @@ class Choices:
         Direction in B that a fresh view looks from, towards the middle of the membrane.
     zoom : float
         How near a fresh view is; 1 shows the whole box around the membrane.
+    colour_map : str
+        Of the contact pressure, one of `COLOUR_MAPS`.
+    exaggeration : float
+        Drawn displacement in true ones.
+    section_axis : {"x", "y", "z"} or None
+        Normal of the plane that cuts the scene open; None: it is whole.
+    section_at_m : float
+        Where the plane crosses its axis.
+    section_flipped : bool
+        The other side is drawn.
     pressure_max_pa, residual_max_m : float or None
         Upper ends of the colour ranges; None: the largest value seen, rounded up.
     length_unit, pressure_unit, force_unit, duration_unit : str
@@ -71,7 +83,7 @@ class Choices:
     speed: float = 1.0
     every_frame: bool = False
     loop: bool = True
-    layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum"}
+    layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum", "vectors"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
     plots: frozenset[str] = frozenset({"force", "gas", "area"})
     images: frozenset[str] = frozenset({"depth", "change", "residual"})
@@ -80,6 +92,11 @@ class Choices:
     membrane_opacity: float = 1.0
     view_from: tuple[float, float, float] = (-0.6, -1.0, 1.1)
     zoom: float = 1.32
+    colour_map: str = COLOUR_MAPS[0]
+    exaggeration: float = 1.0
+    section_axis: Axis | None = None
+    section_at_m: float = 0.0
+    section_flipped: bool = False
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None
     length_unit: str = "mm"

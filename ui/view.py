@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, Signal
+from PySide6.QtCore import QEvent, QPointF, Qt, Signal
 from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage, QKeyEvent, QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QWidget
 from pyvistaqt import QtInteractor
 
 from ui import theme
 from ui.rates import RateMeter
+
+CLICK = 3.0
+"""How far the mouse may move in a click, screen pixels."""
 
 
 class View(QtInteractor):  # type: ignore[misc]
@@ -29,6 +32,8 @@ class View(QtInteractor):  # type: ignore[misc]
         List of paths the user dropped on the view.
     moved : Signal
         Where the mouse is, in Qt's pixels, while no button is held.
+    clicked : Signal
+        Where the left button was pressed and let go without moving, in Qt's pixels.
     left : Signal
         The mouse is elsewhere.
     resized : Signal
@@ -46,6 +51,7 @@ class View(QtInteractor):  # type: ignore[misc]
     dropped_files = Signal(list)
     rendered = Signal()
     moved = Signal(float, float)
+    clicked = Signal(float, float)
     left = Signal()
     resized = Signal()
 
@@ -110,6 +116,20 @@ class View(QtInteractor):  # type: ignore[misc]
         super().mouseMoveEvent(event)
         if not event.buttons():
             self.moved.emit(event.position().x(), event.position().y())
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Begin to turn the scene, or a click."""
+        super().mousePressEvent(event)
+        self._pressed = event.position()
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """End turning, or the click."""
+        super().mouseReleaseEvent(event)
+        moved = event.position() - self._pressed
+        if event.button() == Qt.MouseButton.LeftButton and moved.manhattanLength() <= CLICK:
+            self.clicked.emit(event.position().x(), event.position().y())
+
+    _pressed = QPointF(-1e6, -1e6)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Say that the size is another."""

@@ -27,6 +27,7 @@ TITLES = {
     "readout": ("Readout", "Force, peak pressure and patch area, in the view"),
     "frustum": ("Camera frustum", "Field of view of the depth camera"),
     "rim": ("Rim", "Where the membrane is clamped"),
+    "vectors": ("Pressure vectors", "Contact pressure p_c at each node, along its normal"),
 }
 CLOUD_POINTS = {
     5_000: "up to 5 000",

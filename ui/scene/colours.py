@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from ui import theme
+from ui.state import COLOUR_MAPS
 
 ENTRIES = 256
 NEUTRAL_ENTRIES = 5
 """Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
 BLEND_ENTRIES = 20
+DARKEST = 0.28
+"""Share of a map that is too dark to be told from the shadows of the membrane."""
 
 
 @cache
@@ -29,14 +32,19 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def pressure_map() -> Any:
-    """Neutral at zero, then inferno (perceptually uniform): brighter is stronger."""
-    values = _sampled("inferno", 0.28).copy()
+    """Table of the contact pressure, to be filled by `pressure_colours`."""
+    return _table(pressure_colours(COLOUR_MAPS[0]))
+
+
+def pressure_colours(name: str) -> np.ndarray:
+    """Entries (256, 4) uint8: neutral at zero, then a uniform map: brighter is stronger."""
+    values = _sampled(name, DARKEST).copy()
     neutral = np.array([*rgb(theme.NEUTRAL), 255], float)
     values[:NEUTRAL_ENTRIES] = neutral
     blend = slice(NEUTRAL_ENTRIES, NEUTRAL_ENTRIES + BLEND_ENTRIES)
     share = np.linspace(0.0, 1.0, BLEND_ENTRIES)[:, None]
     values[blend] = (1 - share) * neutral + share * values[blend]
-    return _table(values)
+    return values
 
 
 def residual_map(middle: str) -> Any:

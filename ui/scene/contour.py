@@ -24,7 +24,7 @@ class ContourLayer:
         self._filter.ComputeNormalsOff()
         self._filter.SetInputArrayToProcess(0, 0, 0, 0, surface.LEVEL)
         self._filter.SetValue(0, 0.0)
-        self._actor = view.add_mesh(
+        self.actor = view.add_mesh(
             self._filter,
             color=theme.LINE,
             line_width=3,
@@ -34,8 +34,8 @@ class ContourLayer:
             render=False,
         )
         # Straight from the filter: pyvista puts an algorithm in Python between, run every frame.
-        self._actor.mapper.SetInputConnection(self._filter.GetOutputPort())
-        lift(self._actor, -200.0)
+        self.actor.mapper.SetInputConnection(self._filter.GetOutputPort())
+        lift(self.actor, -200.0)
         self._visible = True
         self._any = False
 
@@ -48,9 +48,9 @@ class ContourLayer:
         self._any = patch is not None and patch.area_m2 > 0
         if patch is not None and self._any:
             self._surface.mark(patch.level)
-        self._actor.visibility = self._visible and self._any
+        self.actor.visibility = self._visible and self._any
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide."""
         self._visible = visible
-        self._actor.visibility = visible and self._any
+        self.actor.visibility = visible and self._any

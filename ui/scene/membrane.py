@@ -8,9 +8,10 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from ui import theme
 from ui.scene.bars import ColourBar
-from ui.scene.colours import pressure_map
+from ui.scene.colours import pressure_colours, pressure_map
 from ui.scene.layer import Picture
 from ui.scene.surface import Surface
+from ui.state import COLOUR_MAPS
 from ui.units import Units
 from ui.view import View
 
@@ -21,7 +22,7 @@ class MembraneLayer:
     def __init__(self, view: View, surface: Surface, units: Units) -> None:
         self._surface = surface
         self._units = units
-        self._table = pressure_map()
+        self._table, self._map = pressure_map(), COLOUR_MAPS[0]
         self.actor = view.add_mesh(
             surface.poly,
             scalars=surface.PRESSURE,
@@ -48,6 +49,9 @@ class MembraneLayer:
         self._bar.set_range(0.0, high, self._units.pressure)
         self.actor.mapper.scalar_range = (0.0, high)
         self.actor.prop.opacity = picture.choices.membrane_opacity
+        if picture.choices.colour_map != self._map:
+            self._map = picture.choices.colour_map
+            self._table.values = pressure_colours(self._map)
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the surface and its bar."""
@@ -59,7 +63,7 @@ class WireframeLayer:
     """The edges of the mesh."""
 
     def __init__(self, view: View, surface: Surface) -> None:
-        self._actor: Any = view.add_mesh(
+        self.actor: Any = view.add_mesh(
             surface.poly,
             style="wireframe",
             color=theme.WIREFRAME,
@@ -69,7 +73,7 @@ class WireframeLayer:
             reset_camera=False,
             render=False,
         )
-        lift(self._actor)
+        lift(self.actor)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Nothing: the surface is shared."""
@@ -79,7 +83,7 @@ class WireframeLayer:
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide."""
-        self._actor.visibility = visible
+        self.actor.visibility = visible
 
 
 def lift(actor: Any, units: float = -60.0) -> None:

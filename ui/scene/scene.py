@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -18,12 +19,15 @@ from ui.scene.probe import ProbeMarks
 from ui.scene.ranges import HeldRanges
 from ui.scene.readout import ReadoutLayer
 from ui.scene.rim import RimLayer
+from ui.scene.section import Section
 from ui.scene.surface import Surface
+from ui.scene.vectors import VectorsLayer
+from ui.scene.viewpoints import ANGLE_DEG, Viewpoint, look_along, look_as
 from ui.state import Choices
 from ui.units import Units
 from ui.view import View
 
-ON_SURFACE = frozenset({"membrane", "wireframe", "contour"})
+ON_SURFACE = frozenset({"membrane", "wireframe", "contour", "vectors"})
 MARGIN = 1.0
 """Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
 
@@ -41,19 +45,26 @@ class Scene:
         self._mesh: MembraneMesh | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         membrane = MembraneLayer(view, self._surface, units)
-        cloud = CloudLayer(view, units)
+        wireframe = WireframeLayer(view, self._surface)
+        contour = ContourLayer(view, self._surface)
+        cloud, vectors = CloudLayer(view, units), VectorsLayer(view)
         self.layers: dict[str, Layer] = {
             "membrane": membrane,
-            "wireframe": WireframeLayer(view, self._surface),
-            "contour": ContourLayer(view, self._surface),
+            "wireframe": wireframe,
+            "contour": contour,
             "cloud": cloud,
             "force": ForceLayer(view),
             "readout": ReadoutLayer(view, units),
             "frustum": FrustumLayer(view),
             "rim": RimLayer(view, self._surface),
+            "vectors": vectors,
         }
         self.marks = ProbeMarks(view)
-        self.picker = Picker(view, surfaces=[membrane.actor], clouds=[cloud.actor])
+        self.section = Section(
+            view, self._surface, [a.actor for a in (membrane, wireframe, contour, cloud, vectors)]
+        )
+        self._picker = Picker(view, surfaces=[membrane.actor], clouds=[cloud.actor])
+        self.depth_camera: DepthCamera | None = None
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another sensor; the camera stays where the user has put it."""
@@ -82,6 +93,7 @@ class Scene:
         camera.focal_point = tuple((low + high) / 2)
         camera.position = tuple((low + high) / 2 + self._choices.view_from)
         camera.up = (0.0, 0.0, 1.0)
+        camera.view_angle = ANGLE_DEG
         bounds = [b for pair in zip(low, high, strict=True) for b in pair]
         self._view.renderer.ResetCamera(bounds)
         camera.zoom(self._choices.zoom)
@@ -92,7 +104,10 @@ class Scene:
     def show(self, result: Result, choices: Choices) -> None:
         """Draw a result with what the user chose to see."""
         self._result, self._choices = result, choices
-        shape = self._surface.shape_of(result.estimate) if ON_SURFACE & choices.layers else None
+        self.section.apply(choices)
+        shape = None
+        if ON_SURFACE & choices.layers:
+            shape = self._surface.shape_of(result.estimate, choices.exaggeration)
         if shape is not None:
             self._surface.draw(shape)
         picture = Picture(result, shape, self._ranges.take(result, choices), choices)
@@ -109,6 +124,25 @@ class Scene:
         self._choices = choices
         if self._result is not None:
             self.show(self._result, choices)
+
+    def look(self, name: Viewpoint) -> None:
+        """Look from one of the usual places; later sensors do not change it."""
+        if self._mesh is None or self.depth_camera is None:
+            return
+        low, high = self._mesh.nodes.min(axis=0), self._mesh.nodes.max(axis=0)
+        if name == "camera":
+            far = float(np.linalg.norm((low + high) / 2 - self.depth_camera.center))
+            look_as(self._view, self.depth_camera, far)
+        else:
+            box = [float(b) for pair in zip(low, high, strict=True) for b in pair]
+            look_along(self._view, name, box)
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
+        self._view.refresh()
+
+    def pick(self, x: float, y: float) -> np.ndarray | None:
+        """Point (3,) in B under a place of the view, as it truly is; None where nothing is."""
+        point = self._picker.at(x, y)
+        return None if point is None else self._surface.true_place(point)
 
     def _camera_place(self) -> tuple[object, ...]:
         camera = self._view.camera

@@ -50,13 +50,25 @@ class Surface:
         self.poly.GetPointData().SetActiveNormals("Normals")
         self.poly.GetPointData().SetActiveScalars(self.PRESSURE)
 
-    def shape_of(self, estimate: Estimate | None) -> Shape | None:
-        """Shape bubbleviz found; None without an estimate."""
+    def shape_of(self, estimate: Estimate | None, exaggeration: float = 1.0) -> Shape | None:
+        """Shape bubbleviz found, its displacement drawn larger; None without an estimate."""
+        self._beyond = None
         if estimate is None or self._mesh is None:
             return None
-        nodes = self._mesh.deformed(estimate.displacement_m)
+        nodes = self._mesh.deformed(exaggeration * estimate.displacement_m)
+        if exaggeration != 1.0:
+            self._beyond = nodes - self._mesh.deformed(estimate.displacement_m)
         normals = replace(self._mesh, nodes=nodes).normals
         return Shape(nodes, normals, estimate.contact_pressure_pa)
+
+    def true_place(self, point_m: np.ndarray) -> np.ndarray:
+        """Where a point (3,) of the drawn surface is without exaggeration, in B."""
+        if self._beyond is None:
+            return point_m
+        away = np.sum((np.asarray(self.poly.points) - point_m) ** 2, axis=1)
+        return point_m - self._beyond[int(np.argmin(away))]
+
+    _beyond: np.ndarray | None = None
 
     def draw(self, shape: Shape) -> None:
         """Move the vertices and colour them, in place."""
