@@ -10,11 +10,12 @@ import numpy as np
 
 from bubbleviz.camera.images import FrameImages
 from bubbleviz.camera.view import MembraneView
+from bubbleviz.inverse.components import Component, components
 from bubbleviz.inverse.kappa_curve import KappaCurve, kappa_curve
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 
-Look = Literal["depth", "change", "residual", "noise", "used", "kappa_curve"]
+Look = Literal["depth", "change", "residual", "noise", "used", "kappa_curve", "components"]
 """An image (H, W) by its name, or the curve of areas over κ."""
 
 OUTERMOST = 0.5
@@ -27,6 +28,7 @@ NEEDS: dict[Look, frozenset[Product]] = {
     "noise": frozenset(),
     "used": frozenset(),
     "kappa_curve": frozenset({"estimate"}),
+    "components": frozenset({"estimate", "patch"}),
 }
 """Products of the pipeline that a look is made of."""
 
@@ -43,11 +45,14 @@ class Inspection:
     ends : dict
         Between them lie all but the outermost values of each image.
     kappa_curve : KappaCurve or None
+    components : tuple of Component
+        Parts of the patch, those too, that are left out for their size.
     """
 
     images: dict[str, np.ndarray] = field(default_factory=dict)
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     kappa_curve: KappaCurve | None = None
+    components: tuple[Component, ...] = ()
 
 
 class Inspector:
@@ -74,7 +79,7 @@ class Inspector:
             True pixels of the patch, in a simulation.
         """
         images: dict[str, np.ndarray] = {}
-        curve = None
+        curve, parts = None, tuple[Component, ...]()
         for name in sorted(looks):
             self._pipeline.counts[f"look {name}"] += 1
             if name == "kappa_curve":
@@ -82,10 +87,21 @@ class Inspector:
                     view = self._view if truth is not None else None
                     curve = kappa_curve(self._pipeline.mesh, result.estimate, truth, view)
                 continue
+            if name == "components":
+                parts = self._components(result)
+                continue
             image = self._image(name, result)
             if image is not None:
                 images[name] = image
-        return Inspection(images, {name: _ends(image) for name, image in images.items()}, curve)
+        return Inspection(
+            images, {name: _ends(image) for name, image in images.items()}, curve, parts
+        )
+
+    def _components(self, result: Result) -> tuple[Component, ...]:
+        if result.estimate is None:
+            return ()
+        whole = self._pipeline.whole_patch(result.estimate)
+        return components(self._pipeline.mesh, result.estimate, whole)
 
     def _image(self, name: Look, result: Result) -> np.ndarray | None:
         depth, estimate = result.frame.depth_m, result.estimate

@@ -19,6 +19,7 @@ from bubbleviz.camera.pixels import PixelModel
 from bubbleviz.camera.view import MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.inverse.components import without_small
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.patch import PatchFinder
 from bubbleviz.membrane.build import build_mesh, reference_tension
@@ -64,6 +65,8 @@ class Pipeline:
         Reference surface.
     tension_n_per_m : float
         γ0, from the sensor file or Young–Laplace.
+    least_area_m2 : float
+        Parts of the patch smaller than this are left out.
     cloud_points : int or None
         Most points of the cloud, spread evenly over the image; None for all.
     counts : Counter
@@ -88,6 +91,7 @@ class Pipeline:
         self.sensor = sensor
         self.kappa = kappa
         self.options = options or EstimatorOptions()
+        self.least_area_m2 = 0.0
         self.cloud_points: int | None = None
         _check_size(sensor, intrinsics)
         self.camera = DepthCamera.of(sensor.camera, intrinsics)
@@ -104,7 +108,7 @@ class Pipeline:
             self.mesh,
             self.sensor.camera.noise_relative,
             self.pixels,
-            self._block_size(),
+            self.options.block or self._block_size(),
         )
         gas = Gas.of(self.sensor.pneumatics, self.mesh)
         return Estimator(observer, gas, self.tension_n_per_m, self.options)
@@ -188,8 +192,14 @@ class Pipeline:
 
     def patch(self, estimate: Estimate, *, pixel_mask: bool = False) -> Patch:
         """Patch of an estimate at the present κ, without solving again."""
-        patch = self._finder.find(estimate, self.kappa)
+        patch = self.whole_patch(estimate)
+        if self.least_area_m2 > 0.0:
+            patch = without_small(self.mesh, estimate, patch, self.least_area_m2)
         return self._with_pixels(estimate, patch) if pixel_mask else patch
+
+    def whole_patch(self, estimate: Estimate) -> Patch:
+        """Patch of an estimate with all its parts, however small."""
+        return self._finder.find(estimate, self.kappa)
 
     @cached_property
     def _finder(self) -> PatchFinder:

@@ -9,6 +9,7 @@ from pathlib import Path
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.frames.synthetic import Truth, truth_of
 from bubbleviz.sensor import Sensor, load_sensor
 
 LIVE_FINER = 2
@@ -91,6 +92,10 @@ class MadeOnce:
         if index not in self._frames:
             self._frames[index] = self._source[index]
         return self._frames[index]
+
+    def truth(self, index: int) -> Truth | None:
+        """What is true of a frame."""
+        return truth_of(self._source, index)
 
     def close(self) -> None:
         """Close the source."""

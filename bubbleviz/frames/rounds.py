@@ -10,6 +10,7 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.frames.synthetic import Truth, truth_of
 
 
 class NoisyRounds:
@@ -42,6 +43,10 @@ class NoisyRounds:
         )
         depth = self._camera.depth_image(ranges).astype(np.float32)
         return replace(frame, depth_m=depth)
+
+    def truth(self, index: int) -> Truth | None:
+        """What is true of a frame of every round."""
+        return truth_of(self._source, index)
 
     def close(self) -> None:
         """Close the source."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -51,6 +52,19 @@ class Truth:
     center_of_pressure_m: np.ndarray
     patch_area_m2: float
     patch_mask: np.ndarray
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A source that may know what is true of its frames."""
+
+    def truth(self, index: int) -> Truth | None:
+        """What is true of a frame; None when it is not known."""
+
+
+def truth_of(source: object, index: int) -> Truth | None:
+    """What is true of a frame of any source; None for all but simulations."""
+    return source.truth(index) if isinstance(source, KnowsTruth) else None
 
 
 class SyntheticSource:

@@ -48,6 +48,8 @@ class EstimatorOptions:
         Of the solver, in its own terms; None for its default.
     pressure_scale : float
         Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
+    block : int or None
+        Side of the squares of pixels that are averaged; None for half a mesh edge.
     """
 
     solver: str | None = None
@@ -55,6 +57,7 @@ class EstimatorOptions:
     nodes: int | None = None
     tolerance: float | None = None
     pressure_scale: float = PRESSURE_SCALE
+    block: int | None = None
 
     @classmethod
     def named(cls, name: str | None) -> EstimatorOptions:

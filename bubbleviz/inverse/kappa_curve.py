@@ -25,12 +25,15 @@ class KappaCurve:
         Multiples of the mean contact pressure, rising.
     area_m2 : (k,) array
         Area of the patch on the reference surface.
+    histogram_m2 : (k − 1,) array
+        Area whose pressure lies between one threshold and the next.
     iou : (k,) array or None
         Intersection over union of the patch's pixels with the true ones; None without a truth.
     """
 
     kappa: np.ndarray
     area_m2: np.ndarray
+    histogram_m2: np.ndarray
     iou: np.ndarray | None = None
 
 
@@ -59,7 +62,12 @@ def kappa_curve(
     iou = None
     if truth is not None and view is not None:
         iou = _ious(view, estimate, truth, levels)
-    return KappaCurve(KAPPAS, areas, iou)
+    histogram, _ = (
+        np.histogram(pressure, levels, weights=mesh.areas)
+        if pressure.any()
+        else (np.zeros(len(KAPPAS) - 1), None)
+    )
+    return KappaCurve(KAPPAS, areas, histogram, iou)
 
 
 def _ious(
