@@ -6,7 +6,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
 from bubbleviz.frames.source import FrameSource
@@ -23,6 +25,8 @@ from ui.requests import (
     AnalyseRequest,
     Answer,
     Failed,
+    Followed,
+    FollowRequest,
     FrameRequest,
     Opened,
     OpenRequest,
@@ -40,6 +44,7 @@ from ui.state import (
 )
 from ui.worker import Worker
 
+POSE: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 TICK_MS = 8
 """How often playback looks at its clock."""
 AHEAD_S = 0.025
@@ -59,6 +64,8 @@ class Controller(QObject):
         A `Failed` to tell the user about.
     analysed : Signal
         Frames done and frames asked for of an analysis of all frames; equal when it is over.
+    followed : Signal
+        A `Followed`: another object is looked for, or none.
     solves : RateMeter
         Frames that came back from the solver.
     inspection : Inspection
@@ -71,6 +78,7 @@ class Controller(QObject):
     shown = Signal(object)
     failed = Signal(object)
     analysed = Signal(int, int)
+    followed = Signal(object)
 
     def __init__(self, state: SessionState, worker: Worker) -> None:
         super().__init__()
@@ -183,6 +191,22 @@ class Controller(QObject):
         self._analysed_products = needed
         self._ask_analysis()
 
+    def follow(
+        self,
+        object_name: str | None,
+        unit: Literal["m", "mm"] | None,
+        start: np.ndarray | None,
+        *,
+        fit: bool,
+    ) -> None:
+        """Look for another object, or for none; `fit` it to the frame at the cursor at once."""
+        if self.state.facts is None:
+            return
+        needed = products(self.state.choices) | POSE
+        request = self._frame_request(needed) if fit else None
+        kappa = self.state.choices.kappa
+        self.worker.ask(FollowRequest(self._session, object_name, unit, start, kappa, request))
+
     def stop_analysis(self) -> None:
         """Leave the rest; what was computed stays."""
         self._to_analyse, self._analysing = (), 0
@@ -249,19 +273,21 @@ class Controller(QObject):
     def _ask_frame(self) -> None:
         if self.state.facts is None:
             return
-        self._requests += 1
         self._asked, self._looked = products(self.state.choices), looks(self.state.choices)
-        self.worker.ask(
-            FrameRequest(
-                self._session,
-                self._requests,
-                self.state.frame,
-                self._asked,
-                self.state.choices.kappa,
-                self.state.choices.cloud_points,
-                time.perf_counter(),
-                self._looked,
-            )
+        self.worker.ask(self._frame_request(self._asked))
+
+    def _frame_request(self, needed: frozenset[Product]) -> FrameRequest:
+        """Request for products of the frame at the cursor."""
+        self._requests += 1
+        return FrameRequest(
+            self._session,
+            self._requests,
+            self.state.frame,
+            needed,
+            self.state.choices.kappa,
+            self.state.choices.cloud_points,
+            time.perf_counter(),
+            looks(self.state.choices),
         )
 
     def _ask_patch(self) -> None:
@@ -288,6 +314,10 @@ class Controller(QObject):
             self._on_opened(answer)
         elif answer.request.session != self._session:
             return
+        elif isinstance(answer, Followed):
+            self.followed.emit(answer)
+            if answer.solved is not None:
+                self._on_solved(answer.solved)
         elif isinstance(answer, Solved):
             self._on_solved(answer)
         elif isinstance(answer, Analysed):

@@ -12,6 +12,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
 from PySide6.QtWidgets import QApplication, QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
+from bubbleviz.meshread import SUFFIXES
 from bubbleviz.result import Result
 from ui import theme
 from ui.calibration.session import Calibration
@@ -26,6 +27,9 @@ from ui.panels.layers import LayersPanel
 from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
 from ui.panels.plots import PlotsPanel
+from ui.panels.pose.overlay import PoseOverlay
+from ui.panels.pose.panel import PosePanel
+from ui.panels.pose.session import PoseSession
 from ui.panels.status import Rates, StatusBar
 from ui.panels.view_tools import ViewTools
 from ui.pointing import Pointing
@@ -85,6 +89,8 @@ class MainWindow(QMainWindow):
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
         )
+        self.pose = PosePanel(state, PoseSession(controller))
+        self.overlay = PoseOverlay(self.view, self.scene, self.pose)
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
@@ -93,9 +99,12 @@ class MainWindow(QMainWindow):
         self._connect()
 
     def open_file(self, path: Path) -> None:
-        """Open a sensor file (.toml), a session, or a recording (anything else)."""
+        """Open a sensor file (.toml), an object's mesh, a session, or else a recording."""
         if path.suffix.lower() == ".toml":
             self.controller.open_sensor(path)
+        elif path.suffix.lower() in SUFFIXES:
+            self.pose_dock.show()
+            self.pose.use_file(path)
         elif path.suffix.lower() == SUFFIX:
             self.keeper.open(path)
         else:
@@ -132,6 +141,9 @@ class MainWindow(QMainWindow):
         self._rates.stop()
         self.state.unsubscribe_all()
         self.gamma0.close_all()
+        self.undo_stack.clear()  # its steps would keep what they change alive
+        self.overlay.close()
+        self.pose.close_plots()
         self.controller.close()
         self.view.close()
         super().closeEvent(event)
@@ -160,6 +172,8 @@ class MainWindow(QMainWindow):
         self.tools_dock = self._dock("3-D tools", self.tools, right)
         self.tabifyDockWidget(self.layers_dock, self.tools_dock)
         self.tools_dock.hide()
+        self.pose_dock = self._dock("Pose", self.pose, right)
+        self.pose_dock.hide()
         self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
         self.gamma0_dock.hide()
         self.plots_dock = self._dock("Plots", self.plots, bottom)
@@ -173,6 +187,7 @@ class MainWindow(QMainWindow):
             "layers": self.layers_dock,
             "kappa": self.kappa_dock,
             "tools": self.tools_dock,
+            "pose": self.pose_dock,
             "calibration": self.gamma0_dock,
             "plots": self.plots_dock,
             "images": self.images_dock,
@@ -198,8 +213,10 @@ class MainWindow(QMainWindow):
             (self.kappa_dock, "kappa_panel"),
             (self.plots_dock, "plots"),
             (self.images_dock, "images"),
+            (self.pose_dock, "pose"),
         ):
             dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
+        self.pose.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)
         self.tools.failed.connect(self.message.say)
         self._rates.timeout.connect(self.show_rates)
@@ -268,7 +285,9 @@ class MainWindow(QMainWindow):
         if result is None:
             return
         self.state.set_playing(False)
-        self.state.choose(layers=self.state.choices.layers | {"cloud"}, cloud_colour="residual")
+        with self.settings.unrecorded():
+            layers = self.state.choices.layers | {"cloud"}
+            self.state.choose(layers=layers, cloud_colour="residual")
         painted = replace(result, cloud_m=points_m, cloud_pixels=None, cloud_residual_m=values_m)
         self.scene.show(painted, self.state.choices)
 

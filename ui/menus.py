@@ -115,6 +115,7 @@ class Menus:
         self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
         for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
             self._add(menu, title, partial(window.tools.use_tool, tool))
+        self._add(menu, "Reset p&ose", window.pose.session.reset, "X")
         scenes = menu.addMenu("&Scene")
         for name in scene_names():
             preset = load_scene(name)
@@ -122,7 +123,16 @@ class Menus:
         self._theme(menu.addMenu("&Theme"))
         self._units(menu.addMenu("&Units"))
         menu.addSeparator()
-        for name in ("layers", "kappa", "tools", "calibration", "plots", "images", "playback"):
+        for name in (
+            "layers",
+            "kappa",
+            "tools",
+            "pose",
+            "calibration",
+            "plots",
+            "images",
+            "playback",
+        ):
             dock = cast(QDockWidget, window.panels[name])
             menu.addAction(dock.toggleViewAction())
         status = self._add(menu, "Status bar", self._toggle_status)

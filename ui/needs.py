@@ -23,6 +23,9 @@ CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
         "readout": frozenset({"estimate", "patch"}),
         "frustum": frozenset(),
         "rim": frozenset(),
+        "object": frozenset(),
+        "fit": frozenset(),
+        "pose": frozenset(),
         "vectors": frozenset({"estimate"}),
         "kappa_panel": frozenset({"estimate", "patch"}),
         "status": frozenset({"estimate", "patch"}),
@@ -31,6 +34,9 @@ CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
     }
 )
 """Products by the name of a layer, panel or bar."""
+
+POSE_CONSUMERS = frozenset({"object", "fit", "pose"})
+"""Who wants the pose of the object while it is tracked."""
 
 PLOTS: Mapping[str, frozenset[Product]] = MappingProxyType(
     {
@@ -67,6 +73,8 @@ def products(choices: Choices) -> frozenset[Product]:
         needed |= plotted(choices)
     if "images" in choices.panels and "patch" in choices.images:
         needed |= {"estimate", "patch", "pixel_mask"}
+    if choices.pose_track and visible & POSE_CONSUMERS:
+        needed |= {"estimate", "patch", "pose"}
     for look in looks(choices):
         needed |= NEEDS[look]
     return needed

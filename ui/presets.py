@@ -13,10 +13,28 @@ from bubbleviz.sensor import presets_folder
 from ui.state import CloudColour
 
 Layer = Literal[
-    "membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim", "vectors"
+    "membrane",
+    "wireframe",
+    "contour",
+    "cloud",
+    "force",
+    "readout",
+    "frustum",
+    "rim",
+    "vectors",
+    "object",
+    "fit",
 ]
-Panel = Literal["layers", "kappa", "tools", "calibration", "plots", "images", "playback", "status"]
-PANELS_THAT_ASK = {"kappa": "kappa_panel", "plots": "plots", "images": "images", "status": "status"}
+Panel = Literal[
+    "layers", "kappa", "tools", "pose", "calibration", "plots", "images", "playback", "status"
+]
+PANELS_THAT_ASK = {
+    "kappa": "kappa_panel",
+    "pose": "pose",
+    "plots": "plots",
+    "images": "images",
+    "status": "status",
+}
 """Panels that show results, by their name in `Choices.panels`."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

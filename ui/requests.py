@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.inspection import Inspection, Look
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.numbers import Numbers
+from bubbleviz.objects import RigidObject
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -70,6 +74,32 @@ class FrameRequest:
 
 
 @dataclass(frozen=True)
+class FollowRequest:
+    """Look for another object from now on, or for none.
+
+    Attributes
+    ----------
+    session : int
+    object_name : str or None
+        Preset or mesh file.
+    unit : {"m", "mm"} or None
+        Of the file; None: by its name.
+    start : (4, 4) array or None
+        T_B_O to begin at; None to search.
+    kappa : float or None
+    fit : FrameRequest or None
+        Frame to fit at once.
+    """
+
+    session: int
+    object_name: str | None
+    unit: Literal["m", "mm"] | None
+    start: np.ndarray | None
+    kappa: float | None
+    fit: FrameRequest | None = None
+
+
+@dataclass(frozen=True)
 class AnalyseRequest:
     """Compute the numbers of frames nobody looks at; a part of them at a time."""
 
@@ -90,7 +120,7 @@ class PatchRequest:
     pixel_mask: bool
 
 
-Request = OpenRequest | FrameRequest | PatchRequest | AnalyseRequest
+Request = OpenRequest | FollowRequest | FrameRequest | PatchRequest | AnalyseRequest
 
 
 @dataclass(frozen=True)
@@ -127,6 +157,15 @@ class Analysed:
 
 
 @dataclass(frozen=True)
+class Followed:
+    """The object that is looked for now, and the frame that was to be fitted."""
+
+    request: FollowRequest
+    obj: RigidObject | None
+    solved: Solved | None
+
+
+@dataclass(frozen=True)
 class Thresholded:
     """A result with its patch at another κ."""
 
@@ -144,4 +183,4 @@ class Failed:
     details: str
 
 
-Answer = Opened | Solved | Thresholded | Analysed | Failed
+Answer = Opened | Followed | Solved | Thresholded | Analysed | Failed

@@ -12,12 +12,15 @@ from bubbleviz.inspection import Inspector
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.numbers import Numbers, numbers_of
+from bubbleviz.objects import load_object
 from bubbleviz.pipeline import Pipeline
 from ui.requests import (
     Analysed,
     AnalyseRequest,
     Answer,
     Failed,
+    Followed,
+    FollowRequest,
     FrameRequest,
     Opened,
     OpenRequest,
@@ -58,6 +61,8 @@ class Server:
             session.pipeline.kappa = request.kappa
             if isinstance(request, PatchRequest):
                 return self._threshold(session, request)
+            if isinstance(request, FollowRequest):
+                return self._follow(session, request)
             if isinstance(request, AnalyseRequest):
                 return self._analyse(session, request)
             return self._solve(session, request)
@@ -78,6 +83,14 @@ class Server:
         result = session.pipeline.process(frame, request.products)
         inspection = session.inspector.look(result, request.looks)
         return Solved(request, result, numbers_of(result, session.gas), inspection)
+
+    def _follow(self, session: _Session, request: FollowRequest) -> Followed:
+        obj = None
+        if request.object_name is not None:
+            obj = load_object(request.object_name, request.unit)
+        session.pipeline.follow(obj, request.start)
+        solved = self._solve(session, request.fit) if request.fit is not None else None
+        return Followed(request, obj, solved)
 
     def _threshold(self, session: _Session, request: PatchRequest) -> Thresholded:
         estimate = request.result.estimate

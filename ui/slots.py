@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from threading import Condition
 
-from ui.requests import AnalyseRequest, FrameRequest, OpenRequest, PatchRequest, Request
+from ui.requests import (
+    AnalyseRequest,
+    FollowRequest,
+    FrameRequest,
+    OpenRequest,
+    PatchRequest,
+    Request,
+)
 
 
 class RequestSlots:
-    """One waiting request of each kind, taken in the order open, patch, frame, all frames."""
+    """One waiting request of each kind, in the order open, object, patch, frame, all frames."""
 
-    ORDER: tuple[type[Request], ...] = (OpenRequest, PatchRequest, FrameRequest, AnalyseRequest)
+    ORDER: tuple[type[Request], ...] = (
+        OpenRequest,
+        FollowRequest,
+        PatchRequest,
+        FrameRequest,
+        AnalyseRequest,
+    )
 
     def __init__(self) -> None:
         self._waiting: dict[type[Request], Request] = {}

@@ -19,7 +19,7 @@ COLOUR_MAPS = ("inferno", "viridis", "cividis", "magma", "plasma")
 ThemeName = Literal["system", "dark", "light"]
 
 LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim",
-          "vectors")  # fmt: skip
+          "vectors", "object", "fit")  # fmt: skip
 """Names of the 3-D layers, in the order the panel lists them."""
 
 
@@ -72,6 +72,10 @@ class Choices:
         The other side is drawn.
     pressure_max_pa, residual_max_m : float or None
         Upper ends of the colour ranges; None: the largest value seen, rounded up.
+    pose_track : bool
+        Follow the object that is chosen in every frame.
+    pose_stage : int
+        Stage whose pose the object is drawn at; 2 for both.
     length_unit, pressure_unit, force_unit, duration_unit : str
         What numbers are shown in, see `units.SYSTEMS`.
     theme : {"system", "dark", "light"}
@@ -99,6 +103,8 @@ class Choices:
     section_flipped: bool = False
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None
+    pose_track: bool = False
+    pose_stage: int = 2
     length_unit: str = "mm"
     pressure_unit: str = "kPa"
     force_unit: str = "N"

@@ -27,6 +27,8 @@ TITLES = {
     "readout": ("Readout", "Force, peak pressure and patch area, in the view"),
     "frustum": ("Camera frustum", "Field of view of the depth camera"),
     "rim": ("Rim", "Where the membrane is clamped"),
+    "object": ("Object", "The object that is looked for, at its pose"),
+    "fit": ("Fit", "Contact points by distance from the object, and what is not determined"),
     "vectors": ("Pressure vectors", "Contact pressure p_c at each node, along its normal"),
 }
 CLOUD_POINTS = {

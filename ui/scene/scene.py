@@ -10,10 +10,12 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui.scene.cloud import CloudLayer
 from ui.scene.contour import ContourLayer
+from ui.scene.fit import FitLayer
 from ui.scene.force import ForceLayer
 from ui.scene.frustum import FrustumLayer
 from ui.scene.layer import Layer, Picture
 from ui.scene.membrane import MembraneLayer, WireframeLayer
+from ui.scene.object import ObjectLayer
 from ui.scene.picker import Picker
 from ui.scene.probe import ProbeMarks
 from ui.scene.ranges import HeldRanges
@@ -48,6 +50,7 @@ class Scene:
         wireframe = WireframeLayer(view, self._surface)
         contour = ContourLayer(view, self._surface)
         cloud, vectors = CloudLayer(view, units), VectorsLayer(view)
+        self.object = ObjectLayer(view)
         self.layers: dict[str, Layer] = {
             "membrane": membrane,
             "wireframe": wireframe,
@@ -57,6 +60,8 @@ class Scene:
             "readout": ReadoutLayer(view, units),
             "frustum": FrustumLayer(view),
             "rim": RimLayer(view, self._surface),
+            "object": self.object,
+            "fit": FitLayer(view),
             "vectors": vectors,
         }
         self.marks = ProbeMarks(view)

@@ -1,0 +1,1 @@
+"""The pose panel: which object, where it begins, how well it fits."""
