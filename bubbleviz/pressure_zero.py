@@ -87,6 +87,13 @@ def untouched(frame: Frame, pipeline: Pipeline) -> bool:
     return estimate is not None and estimate.status == "no_contact"
 
 
+def zeroed(frame: Frame, zero: PressureZero, pipeline: Pipeline) -> Frame:
+    """The frame with its gas pressure shifted; learned from where the zero is still waited for."""
+    if zero.waiting and frame.gas_pressure_pa is not None:
+        zero.learn(frame.gas_pressure_pa, contact_free=untouched(frame, pipeline))
+    return zero.applied(frame)
+
+
 def zero_of(frames: Iterable[Frame], pipeline: Pipeline, name: str) -> PressureZero:
     """Zero of a recording, from its first rest.
 

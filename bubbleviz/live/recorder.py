@@ -101,11 +101,11 @@ class Recorder:
             self._before_bytes = 0
             self._session = session
 
-    def mark(self, text: str = "marker") -> None:
-        """Put a marker or a note into the recording, at this moment."""
+    def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
+        """Put a marker or a note into the recording, at a moment (ns since 1970), else at this."""
         content = ros2_types().types[_STRING](data=text)
-        now = time.time_ns()
-        self.push(RawMessage(MARKERS, _STRING, serialise(content, _STRING), 0, now))
+        when = time.time_ns() if at_ns is None else at_ns
+        self.push(RawMessage(MARKERS, _STRING, serialise(content, _STRING), 0, when))
 
     def status(self) -> RecorderStatus | None:
         """How the present recording is going; None without one."""

@@ -29,7 +29,7 @@ from bubbleviz.live.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.zenoh_session import SessionOptions
 from bubbleviz.objects import load_object
 from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.pressure_zero import PressureZero, rest_pressure_pa, untouched
+from bubbleviz.pressure_zero import PressureZero, rest_pressure_pa, zeroed
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 
@@ -137,17 +137,11 @@ class Watcher:
         frame = self.stream.take(timeout_s)
         if frame is None:
             return None
-        self.last = self.pipeline.process(self._zeroed(frame), PRODUCTS)
+        if self.zero is not None:
+            frame = zeroed(frame, self.zero, self.pipeline)
+        self.last = self.pipeline.process(frame, PRODUCTS)
         self.latency.add(frame, time.time_ns())
         return self.last
-
-    def _zeroed(self, frame: Frame) -> Frame:
-        if self.zero is None:
-            return frame
-        if self.zero.waiting and frame.gas_pressure_pa is not None:
-            free = untouched(frame, self.pipeline)
-            self.zero.learn(frame.gas_pressure_pa, contact_free=free)
-        return self.zero.applied(frame)
 
 
 def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSummary:
