@@ -6,15 +6,12 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtCore import QEvent, QObject, Signal
-from PySide6.QtGui import QKeyEvent, QKeySequence
+from PySide6.QtCore import QEvent, Signal
 from PySide6.QtWidgets import (
-    QAbstractSpinBox,
     QButtonGroup,
     QGraphicsView,
     QHBoxLayout,
     QLabel,
-    QLineEdit,
     QProgressBar,
     QPushButton,
     QScrollArea,
@@ -80,7 +77,6 @@ class Gamma0Panel(QWidget):
         self._lay_out()
         self._connect()
         keep_keys(self)
-        self._leave_undo_to_the_window()
         self.go_to(0)
 
     @property
@@ -141,15 +137,6 @@ class Gamma0Panel(QWidget):
         super().changeEvent(event)
         if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
             self._show()
-
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Text boxes have an undo of their own, which would hide the window's."""
-        if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
-            undo = event.matches(QKeySequence.StandardKey.Undo)
-            if undo or event.matches(QKeySequence.StandardKey.Redo):
-                event.ignore()
-                return True
-        return super().eventFilter(watched, event)
 
     def _make_pages(self) -> None:
         calibration, units = self.calibration, self.units
@@ -274,11 +261,6 @@ class Gamma0Panel(QWidget):
         buttons.addWidget(self.next, 1)
         column.addLayout(buttons)
         self.all.setToolTip("All steps at once")
-
-    def _leave_undo_to_the_window(self) -> None:
-        for kind in (QAbstractSpinBox, QLineEdit):
-            for box in self.findChildren(kind):
-                box.installEventFilter(self)
 
 
 def _scrolling(page: Page) -> QScrollArea:
