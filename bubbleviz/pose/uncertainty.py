@@ -10,6 +10,11 @@ DETERMINED_M = 1e-3
 """Standard deviation at the patch's edge below which contact determines a direction: a ninth of
 the variance of a start that is off by up to 5 mm."""
 
+_TURNS = 0.3
+_LARGEST_RADIUS_M = 0.1
+"""A motion that turns less than this share of the one that turns most is a shift; patches are
+smaller than this."""
+
 LEAST_RADIUS_M = 2e-3
 """A smaller patch turns about itself as one of this radius does."""
 
@@ -47,3 +52,24 @@ def directions(surface: np.ndarray, radius_m: float) -> Directions:
     with np.errstate(divide="ignore"):
         deviation = 1.0 / np.sqrt(np.maximum(information, 0.0))
     return Directions(unit[:, None] * vectors, deviation, deviation < DETERMINED_M)
+
+
+def open_axes(motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts and turns among some motions: unit directions (s, 3) and axes (t, 3) in B.
+
+    Where a turn comes with a shift, as a ball's about its middle, the turn counts.
+
+    Parameters
+    ----------
+    motions : (6, q) array
+        Columns as in `Directions.motions`.
+    """
+    if not motions.size:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    # An eigenvector's turning part is 1/radius long at most: larger singular values are turns.
+    vectors, sizes, mixed = np.linalg.svd(motions[3:])
+    turning = sizes > _TURNS * max(float(sizes.max()), 1.0 / _LARGEST_RADIUS_M)
+    turns = vectors.T[: len(sizes)][turning]
+    still = motions @ mixed[int(turning.sum()) :].T
+    shifts = still[:3] / np.maximum(np.linalg.norm(still[:3], axis=0), 1e-12)
+    return shifts.T, turns

@@ -19,6 +19,7 @@ Drive = Callable[..., Driver]
 RUNS = {
     "calibrate": {"estimate", "patch", "cloud", "residual"},
     "press": {"estimate", "patch"},
+    "pose": {"estimate", "patch"},
     "cloud": {"cloud"},
     "residual": {"estimate", "patch", "cloud", "residual"},
     "review": {"estimate", "patch"},
@@ -71,7 +72,7 @@ def test_a_scene_starts_with_only_what_it_needs() -> None:
 
 
 def test_an_unknown_scene_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match=r'"nope".*cloud, press, residual'):
+    with pytest.raises(InputError, match=r'"nope".*cloud, pose, press, residual'):
         load_scene("nope")
 
 

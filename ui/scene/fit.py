@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.pose.uncertainty import open_axes
 from bubbleviz.result import Pose
 from bubbleviz.sensor import Sensor
 from ui import theme
@@ -16,7 +17,7 @@ from ui.view import View
 COLOURS = ["#2a6fff", "#e8edf2", "#e5484d"]
 """Inside the object, on it, outside."""
 
-HIGHEST_M = 1.5e-3
+HIGHEST_M = 1e-3
 ARROW = 0.4
 """Length of the arrows over the radius of the rim."""
 
@@ -38,7 +39,7 @@ class FitLayer:
         common = {"reset_camera": False, "render": False, "lighting": False}
         self.points = view.add_mesh(
             self._points, scalars="distance", cmap=COLOURS, clim=(-HIGHEST_M, HIGHEST_M),
-            point_size=6, show_scalar_bar=False, name="fit_points", **common,
+            point_size=5, show_scalar_bar=False, name="fit_points", **common,
         )  # fmt: skip
         self.lines = view.add_mesh(
             self._lines, color=theme.ORANGE, line_width=1, name="fit_lines", **common
@@ -103,10 +104,8 @@ def open_arrows(pose: Pose, length_m: float) -> np.ndarray:
 
     A shift is a straight arrow with two heads, a turn one around its axis.
     """
-    open_ = pose.motions[:, ~pose.determined]
+    shifts, turns = open_axes(pose.motions[:, ~pose.determined])
     pieces = [np.zeros((0, 3))]
-    shifts = _axes(open_[:3] * np.sqrt(0.5))
-    turns = _axes(open_[3:] / max(float(np.linalg.norm(pose.motions[3:], axis=0).max()), 1e-9))
     for axis in shifts:
         line = pose.center_m + length_m * np.array([[-1.0], [0.0], [1.0]]) * axis
         pieces.append(_arrow(line, _across(axis)))
@@ -115,12 +114,6 @@ def open_arrows(pose: Pose, length_m: float) -> np.ndarray:
         around = np.cos(_ARC)[:, None] * side + np.sin(_ARC)[:, None] * np.cross(axis, side)
         pieces.append(_arrow(pose.center_m + 0.5 * length_m * around, axis))
     return np.concatenate(pieces)
-
-
-def _axes(parts: np.ndarray) -> np.ndarray:
-    """Independent unit directions (k, 3) among columns (3, q) that are not nearly nothing."""
-    vectors, sizes, _ = np.linalg.svd(parts) if parts.size else (np.eye(3), np.zeros(0), None)
-    return vectors.T[: len(sizes)][sizes > 0.3]
 
 
 def _across(axis: np.ndarray) -> np.ndarray:

@@ -39,11 +39,11 @@ class Curves(QWidget):
     def draw_iterations(self, one: np.ndarray, two: np.ndarray) -> None:
         """Histories (i, 2) of the stages, one after the other."""
         both = np.concatenate([one, two])
-        self.iterations.draw(np.arange(len(both)), both, self._units, "iteration", len(one))
+        self.iterations.draw(np.arange(len(both)), both, self._units, "by iteration", len(one))
 
     def draw_frames(self, time_s: np.ndarray, values: np.ndarray) -> None:
         """Fitness, and rmse in m, (f, 2) of frames."""
-        self.frames.draw(time_s, values, self._units, "s", None)
+        self.frames.draw(time_s, values, self._units, "over s", None)
 
     def clear(self) -> None:
         """Draw nothing."""
@@ -66,7 +66,7 @@ class Curves(QWidget):
 
 
 class _Curve:
-    """Fitness in % and rmse on one axis each would be two axes: both are shares of their own top.
+    """Fitness and rmse on one axis: 1 is all of the patch, and 1 mm.
 
     Attributes
     ----------
@@ -98,12 +98,11 @@ class _Curve:
     def draw(
         self, x: np.ndarray, values: np.ndarray, units: Units, over: str, change: int | None
     ) -> None:
-        """Draw fitness and rmse; rmse in units of its highest, which is written above."""
+        """Draw fitness, 1 = 100 %, and rmse, 1 = 1 mm; the last of them is written above."""
         known = np.isfinite(values).all(axis=1)
         x, values = x[known], values[known]
-        top = float(values[:, 1].max()) if len(values) else 0.0
         self.fitness.setData(x, values[:, 0])
-        self.rmse.setData(x, values[:, 1] / top if top > 0.0 else values[:, 1])
+        self.rmse.setData(x, 1e3 * values[:, 1])
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
@@ -111,8 +110,8 @@ class _Curve:
         if len(values):
             last = units.length.text(float(values[-1, 1]))
             text += f' <span style="color:{BLUE}">{100 * values[-1, 0]:.0f} %</span> · '
-            text += f'<span style="color:{ORANGE}">rmse {last}, 1 = {units.length.text(top)}</span>'
-        self.words.setText(f"{text} over {over}" if over else text)
+            text += f'<span style="color:{ORANGE}">rmse {last}</span>'
+        self.words.setText(f"{text} {over}" if over else text)
 
     def paint(self, dim: Any) -> None:
         """Take the theme's colours."""

@@ -114,9 +114,14 @@ class PoseSession(QObject):
             self._follow(fit=False)
         self.changed.emit()
 
+    _loaded: tuple[str | None, FileUnit | None] = (None, None)
+
     def _on_followed(self, followed: Followed) -> None:
-        self.obj = followed.obj
-        if followed.request.fit is not None:
+        request = followed.request
+        asked = (request.object_name, request.unit)
+        if self.obj is None or asked != self._loaded:  # the same one stays the same
+            self.obj, self._loaded = followed.obj, asked
+        if request.fit is not None:
             self.busy = False
         self.changed.emit()
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bubbleviz.pose.uncertainty import open_axes
 from bubbleviz.result import Pose, Stage
 from ui.units import NOTHING, Units
 
@@ -57,10 +58,9 @@ def open_words(pose: Pose) -> str:
     open_ = pose.motions[:, ~pose.determined]
     if not open_.size:
         return "nothing: all six directions are"
-    turns = int(np.linalg.matrix_rank(open_[3:] * 1e-2, tol=2e-1))
-    shifts = open_.shape[1] - turns
+    shifts, turns = (len(axes) for axes in open_axes(open_))
     parts = []
-    if shifts > 0:
+    if shifts:
         parts.append("shift along 1 direction" if shifts == 1 else f"shift along {shifts}")
     if turns:
         parts.append("turn about 1 axis" if turns == 1 else f"turn about {turns} axes")
