@@ -47,6 +47,11 @@ _NEEDS: dict[str, tuple[Product, ...]] = {
 """Products that need each stage."""
 
 
+def stages(products: frozenset[Product]) -> frozenset[str]:
+    """Names of the stages that run for these products."""
+    return frozenset(name for name, needing in _NEEDS.items() if not products.isdisjoint(needing))
+
+
 class Pipeline:
     """Frame in, the products asked for out.
 

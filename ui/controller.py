@@ -207,6 +207,11 @@ class Controller(QObject):
         kappa = self.state.choices.kappa
         self.worker.ask(FollowRequest(self._session, object_name, unit, start, kappa, request))
 
+    @property
+    def analysing(self) -> bool:
+        """An analysis of all frames goes on."""
+        return bool(self._to_analyse)
+
     def stop_analysis(self) -> None:
         """Leave the rest; what was computed stays."""
         self._to_analyse, self._analysing = (), 0

@@ -17,6 +17,7 @@ from bubbleviz.result import Result
 from ui import theme
 from ui.calibration.session import Calibration
 from ui.controller import Controller
+from ui.costs import Costs
 from ui.hover import Hover
 from ui.menus import Menus
 from ui.palette import CommandPalette
@@ -31,6 +32,7 @@ from ui.panels.pose.overlay import PoseOverlay
 from ui.panels.pose.panel import PosePanel
 from ui.panels.pose.session import PoseSession
 from ui.panels.status import Rates, StatusBar
+from ui.panels.status_costs import CostsPopup
 from ui.panels.view_tools import ViewTools
 from ui.pointing import Pointing
 from ui.presets import ScenePreset
@@ -86,6 +88,7 @@ class MainWindow(QMainWindow):
         self.undo_stack = QUndoStack(self)
         self.settings = SettingsHistory(state, self.undo_stack)
         self.keeper = SessionKeeper(self)
+        self.costs = Costs()
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
         )
@@ -109,6 +112,11 @@ class MainWindow(QMainWindow):
             self.keeper.open(path)
         else:
             self.controller.open_recording(path)
+
+    def show_costs(self) -> None:
+        """Show what runs and what it costs."""
+        popup = CostsPopup(self, self.state, self.controller, self.costs, self.view)
+        popup.open_over(self.status)
 
     def show_palette(self) -> None:
         """Show the command palette."""
@@ -218,6 +226,7 @@ class MainWindow(QMainWindow):
             dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
         self.pose.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)
+        self.status.asked.connect(self.show_costs)
         self.tools.failed.connect(self.message.say)
         self._rates.timeout.connect(self.show_rates)
         self._rates.start()
@@ -260,12 +269,14 @@ class MainWindow(QMainWindow):
     def _on_opened(self, opened: Opened) -> None:
         self.message.hide()
         self.scene.depth_camera = opened.camera
+        self.costs.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)
         self.kappa.set_mesh(opened.mesh)
 
     def _on_shown(self, result: Result) -> None:
         if self.state.facts is None:
             return
+        self.costs.take(result)
         start = time.perf_counter()
         self.scene.show(result, self.state.choices)
         self.view.busy_s += time.perf_counter() - start

@@ -67,6 +67,7 @@ class Menus:
     def _help(self, menu: QMenu) -> None:
         palette = self._add(menu, "&Command palette…", self._window.show_palette)
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
+        self._add(menu, "&What runs and what it costs", self._window.show_costs, "Ctrl+I")
         self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
 
     def _edit(self, menu: QMenu) -> None:

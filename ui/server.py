@@ -50,6 +50,11 @@ class Server:
     def __init__(self) -> None:
         self._session: _Session | None = None
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often each stage has run for the open source."""
+        return dict(self._session.pipeline.counts) if self._session is not None else {}
+
     def serve(self, request: Request) -> Answer | None:
         """Answer one request; None when it belongs to a session that is gone."""
         try:

@@ -34,6 +34,11 @@ class Worker(QObject):
         self._thread: Thread | None = Thread(target=self._run, name="solver", daemon=True)
         self._thread.start()
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often each stage has run for the open source."""
+        return self._server.counts
+
     def ask(self, request: Request) -> None:
         """Ask for something; an unserved request of the same kind is forgotten."""
         replaced = self._slots.put(request)

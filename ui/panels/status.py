@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QResizeEvent
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.result import Result
@@ -21,10 +21,14 @@ TIPS = {
     "gas": "Change of the gas pressure against the reference, p_v",
     "residual": "Root mean square of measured minus modelled range",
     "camera": "Mean frame rate of the depth camera",
-    "solve": "Depth image in → products out, and frames processed in the last second",
+    "solve": "Depth image in → products out, and frames processed in the last second; click: more",
     "render": "Pictures drawn in the last second",
     "dropped": "Frames left out on purpose, because a newer one was there",
 }
+
+
+MEASURED = ("solve", "render", "dropped")
+"""What the window measures about itself; a click tells more."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,15 @@ def widest(units: Units) -> dict[str, str]:
 
 
 class StatusBar(QStatusBar):
-    """One label a fact, each as wide as its widest text, so nothing jumps."""
+    """One label a fact, each as wide as its widest text, so nothing jumps.
+
+    Attributes
+    ----------
+    asked : Signal
+        A click on what the window measures about itself.
+    """
+
+    asked = Signal()
 
     def __init__(self, units: Units) -> None:
         super().__init__()
@@ -105,6 +117,13 @@ class StatusBar(QStatusBar):
         self.labels["solve"].setText(f"solve {solve}")
         self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
         self.labels["dropped"].setText(f"dropped {rates.dropped} frames")
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Say that somebody wants to know more."""
+        child = self.childAt(event.position().toPoint())
+        if child in [self.labels[name] for name in MEASURED]:
+            self.asked.emit()
+        super().mousePressEvent(event)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """The sensor's name takes what is left."""
