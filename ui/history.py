@@ -55,6 +55,13 @@ class History:
     def __len__(self) -> int:
         return len(self.contact)
 
+    def grow(self, frames: int) -> None:
+        """Make room for the frames of a live source, of which nothing is known yet."""
+        for name, values in self.values.items():
+            self.values[name] = grown(values, frames, np.nan)
+        self.contact = grown(self.contact, frames, UNKNOWN)
+        self._has = grown(self._has, frames, 0)
+
     def take(self, frame: int, known: Numbers, *, patch: bool) -> None:
         """Keep the numbers of a frame; those of its patch only where `patch` says so."""
         self.revision += 1
@@ -98,6 +105,15 @@ def _contact(known: Numbers) -> int:
     if known.status not in ("ok", "no_contact"):
         return UNKNOWN
     return CONTACT if known.area_m2 > 0.0 else FREE
+
+
+def grown(values: np.ndarray, count: int, fill: float) -> np.ndarray:
+    """An array with its first values, `count` long; within its spare room nothing is copied."""
+    room = values.base if isinstance(values.base, np.ndarray) else values
+    if len(room) < count:
+        room = np.full(2 * count, fill, values.dtype)
+        room[: len(values)] = values
+    return room[:count]
 
 
 def thinned(

@@ -16,12 +16,13 @@ class FrameSource(Protocol):
     ----------
     name : str
         What the window's title shows.
-    times_s : (F,) array
-        Time of each frame from the start, s.
     """
 
     name: str
-    times_s: np.ndarray
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of each frame from the start, s, (F,)."""
 
     def __len__(self) -> int:
         """Count the frames."""

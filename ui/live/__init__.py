@@ -1,0 +1,1 @@
+"""Live sources in the window: connecting, following, recording, publishing, a second sensor."""

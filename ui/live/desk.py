@@ -1,0 +1,203 @@
+"""The operator's desk: which live session is on, and everything one does with it."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QObject, QTimer, Signal
+
+from bubbleviz.live.session import LiveSensor
+from bubbleviz.live.session_file import SessionPreset
+from ui.controller import Controller
+from ui.live.background import Background
+from ui.live.connection import Connection, LiveRun
+from ui.live.frames import LiveOpener
+from ui.live.outlet import PRODUCTS
+from ui.live.publishing import Publishing
+from ui.live.recording import Recording
+from ui.requests import Failed, Opened, OpenRequest
+from ui.state import Event, MarkersChanged
+
+LOOK_MS = 200
+"""How often sources are looked at: a stale one is seen as such within a second."""
+PRE_ROLL_S = 2.0
+
+
+class LiveDesk(QObject):
+    """Connects, follows what is connected, and lets go of it.
+
+    Attributes
+    ----------
+    looked : Signal
+        Time to show how the sources and the recording are doing.
+    changed : Signal
+        Another session is connected, or none; another sensor is chosen.
+    said : Signal
+        A sentence for the user, and details of a bug.
+    connection : Connection or None
+        While a session is being brought up.
+    run : LiveRun or None
+        What is connected.
+    chosen : int
+        Sensor that the panels show.
+    """
+
+    looked = Signal()
+    changed = Signal()
+    said = Signal(str, str)
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        self._controller = controller
+        self.recording, self.publishing = Recording(), Publishing()
+        self.connection: Connection | None = None
+        self.run: LiveRun | None = None
+        self.chosen = 0
+        self._pre_roll_s = PRE_ROLL_S
+        self._marked: frozenset[int] = frozenset()
+        self._background = Background("live")
+        self._timer = QTimer(self)
+        self._timer.setInterval(LOOK_MS)
+        self._timer.timeout.connect(self._look)
+        for part in (self.recording, self.publishing):
+            part.said.connect(lambda text: self.said.emit(text, ""))
+            part.changed.connect(self.looked)
+        self.publishing.changed.connect(self._ask_what_goes_out)
+        controller.opened.connect(self._on_opened)
+        controller.failed.connect(self._on_failed)
+        controller.state.subscribe(self._on_event)
+
+    @property
+    def sensor(self) -> LiveSensor | None:
+        """The sensor that the panels show."""
+        return None if self.run is None else self.run.session.sensors[self.chosen]
+
+    @property
+    def pre_roll_s(self) -> float:
+        """Seconds before the button is pressed that are recorded, too."""
+        return self._pre_roll_s
+
+    def set_pre_roll(self, seconds: float) -> None:
+        """Keep that much for the next recording."""
+        self._pre_roll_s = seconds
+        if self.run is not None:
+            self.run.session.recorder.pre_roll_s = seconds
+
+    def connect_to(self, preset: SessionPreset) -> None:
+        """Bring a session up; what is open stays until it sends frames."""
+        self.cancel()
+        self.connection = connection = Connection(preset, self._pre_roll_s)
+        connection.ready.connect(self._on_ready)
+        connection.failed.connect(self._on_not_connected)
+        connection.start()
+        self._timer.start()
+        self.changed.emit()
+
+    def cancel(self) -> None:
+        """Give up connecting."""
+        connection, self.connection = self.connection, None
+        if connection is not None:
+            connection.cancel()
+            self.changed.emit()
+
+    def disconnect_all(self) -> None:
+        """Let go of the sources; the frames that are kept can still be looked at."""
+        self.cancel()
+        self.recording.stop()
+        self.publishing.stop()
+        run, self.run = self.run, None
+        if run is not None:
+            self._background.do(run.close)
+            self.changed.emit()
+        self._timer.stop()
+
+    def toggle_recording(self) -> None:
+        """Begin or end a recording."""
+        if self.recording.busy:
+            self.recording.stop()
+        elif self.run is not None:
+            self.recording.start(self.run.session.recorder)
+
+    def toggle_publishing(self) -> None:
+        """Publish results, or stop that."""
+        if self.publishing.on:
+            self.publishing.stop()
+        elif self.run is not None:
+            self.publishing.start(self.run)
+
+    def zero_now(self) -> None:
+        """Take the gas pressure's zero from the next contact-free frames."""
+        if self.sensor is not None:
+            self.sensor.zero.zero_now()
+
+    def close(self) -> None:
+        """End everything; a recording is whole when this returns."""
+        connection = self.connection
+        self.disconnect_all()
+        self.recording.close()
+        self.publishing.close()
+        self._background.close()
+        if connection is not None:
+            connection.wait(5.0)
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        self.publishing.diagnose()
+        self.looked.emit()
+
+    def _on_ready(self, run: LiveRun) -> None:
+        self.disconnect_all()
+        self.run, self.chosen = run, 0
+        self.set_pre_roll(self._pre_roll_s)
+        self._timer.start()
+        live = run.session.sensors[0]
+        self._controller.open(
+            run.frames[0].name,
+            LiveOpener(run.frames[0]),
+            lambda: live.sensor,
+            playing=True,
+            live=True,
+        )
+        self.changed.emit()
+
+    def _on_not_connected(self, problem: str, details: str) -> None:
+        self.connection = None
+        if self.run is None:
+            self._timer.stop()
+        self.said.emit(problem, details)
+        self.changed.emit()
+
+    def _is_ours(self, request: OpenRequest) -> bool:
+        opener = request.open_source
+        return (
+            isinstance(opener, LiveOpener)
+            and self.run is not None
+            and opener.frames in self.run.frames
+        )
+
+    def _on_opened(self, opened: Opened) -> None:
+        self._marked = frozenset(self._controller.state.markers)
+        if self.run is not None and not self._is_ours(opened.request):
+            self.disconnect_all()
+
+    def _on_failed(self, failed: Failed) -> None:
+        request = failed.request
+        if isinstance(request, OpenRequest) and self._is_ours(request):
+            facts = self._controller.state.facts
+            if facts is None or self.run is None or facts.title != self.run.frames[0].name:
+                self.disconnect_all()
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, MarkersChanged):
+            for frame in sorted(set(event.frames) - self._marked):
+                self._mark(frame)
+            self._marked = frozenset(event.frames)
+
+    def _mark(self, frame: int) -> None:
+        """A marker on the timeline is one in the file, at the moment the frame arrived."""
+        facts = self._controller.state.facts
+        if facts is not None and facts.grows and self.run is not None:
+            at_ns = self.run.frames[self.chosen].arrival_ns(frame)
+            self.recording.mark(f"marker at frame {frame}", at_ns)
+
+    def _ask_what_goes_out(self) -> None:
+        self._controller.extra = PRODUCTS if self.publishing.on else frozenset()
