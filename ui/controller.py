@@ -13,6 +13,7 @@ from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.inspection import Inspection, Look
+from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.numbers import Numbers
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
@@ -24,6 +25,8 @@ from ui.requests import (
     Analysed,
     AnalyseRequest,
     Answer,
+    Compared,
+    CompareRequest,
     Failed,
     Followed,
     FollowRequest,
@@ -35,6 +38,7 @@ from ui.requests import (
     Thresholded,
 )
 from ui.state import (
+    PATCH_CHOICES,
     ChoicesChanged,
     Event,
     FrameChanged,
@@ -68,6 +72,8 @@ class Controller(QObject):
         A `Followed`: another object is looked for, or none.
     solves : RateMeter
         Frames that came back from the solver.
+    compared : Signal
+        A `Compared`: two settings on one frame.
     inspection : Inspection
         Closer look at the frame that is shown.
     skipped : int
@@ -78,6 +84,7 @@ class Controller(QObject):
     shown = Signal(object)
     failed = Signal(object)
     analysed = Signal(int, int)
+    compared = Signal(object)
     followed = Signal(object)
 
     def __init__(self, state: SessionState, worker: Worker) -> None:
@@ -212,6 +219,16 @@ class Controller(QObject):
         """An analysis of all frames goes on."""
         return bool(self._to_analyse)
 
+    def compare(self, settings: tuple[EstimatorOptions, EstimatorOptions]) -> None:
+        """Measure two settings on the frame at the cursor, when the solver has nothing else."""
+        kappa, _ = self._rule
+        self.worker.ask(CompareRequest(self._session, self.state.frame, settings, kappa))
+
+    @property
+    def _rule(self) -> tuple[float | None, float]:
+        """What makes a patch of a contact pressure."""
+        return self.state.choices.kappa, self.state.choices.least_area_m2
+
     def stop_analysis(self) -> None:
         """Leave the rest; what was computed stays."""
         self._to_analyse, self._analysing = (), 0
@@ -241,7 +258,7 @@ class Controller(QObject):
             self._open_again(self.state.choices.solver or "default solver", lambda: sensor)
         elif "cloud_points" in names or self._lacks_something:
             self._ask_frame()
-        elif "kappa" in names:
+        elif names & PATCH_CHOICES:
             self._ask_patch()
 
     @property
@@ -293,6 +310,7 @@ class Controller(QObject):
             self.state.choices.cloud_points,
             time.perf_counter(),
             looks(self.state.choices),
+            self.state.choices.least_area_m2,
         )
 
     def _ask_patch(self) -> None:
@@ -307,6 +325,8 @@ class Controller(QObject):
                 result,
                 self.state.choices.kappa,
                 pixel_mask="pixel_mask" in self._asked,
+                looks=self._looked & {"components"},
+                least_area_m2=self.state.choices.least_area_m2,
             )
         )
 
@@ -327,12 +347,17 @@ class Controller(QObject):
             self._on_solved(answer)
         elif isinstance(answer, Analysed):
             self._on_analysed(answer)
+        elif isinstance(answer, Compared):
+            self.compared.emit(answer)
         elif (
             isinstance(answer, Thresholded)
             and self.result is not None
             and self.result.estimate is answer.request.result.estimate
         ):
-            self._remember(answer.result.frame.index, answer.numbers, answer.request.kappa)
+            self._remember(answer.result.frame.index, answer.numbers, _rule_of(answer.request))
+            if "components" in answer.request.looks:
+                parts = answer.inspection.components
+                self.inspection = replace(self.inspection, components=parts)
             self._show(replace(self.result, patch=answer.result.patch))
 
     def _on_solved(self, answer: Solved) -> None:
@@ -345,26 +370,26 @@ class Controller(QObject):
         if frame.arrival_ns:
             waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
         numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
-        self._remember(frame.index, numbers, request.kappa)
+        self._remember(frame.index, numbers, _rule_of(request))
         self.inspection = answer.inspection
         self._show(answer.result)
-        if request.kappa != self.state.choices.kappa:
+        if _rule_of(request) != self._rule:
             self._ask_patch()
 
-    def _remember(self, frame: int, numbers: Numbers, kappa: float | None) -> None:
-        self.state.remember([frame], [numbers], same_patch=kappa == self.state.choices.kappa)
+    def _remember(self, frame: int, numbers: Numbers, rule: tuple[float | None, float]) -> None:
+        self.state.remember([frame], [numbers], same_patch=rule == self._rule)
 
     def _ask_analysis(self) -> None:
         done = self._analysing - len(self._to_analyse)
         self.analysed.emit(done, self._analysing)
         if self._to_analyse:
-            kappa = self.state.choices.kappa
             wanted = self._analysed_products
-            self.worker.ask(AnalyseRequest(self._session, self._to_analyse, wanted, kappa))
+            request = AnalyseRequest(self._session, self._to_analyse, wanted, *self._rule)
+            self.worker.ask(request)
 
     def _on_analysed(self, answer: Analysed) -> None:
         frames, count = answer.request.frames, len(answer.numbers)
-        same = answer.request.kappa == self.state.choices.kappa
+        same = _rule_of(answer.request) == self._rule
         self.state.remember(frames[:count], answer.numbers, same_patch=same)
         if frames is self._to_analyse:
             self._to_analyse = frames[count:] if same else frames
@@ -385,14 +410,20 @@ class Controller(QObject):
         self._clock = None
         self.state.open(answer.facts, answer.frame, playing=False)
         self._clock = PlayClock(answer.facts.times_s, self.state.play_range)
-        self._remember(answer.frame, answer.numbers, answer.request.kappa)
+        self._remember(answer.frame, answer.numbers, (answer.request.kappa, 0.0))
         self.state.set_playing(answer.request.playing)
         self._came = answer.frame
         self.inspection = answer.inspection
         self._show(answer.result)
         if self._lacks_something:
             self._ask_frame()
+        elif self._rule[1] > 0.0:
+            self._ask_patch()
 
     def _show(self, result: Result) -> None:
         self.result = result
         self.shown.emit(result)
+
+
+def _rule_of(request: FrameRequest | PatchRequest | AnalyseRequest) -> tuple[float | None, float]:
+    return request.kappa, request.least_area_m2

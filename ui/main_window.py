@@ -24,6 +24,8 @@ from ui.palette import CommandPalette
 from ui.panels.gamma0.panel import Gamma0Panel
 from ui.panels.images import ImagesPanel
 from ui.panels.kappa import KappaPanel
+from ui.panels.kappa_compare import ComparePanel
+from ui.panels.kappa_threshold import ThresholdPanel
 from ui.panels.layers import LayersPanel
 from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
@@ -80,6 +82,8 @@ class MainWindow(QMainWindow):
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
         self.playback = PlaybackPanel(state)
+        self.threshold = ThresholdPanel(state, controller)
+        self.compare = ComparePanel(state, controller)
         self.plots = PlotsPanel(state, controller)
         self.hover = Hover(controller)
         self.images = ImagesPanel(state, controller, self.hover)
@@ -177,9 +181,16 @@ class MainWindow(QMainWindow):
         bottom = Qt.DockWidgetArea.BottomDockWidgetArea
         self.layers_dock = self._dock("Layers", self.layers, right)
         self.kappa_dock = self._dock("Contact patch", self.kappa, right)
+        self.threshold_dock = self._dock("Threshold", self.threshold, right)
+        self.compare_dock = self._dock("Compare", self.compare, right)
         self.tools_dock = self._dock("3-D tools", self.tools, right)
-        self.tabifyDockWidget(self.layers_dock, self.tools_dock)
-        self.tools_dock.hide()
+        for dock, neighbour in (
+            (self.threshold_dock, self.kappa_dock),
+            (self.compare_dock, self.kappa_dock),
+            (self.tools_dock, self.layers_dock),
+        ):
+            dock.hide()
+            self._tab_beside(dock, neighbour)
         self.pose_dock = self._dock("Pose", self.pose, right)
         self.pose_dock.hide()
         self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
@@ -194,6 +205,8 @@ class MainWindow(QMainWindow):
         self.panels: dict[str, QWidget] = {
             "layers": self.layers_dock,
             "kappa": self.kappa_dock,
+            "threshold": self.threshold_dock,
+            "compare": self.compare_dock,
             "tools": self.tools_dock,
             "pose": self.pose_dock,
             "calibration": self.gamma0_dock,
@@ -212,6 +225,16 @@ class MainWindow(QMainWindow):
         self.addDockWidget(area, dock)
         return dock
 
+    def _tab_beside(self, dock: QDockWidget, neighbour: QDockWidget) -> None:
+        """Make a dock a tab of its neighbour once it is opened: Qt draws tabs of hidden ones."""
+
+        def join(visible: bool) -> None:
+            if visible and dock not in self.tabifiedDockWidgets(neighbour):
+                self.tabifyDockWidget(neighbour, dock)
+                dock.raise_()
+
+        dock.visibilityChanged.connect(join)
+
     def _connect(self) -> None:
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
@@ -219,6 +242,8 @@ class MainWindow(QMainWindow):
         self.view.dropped_files.connect(self._open_dropped)
         for dock, name in (
             (self.kappa_dock, "kappa_panel"),
+            (self.threshold_dock, "threshold"),
+            (self.compare_dock, "compare"),
             (self.plots_dock, "plots"),
             (self.images_dock, "images"),
             (self.pose_dock, "pose"),

@@ -127,6 +127,8 @@ class Menus:
         for name in (
             "layers",
             "kappa",
+            "threshold",
+            "compare",
             "tools",
             "pose",
             "calibration",

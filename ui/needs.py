@@ -31,6 +31,8 @@ CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
         "status": frozenset({"estimate", "patch"}),
         "plots": frozenset(),
         "images": frozenset(),
+        "threshold": frozenset({"estimate", "patch"}),
+        "compare": frozenset(),
     }
 )
 """Products by the name of a layer, panel or bar."""
@@ -91,6 +93,8 @@ def looks(choices: Choices) -> frozenset[Look]:
     wanted: set[Look] = set()
     if "plots" in choices.panels and "kappa" in choices.plots:
         wanted.add("kappa_curve")
+    if "threshold" in choices.panels:
+        wanted |= {"kappa_curve", "components"}
     if "images" in choices.panels:
         wanted |= {look for look in NEEDS if look in choices.images}
     return frozenset(wanted)

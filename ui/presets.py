@@ -26,10 +26,22 @@ Layer = Literal[
     "fit",
 ]
 Panel = Literal[
-    "layers", "kappa", "tools", "pose", "calibration", "plots", "images", "playback", "status"
+    "layers",
+    "kappa",
+    "threshold",
+    "compare",
+    "tools",
+    "pose",
+    "calibration",
+    "plots",
+    "images",
+    "playback",
+    "status",
 ]
 PANELS_THAT_ASK = {
     "kappa": "kappa_panel",
+    "threshold": "threshold",
+    "compare": "compare",
     "pose": "pose",
     "plots": "plots",
     "images": "images",

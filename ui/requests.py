@@ -11,12 +11,14 @@ import numpy as np
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.inspection import Inspection, Look
+from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.numbers import Numbers
 from bubbleviz.objects import RigidObject
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from bubbleviz.study.side_by_side import Measured
 from ui.state import SourceFacts
 
 
@@ -71,6 +73,7 @@ class FrameRequest:
     cloud_points: int | None = None
     asked_s: float = float("nan")
     looks: frozenset[Look] = frozenset()
+    least_area_m2: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,17 @@ class AnalyseRequest:
     frames: tuple[int, ...]
     products: frozenset[Product]
     kappa: float | None
+    least_area_m2: float = 0.0
+
+
+@dataclass(frozen=True)
+class CompareRequest:
+    """Measure two settings on one frame."""
+
+    session: int
+    index: int
+    settings: tuple[EstimatorOptions, EstimatorOptions]
+    kappa: float | None
 
 
 @dataclass(frozen=True)
@@ -118,9 +132,13 @@ class PatchRequest:
     result: Result
     kappa: float | None
     pixel_mask: bool
+    looks: frozenset[Look] = frozenset()
+    least_area_m2: float = 0.0
 
 
-Request = OpenRequest | FollowRequest | FrameRequest | PatchRequest | AnalyseRequest
+Request = (
+    OpenRequest | FollowRequest | FrameRequest | PatchRequest | AnalyseRequest | CompareRequest
+)
 
 
 @dataclass(frozen=True)
@@ -172,6 +190,15 @@ class Thresholded:
     request: PatchRequest
     result: Result
     numbers: Numbers
+    inspection: Inspection
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What two settings make of a frame; a text where a setting is impossible."""
+
+    request: CompareRequest
+    measured: tuple[Measured | str, Measured | str]
 
 
 @dataclass(frozen=True)
@@ -183,4 +210,4 @@ class Failed:
     details: str
 
 
-Answer = Opened | Followed | Solved | Thresholded | Analysed | Failed
+Answer = Opened | Followed | Solved | Thresholded | Analysed | Compared | Failed

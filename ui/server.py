@@ -8,16 +8,21 @@ from dataclasses import dataclass, replace
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
-from bubbleviz.inspection import Inspector
+from bubbleviz.frames.synthetic import truth_of
+from bubbleviz.inspection import Inspection, Inspector, Look
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.numbers import Numbers, numbers_of
 from bubbleviz.objects import load_object
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Result
+from bubbleviz.study.side_by_side import Measured, SideBySide
 from ui.requests import (
     Analysed,
     AnalyseRequest,
     Answer,
+    Compared,
+    CompareRequest,
     Failed,
     Followed,
     FollowRequest,
@@ -42,6 +47,7 @@ class _Session:
     pipeline: Pipeline
     gas: Gas
     inspector: Inspector
+    side_by_side: SideBySide
 
 
 class Server:
@@ -64,10 +70,13 @@ class Server:
             if session is None or session.number != request.session:
                 return None
             session.pipeline.kappa = request.kappa
-            if isinstance(request, PatchRequest):
-                return self._threshold(session, request)
+            if isinstance(request, CompareRequest):
+                return self._compare(session, request)
             if isinstance(request, FollowRequest):
                 return self._follow(session, request)
+            session.pipeline.least_area_m2 = request.least_area_m2
+            if isinstance(request, PatchRequest):
+                return self._threshold(session, request)
             if isinstance(request, AnalyseRequest):
                 return self._analyse(session, request)
             return self._solve(session, request)
@@ -86,7 +95,7 @@ class Server:
         frame = session.source[request.index]
         session.pipeline.cloud_points = request.cloud_points
         result = session.pipeline.process(frame, request.products)
-        inspection = session.inspector.look(result, request.looks)
+        inspection = _look(session, result, request.looks)
         return Solved(request, result, numbers_of(result, session.gas), inspection)
 
     def _follow(self, session: _Session, request: FollowRequest) -> Followed:
@@ -103,7 +112,8 @@ class Server:
             raise ValueError("no estimate to threshold")
         patch = session.pipeline.patch(estimate, pixel_mask=request.pixel_mask)
         result = replace(request.result, patch=patch)
-        return Thresholded(request, result, numbers_of(result, session.gas))
+        inspection = _look(session, result, request.looks)
+        return Thresholded(request, result, numbers_of(result, session.gas), inspection)
 
     def _analyse(self, session: _Session, request: AnalyseRequest) -> Analysed:
         """As many frames as there is time for, and one at least."""
@@ -117,6 +127,17 @@ class Server:
             if time.perf_counter() > end:
                 break
         return Analysed(request, tuple(numbers))
+
+    def _compare(self, session: _Session, request: CompareRequest) -> Compared:
+        frame, truth = session.source[request.index], truth_of(session.source, request.index)
+        measured: list[Measured | str] = []
+        for options in request.settings:
+            try:
+                measure = session.side_by_side.measure
+                measured.append(measure(options, frame, request.kappa, truth))
+            except InputError as error:
+                measured.append(str(error))
+        return Compared(request, (measured[0], measured[1]))
 
     def _open(self, request: OpenRequest) -> Opened:
         sensor = request.open_sensor()
@@ -140,13 +161,23 @@ class Server:
             raise
         self.close()
         gas = Gas.of(sensor.pneumatics, pipeline.mesh)
+        settings = SideBySide(sensor, pipeline.camera.intrinsics)
         inspector = Inspector(pipeline)
-        self._session = _Session(request.session, source, pipeline, gas, inspector)
+        session = _Session(request.session, source, pipeline, gas, inspector, settings)
+        self._session = session
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live)
         numbers = numbers_of(result, gas)
-        inspection = inspector.look(result, request.looks)
+        inspection = _look(session, result, request.looks)
         camera, mesh = pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
+
+
+def _look(session: _Session, result: Result, looks: frozenset[Look]) -> Inspection:
+    """A closer look at a result, beside the truth where the source knows it."""
+    truth = None
+    if "kappa_curve" in looks:
+        truth = truth_of(session.source, result.frame.index)
+    return session.inspector.look(result, looks, truth.patch_mask if truth is not None else None)
 
 
 def _in_words(error: Exception) -> str:

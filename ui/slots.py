@@ -6,6 +6,7 @@ from threading import Condition
 
 from ui.requests import (
     AnalyseRequest,
+    CompareRequest,
     FollowRequest,
     FrameRequest,
     OpenRequest,
@@ -15,13 +16,14 @@ from ui.requests import (
 
 
 class RequestSlots:
-    """One waiting request of each kind, in the order open, object, patch, frame, all frames."""
+    """One waiting request of each kind, taken in the order of `ORDER`."""
 
     ORDER: tuple[type[Request], ...] = (
         OpenRequest,
         FollowRequest,
         PatchRequest,
         FrameRequest,
+        CompareRequest,
         AnalyseRequest,
     )
 

@@ -14,8 +14,10 @@ from ui.units import SYSTEMS, Units
 
 CloudColour = Literal["residual", "patch", "plain"]
 Axis = Literal["x", "y", "z"]
-COLOUR_MAPS = ("inferno", "viridis", "cividis", "magma", "plasma")
+ColourMap = Literal["inferno", "viridis", "cividis", "magma", "plasma"]
+COLOUR_MAPS: tuple[ColourMap, ...] = ("inferno", "viridis", "cividis", "magma", "plasma")
 """All perceptually uniform (van der Walt and Smith 2015; Nuñez 2018)."""
+ImageName = Literal["depth", "change", "residual", "noise", "used", "patch"]
 ThemeName = Literal["system", "dark", "light"]
 
 LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim",
@@ -25,7 +27,7 @@ LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frus
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Playback speeds to choose from."""
-PATCH_CHOICES = frozenset({"kappa"})
+PATCH_CHOICES = frozenset({"kappa", "least_area_m2"})
 """Choices that make another patch of the same contact pressure."""
 
 
@@ -37,6 +39,8 @@ class Choices:
     ----------
     kappa : float or None
         Patch threshold, multiple of the mean contact pressure; None for bubbleviz's default.
+    least_area_m2 : float
+        Parts of the patch smaller than this are left out.
     solver : str or None
         Solver of the inverse problem; None for bubbleviz's default.
     speed : float
@@ -83,6 +87,7 @@ class Choices:
     """
 
     kappa: float | None = None
+    least_area_m2: float = 0.0
     solver: str | None = None
     speed: float = 1.0
     every_frame: bool = False
@@ -90,13 +95,13 @@ class Choices:
     layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum", "vectors"}
     panels: frozenset[str] = frozenset({"kappa_panel", "status"})
     plots: frozenset[str] = frozenset({"force", "gas", "area"})
-    images: frozenset[str] = frozenset({"depth", "change", "residual"})
+    images: frozenset[ImageName] = frozenset({"depth", "change", "residual"})
     cloud_colour: CloudColour = "residual"
     cloud_points: int | None = 10_000
     membrane_opacity: float = 1.0
     view_from: tuple[float, float, float] = (-0.6, -1.0, 1.1)
     zoom: float = 1.32
-    colour_map: str = COLOUR_MAPS[0]
+    colour_map: ColourMap = "inferno"
     exaggeration: float = 1.0
     section_axis: Axis | None = None
     section_at_m: float = 0.0
@@ -105,10 +110,10 @@ class Choices:
     residual_max_m: float | None = None
     pose_track: bool = False
     pose_stage: int = 2
-    length_unit: str = "mm"
-    pressure_unit: str = "kPa"
-    force_unit: str = "N"
-    duration_unit: str = "ms"
+    length_unit: Literal["mm", "m"] = "mm"
+    pressure_unit: Literal["kPa", "Pa", "psi"] = "kPa"
+    force_unit: Literal["N", "mN"] = "N"
+    duration_unit: Literal["ms", "s"] = "ms"
     theme: ThemeName = "system"
 
 

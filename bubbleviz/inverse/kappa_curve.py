@@ -62,11 +62,9 @@ def kappa_curve(
     iou = None
     if truth is not None and view is not None:
         iou = _ious(view, estimate, truth, levels)
-    histogram, _ = (
-        np.histogram(pressure, levels, weights=mesh.areas)
-        if pressure.any()
-        else (np.zeros(len(KAPPAS) - 1), None)
-    )
+    histogram = np.zeros(len(KAPPAS) - 1)
+    if pressure.any():
+        histogram, _ = np.histogram(pressure, levels, weights=mesh.areas)
     return KappaCurve(KAPPAS, areas, histogram, iou)
 
 

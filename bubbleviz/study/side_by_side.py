@@ -16,6 +16,9 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.study.metrics import iou
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
+SETTLING = 3
+"""Times a new pipeline sees its first frame before it is measured: the solver is built then, and
+rays are cast again at the shape it ends at."""
 KEPT = 2
 """Pipelines that are not built anew when their setting comes back."""
 
@@ -107,7 +110,8 @@ class SideBySide:
         pipeline = self._built.get(options)
         if pipeline is None:
             pipeline = Pipeline(self._sensor, intrinsics=self._intrinsics, options=options)
-            pipeline.process(frame, PRODUCTS)  # builds the solver: its time says nothing
+            for _ in range(SETTLING):
+                pipeline.process(frame, PRODUCTS)
             self._built[options] = pipeline
         self._built.move_to_end(options)
         while len(self._built) > KEPT:

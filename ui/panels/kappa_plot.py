@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from PySide6.QtGui import QColor
 
 from bubbleviz.inverse.kappa_curve import KappaCurve
 from bubbleviz.result import Result
+from ui.panels.kappa_histogram import put_line
 from ui.panels.plot_frame import PlotFrame
 from ui.theme import BLUE, ORANGE
 from ui.units import Units
@@ -42,8 +41,9 @@ class KappaPlot:
         result: Result | None,
         kappa: float | None,
         units: Units,
+        at: float | None = None,
     ) -> None:
-        """Draw the curve of a frame; nothing without one."""
+        """Draw the curve of a frame; nothing without one. The line is at κ, or at `at`."""
         self.curve.setData([], [])
         self.iou.setData([], [])
         if curve is not None:
@@ -51,19 +51,14 @@ class KappaPlot:
             self.curve.setData(np.log10(curve.kappa), area)
             if curve.iou is not None:  # as high as the areas: the two share the axis
                 self.iou.setData(np.log10(curve.kappa), float(area.max()) * curve.iou)
-        self.line.setVisible(kappa is not None)
-        if kappa is not None:
-            self.line.blockSignals(True)
-            self.line.setValue(math.log10(kappa))
-            self.line.blockSignals(False)
+        put_line(self.line, at if kappa is None else kappa)
         area_m2 = result.patch.area_m2 if result is not None and result.patch else None
-        named = "automatic" if kappa is None else f"κ = {kappa:g}"
-        text = f"Area ({units.area.symbol}) over κ: {named} · {units.area.text(area_m2)}"
+        text = f"{units.area.text(area_m2)} over κ"
         if curve is not None and curve.iou is not None:
             best = int(np.argmax(curve.iou))
             text += (
-                f' · <span style="color:{ORANGE}">best IoU {curve.iou[best]:.2f}'
-                f" at κ = {curve.kappa[best]:.1f}</span>"
+                f' · <span style="color:{ORANGE}">IoU ≤ {curve.iou[best]:.2f}'
+                f" at {curve.kappa[best]:.1f}</span>"
             )
         self.frame.write(text)
 
