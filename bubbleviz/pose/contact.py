@@ -15,7 +15,7 @@ LEAST_POINTS = 12
 _REACH_M = 0.008
 """How far around the patch the free membrane is looked at."""
 
-_MOST = 240
+_MOST = 160
 """Contact points, and free ones, beyond which more of them say the same again."""
 
 _CENTRES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])

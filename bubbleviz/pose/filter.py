@@ -15,7 +15,7 @@ SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)
 """The same of a coarse start."""
 
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
-_ACCELERATION = np.array([0.5] * 3 + [0.5] * 3)
+_ACCELERATION = np.array([0.5] * 3 + [0.2] * 3)
 """Standard deviations of velocity at first (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
 
 _LONGEST_S = 0.5

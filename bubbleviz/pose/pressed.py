@@ -31,6 +31,9 @@ _SOFT = 2e-3
 _GAP_M = 5e-4
 """Points further above the membrane at rest cannot be touched."""
 
+_CLOSE_M = 2e-3
+"""Way of a point to the membrane that a small motion of the object may close."""
+
 _SIDEWAYS = 0.1
 """Cosine of a point's normal with the membrane's beyond which it looks away from it."""
 
@@ -90,47 +93,60 @@ class PressedMembrane:
     def press(self, poses: np.ndarray, contact: ContactPoints) -> np.ndarray:
         """Displacements (s, n) in m of the membrane under the object at poses T_B_O (s, 4, 4).
 
-        Only the part of the object that is near the contact is pressed.
+        The poses are close to the first. Only the part of the object that is near the contact is
+        pressed, and only what nearly touches at the first pose may touch at the others.
         """
-        near, below = self._candidates(poses, contact)
         displacement = np.zeros((len(poses), len(self.mesh.nodes)))
+        near, triangle, below = self._candidates(poses[0], contact)
         if not len(near):
             return displacement
+        start = self._touching[near]
+        (displacement[0],), touching = self._pressed(below, 1, start)
+        self._touching[:] = False
+        self._touching[near] = touching
+        up = np.einsum("ij,ij->i", below.weights, displacement[0][below.corners])
+        kept = below.height_m - up < _CLOSE_M
+        if len(poses) > 1 and kept.any():
+            R, t = poses[1:, :3, :3], poses[1:, None, :3, 3]
+            points = np.einsum("sij,pj->spi", R, self._points[near[kept]]) + t
+            others = self._below(points.reshape(-1, 3), np.tile(triangle[kept], len(poses) - 1))
+            displacement[1:], _ = self._pressed(others, len(poses) - 1, touching[kept])
+        return displacement
+
+    def _pressed(
+        self, below: _Below, poses: int, start: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (s, n) under points of several poses, and which touch at the last one."""
         nodes, local = np.unique(below.corners, return_inverse=True)
         rows = self._responses(nodes)
         M = rows[:, nodes]
-        forces = np.zeros((len(poses), len(nodes)))
-        shape = (len(poses), len(near))
-        corners = local.reshape(*shape, 3)
-        weights = below.weights.reshape(*shape, 3)
-        heights = below.height_m.reshape(shape)
-        start = self._touching[near]
-        for k in range(len(poses)):
+        corners = local.reshape(poses, -1, 3)
+        weights = below.weights.reshape(poses, -1, 3)
+        heights = below.height_m.reshape(poses, -1)
+        loads = np.zeros((poses, len(nodes)))
+        for k in range(poses):
             f = _contact_forces(M, corners[k], weights[k], heights[k], start)
             shares = (weights[k] * f[:, None]).ravel()
-            forces[k] = np.bincount(corners[k].ravel(), shares, minlength=len(nodes))
-            if k == 0:  # the others are close to the first
-                start = f > 0.0
-                self._touching[:] = False
-                self._touching[near] = start
-        return -forces @ rows
+            loads[k] = np.bincount(corners[k].ravel(), shares, minlength=len(nodes))
+        return -loads @ rows, f > 0.0
 
-    def _candidates(self, poses: np.ndarray, contact: ContactPoints) -> tuple[np.ndarray, _Below]:
-        """Object points (c,) that the membrane may touch at the first pose, and where all are."""
-        first = poses[0]
-        center = (contact.center - first[:3, 3]) @ first[:3, :3]
+    def _candidates(
+        self, T_B_O: np.ndarray, contact: ContactPoints
+    ) -> tuple[np.ndarray, np.ndarray, _Below]:
+        """Object points (c,) that the membrane may touch at a pose, and where they are."""
+        R, t = T_B_O[:3, :3], T_B_O[:3, 3]
         reach = 2.0 * contact.radius_m + _REACH_M
-        near = np.flatnonzero(np.sum((self._points - center) ** 2, axis=1) < reach**2)
-        points = self._points[near] @ first[:3, :3].T + first[:3, 3]
+        away = np.sum((self._points - (contact.center - t) @ R) ** 2, axis=1)
+        near = np.flatnonzero(away < reach**2)
+        points = self._points[near] @ R.T + t
         triangle = self._closest(points)
         below = self._below(points, triangle)
         normals = self.mesh.normals[below.corners].mean(axis=1)
-        looks = np.einsum("pij,pj->pi", self._normals[near] @ first[:3, :3].T, normals)
+        looks = np.einsum("pij,pj->pi", self._normals[near] @ R.T, normals)
         kept = (below.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
         kept &= below.weights.min(axis=1) > -0.05  # not beyond the rim
-        near, triangle = near[kept], np.tile(triangle[kept], len(poses))
-        points = np.einsum("sij,pj->spi", poses[:, :3, :3], self._points[near])
-        return near, self._below((points + poses[:, None, :3, 3]).reshape(-1, 3), triangle)
+        found = _Below(below.corners[kept], below.weights[kept], below.height_m[kept])
+        return near[kept], triangle[kept], found
 
     def _closest(self, points: np.ndarray) -> np.ndarray:
         """Triangle (k,) of the membrane at rest that is closest to each point (k, 3)."""

@@ -20,13 +20,14 @@ from bubbleviz.pose.pressed import PressedMembrane
 from bubbleviz.pose.uncertainty import Directions
 from bubbleviz.result import Estimate
 
-_TRUST = 0.25
-"""Share of the pixels' information that the facets of the model leave."""
+_TRUST = 0.05
+"""Share of the pixels' information that the facets of the model leave, whose errors last as long as
+the object is on the same facets."""
 
 _OUTLYING = 4.0
 """Residual in σ from which a pixel is no witness."""
 
-_MOST = 2_500
+_MOST = 1_800
 """Pixels beyond which more of them say too little for their time."""
 
 _LEAST_SIGMA_M = 5e-4
@@ -35,7 +36,7 @@ _LEAST_SIGMA_M = 5e-4
 _MAD = 0.6745
 """Median of |z| of a standard normal z."""
 
-_WIDE = 0.4
+_WIDE = 0.6
 _NARROW_M = 3e-4
 """Width of the steps at the patch's edge, in open directions in edges of the mesh."""
 
@@ -164,10 +165,13 @@ def slide(
     behind[~directions.determined] = ranges[7:]
     J = (behind - ranges[1:7]).T / (width * (1.0 + ~directions.determined))
     residual = sight.residual_m - ranges[0]
+    # Over wide steps the misfit falls by the mean of the residuals at both ends.
+    ends = sight.residual_m - 0.5 * (ranges[1:7] + behind)
     outlying = residual**2 * sight.weight / _OUTLYING**2
     weight = _TRUST * sight.weight / (1.0 + outlying) ** 2
     free = ~directions.determined
-    H, g = (J.T * weight) @ J, J.T @ (weight * residual)
+    H = (J.T * weight) @ J
+    g = np.where(free, np.einsum("bk,b,kb->k", J, weight, ends), J.T @ (weight * residual))
     H[np.diag_indices(6)] += 1.0 / _MODEL_DEVIATION_M**2 * directions.determined
     # Schur complement of the determined directions.
     gain = np.linalg.solve(H[~free][:, ~free], H[~free][:, free]).T
