@@ -34,7 +34,7 @@ class Pointing(QObject):
         self._due.timeout.connect(self._pick)
         view.moved.connect(self._on_moved)
         view.left.connect(self._on_left)
-        hover.changed.connect(scene.marks.show)
+        hover.changed.connect(scene.mark)
 
     def _on_moved(self, x: float, y: float) -> None:
         self._at = (x, y)

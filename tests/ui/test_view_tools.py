@@ -163,6 +163,9 @@ def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive)
     true = driver.window.scene._surface.true_place(drawn[k])
     np.testing.assert_allclose(true, mesh.deformed(estimate.displacement_m)[k], atol=1e-7)
     assert driver.pipeline.counts["estimate"] == solved
+    driver.window.hover.at_point(mesh.deformed(estimate.displacement_m)[k])
+    dots = np.asarray(driver.window.scene.marks._dots.points)
+    np.testing.assert_allclose(dots[1], drawn[k], atol=1e-7)
 
 
 def test_colour_maps_change_the_colours_and_not_the_range(drive: Drive) -> None:

@@ -177,7 +177,7 @@ class ViewTools(QWidget):
         self._say()
 
     def _on_picked(self, place: Probed | None) -> None:
-        self._marks.show(place)
+        self._marks.show(place, self._scene.drawn_node(place))
         self._say()
 
     def _say(self) -> None:

@@ -43,12 +43,13 @@ class ProbeMarks:
         """Take where the depth camera is, (3,) in B."""
         self._camera_m = np.asarray(position_m, float)
 
-    def show(self, place: Probed | None) -> None:
-        """Light up a place, or nothing."""
+    def show(self, place: Probed | None, drawn_m: np.ndarray | None = None) -> None:
+        """Light up a place, or nothing; its node at `drawn_m` (3,), where that is elsewhere."""
         measured = place is not None and bool(np.isfinite(place.point_m).all())
         if place is not None:
-            point = place.point_m if measured else place.node_m
-            self._dots.points[:] = np.array([point, place.node_m])
+            node = place.node_m if drawn_m is None else drawn_m
+            point = place.point_m if measured else node
+            self._dots.points[:] = np.array([point, node])
             self._ray.points[:] = np.array([self._camera_m, point])
             self._dots.Modified()
             self._ray.Modified()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.probe import Probed
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -143,6 +144,14 @@ class Scene:
             look_along(self._view, name, box)
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
+
+    def mark(self, place: Probed | None) -> None:
+        """Light up a place, its node where it is drawn."""
+        self.marks.show(place, self.drawn_node(place))
+
+    def drawn_node(self, place: Probed | None) -> np.ndarray | None:
+        """Where the node of a place is drawn, (3,) in B; None without a place."""
+        return self._surface.drawn_node(place) if place is not None else None
 
     def pick(self, x: float, y: float) -> np.ndarray | None:
         """Point (3,) in B under a place of the view, as it truly is; None where nothing is."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bubbleviz.camera.probe import Probed
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate
 from ui.scene.layer import Shape
@@ -67,6 +68,12 @@ class Surface:
             return point_m
         away = np.sum((np.asarray(self.poly.points) - point_m) ** 2, axis=1)
         return point_m - self._beyond[int(np.argmin(away))]
+
+    def drawn_node(self, place: Probed) -> np.ndarray:
+        """Where the node of a place is drawn, (3,) in B."""
+        if self._beyond is None:
+            return place.node_m
+        return place.node_m + self._beyond[place.node]
 
     _beyond: np.ndarray | None = None
 
