@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bubbleviz.deferred import import_without
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 
@@ -44,6 +45,7 @@ class WindowSession:
         scene: ScenePreset | None = None,
         keep_in: Path | None = None,
     ) -> None:
+        import_without("matplotlib", "pyplot")
         from ui.controller import Controller
         from ui.main_window import MainWindow
         from ui.state import SessionState

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.deferred import import_without
+
 
 @dataclass(frozen=True)
 class Hits:
@@ -47,6 +49,7 @@ class RayCaster:
     """
 
     def __init__(self, origin: np.ndarray, directions: np.ndarray, triangles: np.ndarray) -> None:
+        import_without("open3d", "visualization")
         from open3d import core
 
         self.origin = np.asarray(origin, float)

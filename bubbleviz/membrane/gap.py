@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bubbleviz.deferred import import_without
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.objects import RigidObject
@@ -134,6 +135,7 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
 
 
 def _scene(vertices: np.ndarray, triangles: np.ndarray) -> Any:
+    import_without("open3d", "visualization")
     from open3d import core
     from open3d.t.geometry import RaycastingScene
 
