@@ -83,9 +83,9 @@ class Patch:
 
 
 PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]
-"""`lost`: there was a pose, and this frame has none that fits; the last good one is kept.
-`no_contact`, `few_points` (the patch has fewer than a pose needs) and `no_data` (the estimate is
-not to be trusted): there never was one."""
+"""`lost`: no pose fits this frame; the last good one is kept, where there was one. While there never
+was one, `no_contact`, `few_points` (the patch has fewer than a pose needs) and `no_data` (the
+estimate is not to be trusted) say why."""
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,6 @@ _FAR_M = 5e-3
 _TRACKING, _CONVERGING, _LOOKING = 3, 12, 6
 """Iterations of each stage while tracking, from a start, and to compare starts."""
 
-_FINALISTS = 2
-
 
 @dataclass(frozen=True)
 class Solution:
@@ -124,7 +122,12 @@ class Solver:
         return Solution(first, second, times, motion)
 
     def best(
-        self, frame: Frame, estimate: Estimate, contact: ContactPoints, starts: np.ndarray
+        self,
+        frame: Frame,
+        estimate: Estimate,
+        contact: ContactPoints,
+        starts: np.ndarray,
+        finalists: int,
     ) -> Solution | None:
         """Both stages from those of the starts (s, 4, 4) that fit best; None where none does."""
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
@@ -143,7 +146,7 @@ class Solver:
                 Motion.at_rest(looks[k], SEARCH_DEVIATION, contact.center),
                 settled=False,
             )
-            for k in np.argsort(costs)[:_FINALISTS]
+            for k in np.argsort(costs)[:finalists]
         ]
         good = [solution for solution in found if solution.pose.fitness >= FOUND_FITNESS]
         return min(good, key=lambda solution: solution.pose.cost, default=None)

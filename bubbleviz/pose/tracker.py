@@ -31,7 +31,7 @@ FASTEST = np.array([1.0, 10.0])
 
 _LONGEST_GAP_S = 1.0
 _STARTS_A_FRAME = 4
-_STARTS_AT_FIRST = 12
+_STARTS_AT_FIRST, _FINALISTS_AT_FIRST = 12, 2
 
 
 class PoseTracker:
@@ -69,6 +69,7 @@ class PoseTracker:
         self._good_s = self._last_s = 0.0
         self._good_center = np.zeros(3)
         self._tried = 0
+        self._waiting, self._waiting_at = np.zeros((0, 4, 4)), np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
         """Pose in a frame with its estimate and patch."""
@@ -117,21 +118,31 @@ class PoseTracker:
         self, frame: Frame, estimate: Estimate, contact: ContactPoints
     ) -> Solution | None:
         """The best of a few starts; other ones in the next frame."""
-        starts = self._finder.starts(contact)
-        if self._good is None:
-            chosen = starts[:_STARTS_AT_FIRST]
-        else:
+        if self._good is not None and self._tried <= 1:
             kept = self._good.copy()
             kept[:3, 3] += contact.center - self._good_center
-            turn = self._tried * _STARTS_A_FRAME % len(starts)
-            chosen = np.concatenate([[self._good, kept], starts[turn : turn + _STARTS_A_FRAME]])
+            chosen = np.stack([self._good, kept])
+        else:
+            chosen = self._next_starts(contact)
         self._tried += 1
-        return self._solver.best(frame, estimate, contact, chosen)
+        finalists = 1 if self._good is not None else _FINALISTS_AT_FIRST
+        return self._solver.best(frame, estimate, contact, chosen, finalists)
+
+    def _next_starts(self, contact: ContactPoints) -> np.ndarray:
+        """Coarse starts that were not tried yet: more at first, when nothing is known."""
+        if not len(self._waiting):
+            self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
+        first = self._good is None and self._tried == 0
+        count = _STARTS_AT_FIRST if first else _STARTS_A_FRAME
+        chosen, self._waiting = self._waiting[:count].copy(), self._waiting[count:]
+        chosen[:, :3, 3] += contact.center - self._waiting_at
+        return chosen
 
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion = solution.motion
         self._good, self._good_s = solution.pose.T_B_O, frame.time_s
         self._good_center, self._last_s, self._tried = contact.center, frame.time_s, 0
+        self._waiting = self._waiting[:0]
         return solution.as_pose(contact)
 
     def _without(self, frame: Frame, why: PoseStatus) -> Pose:
