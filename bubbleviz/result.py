@@ -83,8 +83,8 @@ class Patch:
 
 
 PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]
-"""`lost`: no pose fits this frame; the last good one is kept, where there was one. While there never
-was one, `no_contact`, `few_points` (the patch has fewer than a pose needs) and `no_data` (the
+"""`lost`: no pose fits this frame; the last good one is kept, where there was one. While there was
+none yet, `no_contact`, `few_points` (the patch has fewer than a pose needs) and `no_data` (the
 estimate is not to be trusted) say why."""
 
 
