@@ -102,8 +102,12 @@ class Solver:
         predicted: Motion,
         *,
         settled: bool,
+        slides: bool = True,
     ) -> Solution:
-        """Both stages from a prediction, which `settled` says is close."""
+        """Both stages from a prediction, which `settled` says is close.
+
+        `slides` says whether the whole depth image is asked where a flat face has slid to.
+        """
         iterations = _TRACKING if settled else _CONVERGING
         prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
@@ -116,7 +120,8 @@ class Solver:
         )
         between = time.perf_counter()
         second = self._registration.stage_two(contact, first.T_B_O, prior, iterations=iterations)
-        second = self._slid(frame, estimate, contact, second, prior)
+        if slides:
+            second = self._slid(frame, estimate, contact, second, prior)
         motion = predicted.corrected(second.T_B_O, second.surface + second.outline)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
         return Solution(first, second, times, motion)

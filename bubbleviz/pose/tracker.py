@@ -69,6 +69,7 @@ class PoseTracker:
         self._good_s = self._last_s = 0.0
         self._good_center = np.zeros(3)
         self._tried = 0
+        self._slides = False
         self._waiting, self._waiting_at = np.zeros((0, 4, 4)), np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
@@ -84,7 +85,11 @@ class PoseTracker:
         solution = None
         if predicted is not None:
             settled = self._tried == 0 and self._good is not None
-            solution = self._solver.solve(frame, estimate, contact, predicted, settled=settled)
+            # What it says of sliding is much the same in the next frame: every other one is asked.
+            self._slides = not (settled and self._slides)
+            solution = self._solver.solve(
+                frame, estimate, contact, predicted, settled=settled, slides=self._slides
+            )
             if not self._believable(solution, frame, contact):
                 solution = None
         if solution is None and (self._good is not None or self._start is None):
