@@ -98,21 +98,31 @@ def main(context: click.Context, fresh: bool) -> int:
 
 
 @main.command("open")
-@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@click.option("--source", help="A live source: synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--session", help="Live sensors together: a session preset or TOML file.")
 @click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
-@click.option("--scene", help="Scene preset: press, cloud, residual.")
+@click.option("--scene", help="Scene preset: press, cloud, residual, dual_nut.")
 @click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
 @click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
 def open_recording(
-    recording: Path,
+    recording: Path | None,
+    source: str | None,
+    session: str | None,
     sensor: str | None,
     scene: str | None,
     frame: int | None,
     screenshot: Path | None,
     fresh: bool,
 ) -> int:
-    """Show a recording in the window."""
+    """Show a recording or a live source in the window."""
+    if sum(given is not None for given in (recording, source, session)) != 1:
+        raise click.UsageError("give one of REC, --source and --session")
+    if recording is None:
+        if frame is not None or screenshot is not None:
+            raise click.UsageError("--frame and --screenshot are for recordings")
+        return _open_live(source, session, sensor, scene, fresh=fresh)
     from bubbleviz.matching import checked_sensor
     from ui.presets import load_scene
 
@@ -131,6 +141,31 @@ def open_recording(
     app.screenshot(chosen, recording, frame or 0, screenshot, preset)
     click.echo(f"wrote {screenshot}")
     return 0
+
+
+def _open_live(
+    source: str | None,
+    session: str | None,
+    sensor: str | None,
+    scene: str | None,
+    *,
+    fresh: bool,
+) -> int:
+    """The window on live sensors."""
+    from bubbleviz.live.session_file import load_session
+    from bubbleviz.sensor import load_sensor
+    from ui.app import run_window
+    from ui.live.connection import single
+    from ui.presets import load_scene
+
+    if session is not None and sensor is not None:
+        raise click.UsageError("the sensors are named in the session file; leave --sensor out")
+    name = sensor or SYNTHETIC_SENSOR
+    live = single(source, name) if source is not None else load_session(session or "")
+    preset = None if scene is None else load_scene(scene)
+    return run_window(
+        load_sensor(live.sensors[0].sensor), None, None, preset, fresh=fresh, live=live
+    )
 
 
 @main.group()

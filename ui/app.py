@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bubbleviz.errors import InputError
+from bubbleviz.live.session_file import SessionPreset
 from bubbleviz.sensor import Sensor
 from ui.display import has_display, private_display
 from ui.presets import ScenePreset
@@ -28,6 +29,7 @@ def run_window(
     scene: ScenePreset | None = None,
     *,
     fresh: bool = True,
+    live: SessionPreset | None = None,
 ) -> int:
     """Show the window until it is closed.
 
@@ -45,6 +47,8 @@ def run_window(
         What is visible; None for the window's default.
     fresh : bool
         Leave the user's last session alone; else come back to it, and keep this one.
+    live : SessionPreset, optional
+        Live sensors in place of a recording.
 
     Returns
     -------
@@ -58,13 +62,13 @@ def run_window(
     """
     if has_display():
         keep_in = None if fresh else _user_file()
-        with window_session(sensor, recording, frame, scene, keep_in) as session:
+        with window_session(sensor, recording, frame, scene, keep_in, live) as session:
             signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
             return session.application.exec()
     with (
         private_display(1280, 800),
-        window_session(sensor, recording, frame, scene) as session,
+        window_session(sensor, recording, frame, scene, live=live) as session,
     ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)
         for path in _offscreen(session):

@@ -19,6 +19,7 @@ from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui.clock import PlayClock
+from ui.history import History
 from ui.needs import looks, products
 from ui.rates import RateMeter
 from ui.requests import (
@@ -31,17 +32,21 @@ from ui.requests import (
     Followed,
     FollowRequest,
     FrameRequest,
+    NewestRequest,
     Opened,
     OpenRequest,
     PatchRequest,
     Solved,
     Thresholded,
+    Waited,
 )
+from ui.seat import Seat
 from ui.state import (
     PATCH_CHOICES,
     ChoicesChanged,
     Event,
     FrameChanged,
+    FrozenChanged,
     PlayingChanged,
     RangeChanged,
     SessionState,
@@ -76,6 +81,8 @@ class Controller(QObject):
         A `Compared`: two settings on one frame.
     inspection : Inspection
         Closer look at the frame that is shown.
+    extra : frozenset of Product
+        Asked of every live frame besides what is visible.
     skipped : int
         Frames playback passed by because they were over before they could be asked for.
     """
@@ -105,6 +112,10 @@ class Controller(QObject):
         self._clock: PlayClock | None = None
         self._clock_read_s = 0.0
         self._came = -1
+        self._awaiting = False
+        self._opened: Opened | None = None
+        self._numbers = Numbers()
+        self.extra: frozenset[Product] = frozenset()
         self._to_analyse: tuple[int, ...] = ()
         self._analysing = 0
         self._timer = QTimer(self)
@@ -214,11 +225,6 @@ class Controller(QObject):
         kappa = self.state.choices.kappa
         self.worker.ask(FollowRequest(self._session, object_name, unit, start, kappa, request))
 
-    @property
-    def analysing(self) -> bool:
-        """An analysis of all frames goes on."""
-        return bool(self._to_analyse)
-
     def compare(self, settings: tuple[EstimatorOptions, EstimatorOptions]) -> None:
         """Measure two settings on the frame at the cursor, when the solver has nothing else."""
         kappa, _ = self._rule
@@ -229,6 +235,11 @@ class Controller(QObject):
         """What makes a patch of a contact pressure."""
         return self.state.choices.kappa, self.state.choices.least_area_m2
 
+    @property
+    def analysing(self) -> bool:
+        """An analysis of all frames goes on."""
+        return bool(self._to_analyse)
+
     def stop_analysis(self) -> None:
         """Leave the rest; what was computed stays."""
         self._to_analyse, self._analysing = (), 0
@@ -238,14 +249,19 @@ class Controller(QObject):
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, FrameChanged):
-            self._ask_frame()
+            if not (event.by_playback and self._grows):
+                self._ask_frame()
             if not event.by_playback and not self.state.frozen:
                 self._start_clock()
         elif isinstance(event, PlayingChanged):
             self._start_clock()
-            self._timer.start() if event.playing else self._timer.stop()
+            self._timer.start() if event.playing and not self._grows else self._timer.stop()
+            self._ask_newest()
+        elif isinstance(event, FrozenChanged):
+            self._ask_newest()
         elif isinstance(event, RangeChanged) and self.state.facts is not None:
-            self._clock = PlayClock(self.state.facts.times_s, event.frames)
+            if not self._grows:
+                self._clock = PlayClock(self.state.facts.times_s, event.frames)
             self._start_clock()
         elif isinstance(event, ChoicesChanged):
             self._on_choices(event.names)
@@ -290,6 +306,79 @@ class Controller(QObject):
         if ended:
             self.state.set_playing(False)
 
+    def change_seat(self, seat: Seat, placed: Callable[[], None]) -> Seat:
+        """Turn to the other sensor of a session; gives back the one the panels showed.
+
+        Parameters
+        ----------
+        seat : Seat
+        placed : callable
+            Called before anything is drawn.
+        """
+        if self._opened is None or self.result is None or self.state.facts is None:
+            raise RuntimeError("nothing is open yet")
+        playing, frozen = self.state.playing, self.state.frozen
+        shown = replace(
+            self._opened,
+            facts=self.state.facts,
+            frame=self.result.frame.index,
+            result=self.result,
+            numbers=self._numbers,
+            inspection=self.inspection,
+        )
+        mine = Seat(self.worker, shown, self.state.history, self._awaiting)
+        self.worker.answered.disconnect(self._on_answer)
+        self.worker = seat.worker
+        self.worker.answered.connect(self._on_answer)
+        self._opening = max(self._opening, seat.opened.request.session)
+        placed()
+        self._change(seat.opened, seat.history, awaiting=seat.awaiting)
+        self._show(seat.opened.result)
+        self.state.set_playing(playing)
+        self.state.freeze(frozen)
+        self._ask_frame()
+        return mine
+
+    # -- live sources -----------------------------------------------------------------------
+
+    @property
+    def _grows(self) -> bool:
+        return self.state.facts is not None and self.state.facts.grows
+
+    def _ask_newest(self) -> None:
+        """Ask for the newest frame of a live source, unless that is asked for or unwanted now."""
+        state = self.state
+        if self._awaiting or not self._grows or not state.playing or state.frozen:
+            return
+        self._awaiting = True
+        choices = state.choices
+        self._asked, self._looked = products(choices), looks(choices)
+        self.worker.ask(
+            NewestRequest(
+                self._session,
+                self._asked | self.extra,
+                choices.kappa,
+                choices.cloud_points,
+                time.perf_counter(),
+                self._looked,
+                choices.least_area_m2,
+            )
+        )
+
+    def _on_newest(self, answer: Solved) -> None:
+        """Ask for the next before this one is drawn, so that the solver has work meanwhile."""
+        frame, state = answer.result.frame, self.state
+        self._awaiting = False
+        self.solves.tick(time.perf_counter())
+        state.grow(frame.time_s)
+        self._ask_newest()
+        waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
+        numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
+        self._remember(frame.index, numbers, _rule_of(answer.request))
+        if state.frame == frame.index:
+            self.inspection, self._numbers = answer.inspection, answer.numbers
+            self._show(answer.result)
+
     # -- requests and answers ---------------------------------------------------------------
 
     def _ask_frame(self) -> None:
@@ -332,6 +421,7 @@ class Controller(QObject):
 
     def _on_answer(self, answer: Answer) -> None:
         if isinstance(answer, Failed):
+            self._awaiting &= not isinstance(answer.request, NewestRequest)
             if isinstance(answer.request, AnalyseRequest):
                 self.stop_analysis()
             self.failed.emit(answer)
@@ -343,8 +433,12 @@ class Controller(QObject):
             self.followed.emit(answer)
             if answer.solved is not None:
                 self._on_solved(answer.solved)
+        elif isinstance(answer, Waited):
+            self._awaiting = False
+            self._ask_newest()
         elif isinstance(answer, Solved):
-            self._on_solved(answer)
+            newest = isinstance(answer.request, NewestRequest)
+            self._on_newest(answer) if newest else self._on_solved(answer)
         elif isinstance(answer, Analysed):
             self._on_analysed(answer)
         elif isinstance(answer, Compared):
@@ -371,7 +465,7 @@ class Controller(QObject):
             waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
         numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
         self._remember(frame.index, numbers, _rule_of(request))
-        self.inspection = answer.inspection
+        self.inspection, self._numbers = answer.inspection, answer.numbers
         self._show(answer.result)
         if _rule_of(request) != self._rule:
             self._ask_patch()
@@ -398,7 +492,19 @@ class Controller(QObject):
     _analysed_products: frozenset[Product] = frozenset()
 
     def _on_opened(self, answer: Opened) -> None:
-        self._session = answer.request.session
+        """Show what was opened."""
+        self._change(answer, None, awaiting=False)
+        self._remember(answer.frame, answer.numbers, (answer.request.kappa, 0.0))
+        self._show(answer.result)
+        if self._lacks_something:
+            self._ask_frame()
+        elif self._rule[1] > 0.0:
+            self._ask_patch()
+
+    def _change(self, answer: Opened, history: History | None, *, awaiting: bool) -> None:
+        """Turn to another source, of which a history may be known."""
+        self._opened, self._numbers = answer, answer.numbers
+        self._session, self._awaiting = answer.request.session, awaiting
         self.result = None  # the old source's: nothing may show it on the new sensor
         self._open_source = answer.request.open_source
         self.sensor = answer.sensor
@@ -408,22 +514,19 @@ class Controller(QObject):
         self.opened.emit(answer)
         self.state.set_playing(False)
         self._clock = None
-        self.state.open(answer.facts, answer.frame, playing=False)
-        self._clock = PlayClock(answer.facts.times_s, self.state.play_range)
-        self._remember(answer.frame, answer.numbers, (answer.request.kappa, 0.0))
+        self.state.open(answer.facts, answer.frame, playing=False, history=history)
+        if not answer.facts.grows:
+            self._clock = PlayClock(answer.facts.times_s, self.state.play_range)
         self.state.set_playing(answer.request.playing)
         self._came = answer.frame
         self.inspection = answer.inspection
-        self._show(answer.result)
-        if self._lacks_something:
-            self._ask_frame()
-        elif self._rule[1] > 0.0:
-            self._ask_patch()
 
     def _show(self, result: Result) -> None:
         self.result = result
         self.shown.emit(result)
 
 
-def _rule_of(request: FrameRequest | PatchRequest | AnalyseRequest) -> tuple[float | None, float]:
+def _rule_of(
+    request: FrameRequest | NewestRequest | PatchRequest | AnalyseRequest,
+) -> tuple[float | None, float]:
     return request.kappa, request.least_area_m2

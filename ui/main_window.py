@@ -16,9 +16,13 @@ from bubbleviz.meshread import SUFFIXES
 from bubbleviz.result import Result
 from ui import theme
 from ui.calibration.session import Calibration
+from ui.connect_dialog import ConnectDialog
 from ui.controller import Controller
 from ui.costs import Costs
 from ui.hover import Hover
+from ui.live.desk import LiveDesk
+from ui.live.freshness import Freshness
+from ui.live.pair import Pair
 from ui.menus import Menus
 from ui.palette import CommandPalette
 from ui.panels.gamma0.panel import Gamma0Panel
@@ -27,6 +31,7 @@ from ui.panels.kappa import KappaPanel
 from ui.panels.kappa_compare import ComparePanel
 from ui.panels.kappa_threshold import ThresholdPanel
 from ui.panels.layers import LayersPanel
+from ui.panels.live import LiveBar
 from ui.panels.message import MessageBar
 from ui.panels.playback import PlaybackPanel
 from ui.panels.plots import PlotsPanel
@@ -40,7 +45,7 @@ from ui.pointing import Pointing
 from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
-from ui.session_file import SUFFIX
+from ui.session_file import SUFFIX, name_of
 from ui.session_keeper import SessionKeeper
 from ui.shortcuts import Shortcuts
 from ui.shortcuts_dialog import ShortcutsDialog
@@ -98,6 +103,9 @@ class MainWindow(QMainWindow):
         )
         self.pose = PosePanel(state, PoseSession(controller))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
+        self.desk = LiveDesk(controller, Pair(controller, self.scene, self.view))
+        self.live = LiveBar(self.desk, state.units)
+        self.freshness = Freshness(controller, self.view)
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
@@ -125,6 +133,11 @@ class MainWindow(QMainWindow):
     def show_palette(self) -> None:
         """Show the command palette."""
         CommandPalette(self, self.shortcuts).open_over(self)
+
+    def show_connect(self) -> None:
+        """Choose a live source."""
+        sensor = self.controller.sensor
+        ConnectDialog(self, self.desk, None if sensor is None else name_of(sensor)).open()
 
     def show_shortcuts(self) -> None:
         """Show the keys of every action."""
@@ -156,6 +169,7 @@ class MainWindow(QMainWindow):
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()
         self.pose.close_plots()
+        self.desk.close()
         self.controller.close()
         self.view.close()
         super().closeEvent(event)
@@ -174,6 +188,7 @@ class MainWindow(QMainWindow):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addWidget(self.message)
+        column.addWidget(self.live)
         column.addWidget(self.view, 1)
         self.setCentralWidget(centre)
         self.setStatusBar(self.status)
@@ -250,6 +265,7 @@ class MainWindow(QMainWindow):
         ):
             dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
         self.pose.said.connect(self.message.say)
+        self.desk.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)
         self.status.asked.connect(self.show_costs)
         self.tools.failed.connect(self.message.say)
@@ -331,7 +347,7 @@ class MainWindow(QMainWindow):
         message = failed.message
         if isinstance(failed.request, OpenRequest):
             message = f"{message.rstrip('.')}. What was open stays."
-        else:
+        elif not (self.state.facts is not None and self.state.facts.grows):
             self.state.set_playing(False)
         self.message.say(message, failed.details)
 
@@ -342,3 +358,4 @@ class MainWindow(QMainWindow):
         self.status.show_rates(
             Rates(controller.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped)
         )
+        self.status.show_latency(self.freshness.report())

@@ -34,6 +34,7 @@ class Menus:
         self._file(bar.addMenu("&File"))
         self._edit(bar.addMenu("&Edit"))
         self._playback(bar.addMenu("&Playback"))
+        self._live(bar.addMenu("&Live"))
         self._view(bar.addMenu("&View"))
         self._help(bar.addMenu("&Help"))
 
@@ -106,6 +107,17 @@ class Menus:
         menu.addSeparator()
         self._add(menu, "F&reeze a live source", lambda: state.freeze(not state.frozen), "F")
         self._add(menu, "Back to &now", lambda: state.freeze(False), "N")
+
+    def _live(self, menu: QMenu) -> None:
+        window, desk = self._window, self._window.desk
+        self._add(menu, "&Connect…", window.show_connect, "Ctrl+L")
+        self._add(menu, "&Disconnect", desk.disconnect_all, "Ctrl+Shift+L")
+        menu.addSeparator()
+        self._add(menu, "&Record / stop recording", desk.toggle_recording, "Ctrl+R")
+        self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
+        self._add(menu, "&Publish results / stop", desk.toggle_publishing, "Ctrl+Shift+R")
+        self._add(menu, "Gas pressure &zero now", desk.zero_now, "Z")
+        self._add(menu, "The &other sensor", desk.choose_other, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window

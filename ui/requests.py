@@ -103,6 +103,19 @@ class FollowRequest:
 
 
 @dataclass(frozen=True)
+class NewestRequest:
+    """Make products of the newest frame of a live source, as soon as there is one."""
+
+    session: int
+    products: frozenset[Product]
+    kappa: float | None
+    cloud_points: int | None = None
+    asked_s: float = float("nan")
+    looks: frozenset[Look] = frozenset()
+    least_area_m2: float = 0.0
+
+
+@dataclass(frozen=True)
 class AnalyseRequest:
     """Compute the numbers of frames nobody looks at; a part of them at a time."""
 
@@ -137,7 +150,13 @@ class PatchRequest:
 
 
 Request = (
-    OpenRequest | FollowRequest | FrameRequest | PatchRequest | AnalyseRequest | CompareRequest
+    OpenRequest
+    | FollowRequest
+    | FrameRequest
+    | NewestRequest
+    | PatchRequest
+    | AnalyseRequest
+    | CompareRequest
 )
 
 
@@ -160,10 +179,17 @@ class Opened:
 class Solved:
     """A frame's products, its numbers, and what was looked at closer."""
 
-    request: FrameRequest
+    request: FrameRequest | NewestRequest
     result: Result
     numbers: Numbers
     inspection: Inspection
+
+
+@dataclass(frozen=True)
+class Waited:
+    """No frame came while it was waited for."""
+
+    request: NewestRequest
 
 
 @dataclass(frozen=True)
@@ -210,4 +236,4 @@ class Failed:
     details: str
 
 
-Answer = Opened | Followed | Solved | Thresholded | Analysed | Compared | Failed
+Answer = Opened | Followed | Solved | Waited | Thresholded | Analysed | Compared | Failed

@@ -7,6 +7,7 @@ import traceback
 from dataclasses import dataclass, replace
 
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.frames.synthetic import truth_of
 from bubbleviz.inspection import Inspection, Inspector, Look
@@ -14,9 +15,11 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.numbers import Numbers, numbers_of
 from bubbleviz.objects import load_object
-from bubbleviz.pipeline import Pipeline
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pressure_zero import zeroed
 from bubbleviz.result import Result
 from bubbleviz.study.side_by_side import Measured, SideBySide
+from ui.live.frames import LiveFrames
 from ui.requests import (
     Analysed,
     AnalyseRequest,
@@ -27,15 +30,19 @@ from ui.requests import (
     Followed,
     FollowRequest,
     FrameRequest,
+    NewestRequest,
     Opened,
     OpenRequest,
     PatchRequest,
     Request,
     Solved,
     Thresholded,
+    Waited,
 )
 from ui.state import SourceFacts
 
+WAIT_S = 0.05
+"""How long the newest frame is waited for before other requests are looked at."""
 SLICE_S = 0.03
 """How long frames nobody looks at may keep the one somebody asks for waiting."""
 
@@ -79,6 +86,8 @@ class Server:
                 return self._threshold(session, request)
             if isinstance(request, AnalyseRequest):
                 return self._analyse(session, request)
+            if isinstance(request, NewestRequest):
+                return self._newest(session, request)
             return self._solve(session, request)
         except InputError as error:
             return Failed(request, str(error), "")
@@ -93,8 +102,20 @@ class Server:
 
     def _solve(self, session: _Session, request: FrameRequest) -> Solved:
         frame = session.source[request.index]
+        return self._solved(session, request, frame)
+
+    def _newest(self, session: _Session, request: NewestRequest) -> Solved | Waited:
+        source = session.source
+        frame = source.newest(WAIT_S) if isinstance(source, LiveFrames) else None
+        return Waited(request) if frame is None else self._solved(session, request, frame)
+
+    def _solved(
+        self, session: _Session, request: FrameRequest | NewestRequest, frame: Frame
+    ) -> Solved:
         session.pipeline.cloud_points = request.cloud_points
-        result = session.pipeline.process(frame, request.products)
+        result = _process(session.source, session.pipeline, frame, request.products)
+        if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
+            session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.looks)
         return Solved(request, result, numbers_of(result, session.gas), inspection)
 
@@ -120,7 +141,8 @@ class Server:
         end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
         for index in request.frames:
             try:
-                result = session.pipeline.process(session.source[index], request.products)
+                frame = session.source[index]
+                result = _process(session.source, session.pipeline, frame, request.products)
                 numbers.append(numbers_of(result, session.gas))
             except InputError:
                 numbers.append(Numbers())  # it says so when somebody looks at it
@@ -155,7 +177,7 @@ class Server:
             )
             pipeline.cloud_points = request.cloud_points
             pipeline.process(frame, request.products)  # builds the solver: its time says nothing
-            result = pipeline.process(frame, request.products)
+            result = _process(source, pipeline, frame, request.products)
         except BaseException:
             source.close()
             raise
@@ -165,7 +187,8 @@ class Server:
         inspector = Inspector(pipeline)
         session = _Session(request.session, source, pipeline, gas, inspector, settings)
         self._session = session
-        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live)
+        grows = isinstance(source, LiveFrames)
+        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows)
         numbers = numbers_of(result, gas)
         inspection = _look(session, result, request.looks)
         camera, mesh = pipeline.camera, pipeline.mesh
@@ -178,6 +201,15 @@ def _look(session: _Session, result: Result, looks: frozenset[Look]) -> Inspecti
     if "kappa_curve" in looks:
         truth = truth_of(session.source, result.frame.index)
     return session.inspector.look(result, looks, truth.patch_mask if truth is not None else None)
+
+
+def _process(
+    source: FrameSource, pipeline: Pipeline, frame: Frame, products: frozenset[Product]
+) -> Result:
+    """Products of a frame; a live one's gas pressure is zeroed."""
+    if isinstance(source, LiveFrames):
+        frame = zeroed(frame, source.zero, pipeline)
+    return pipeline.process(frame, products)
 
 
 def _in_words(error: Exception) -> str:

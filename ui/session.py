@@ -17,11 +17,14 @@ from bubbleviz.sensor import Sensor
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
+    from bubbleviz.live.session_file import SessionPreset
     from ui.presets import ScenePreset
     from ui.requests import Failed, Opened
 
 PATIENCE_S = 60.0
 """How long a picture may take before something is called broken."""
+CONNECT_S = 5.0
+"""How long a live source may take before the window is shown without it."""
 SWITCH_S = 5e-4
 """How long the solver thread may keep Python to itself while the window waits; 5 ms by default."""
 
@@ -44,6 +47,7 @@ class WindowSession:
         frame: int | None,
         scene: ScenePreset | None = None,
         keep_in: Path | None = None,
+        live: SessionPreset | None = None,
     ) -> None:
         import_without("matplotlib", "pyplot")
         from ui.controller import Controller
@@ -60,10 +64,13 @@ class WindowSession:
         self._answers: list[Opened | Failed] = []
         self.controller.opened.connect(self._answers.append)
         self.controller.failed.connect(self._answers.append)
-        restored = keep_in is not None and self._restore(keep_in, recording)
+        known = recording is not None or live is not None
+        restored = keep_in is not None and self._restore(keep_in, recording, known=known)
         if scene is not None:
             self.window.use_scene(scene)
-        if not restored:
+        if live is not None:
+            self._connect(live)
+        elif not restored:
             self._open(sensor, recording, frame)
         if frame is not None and state.facts is not None and frame != state.frame:
             self.window.close()
@@ -94,11 +101,25 @@ class WindowSession:
                 raise RuntimeError(answer.details)  # a bug, not the user's file
             raise InputError(answer.message)
 
-    def _restore(self, file: Path, recording: Path | None) -> bool:
+    def _connect(self, live: SessionPreset) -> None:
+        """Connect; a source that is not there yet is waited for in the window."""
+        desk, problems = self.window.desk, list[str]()
+        desk.said.connect(lambda problem, _: problems.append(problem))
+        desk.connect_to(live)
+        end = time.monotonic() + CONNECT_S
+        self.wait_for(
+            lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
+        )
+        failed = next((a.message for a in self._answers if not hasattr(a, "facts")), "")
+        if problem := failed or next(iter(problems), ""):
+            self.window.close()
+            raise InputError(problem)
+
+    def _restore(self, file: Path, recording: Path | None, *, known: bool) -> bool:
         """Come back to the user's last session; whether its source is open now.
 
-        A recording that is asked for is opened in its place; what cannot be opened any more is a
-        message in the window.
+        Where it is `known` what to open, that is opened in its place; what cannot be opened any
+        more is a message in the window.
         """
         from ui.requests import Opened
 
@@ -108,6 +129,7 @@ class WindowSession:
         self.window.shortcuts.use(saved.shortcuts)
         if recording is not None:
             keeper.expect(saved, recording)
+        if known:
             return False
         if not keeper.open_source(saved):
             return False
@@ -150,9 +172,10 @@ def window_session(
     frame: int | None,
     scene: ScenePreset | None = None,
     keep_in: Path | None = None,
+    live: SessionPreset | None = None,
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and gone at the end."""
-    session = WindowSession(sensor, recording, frame, scene, keep_in)
+    session = WindowSession(sensor, recording, frame, scene, keep_in, live)
     try:
         yield session
     finally:

@@ -9,6 +9,7 @@ from ui.requests import (
     CompareRequest,
     FollowRequest,
     FrameRequest,
+    NewestRequest,
     OpenRequest,
     PatchRequest,
     Request,
@@ -23,6 +24,7 @@ class RequestSlots:
         FollowRequest,
         PatchRequest,
         FrameRequest,
+        NewestRequest,
         CompareRequest,
         AnalyseRequest,
     )

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bubbleviz.numbers import Numbers
-from ui.history import History
+from ui.history import History, grown
 from ui.units import SYSTEMS, Units
 
 CloudColour = Literal["residual", "patch", "plain"]
@@ -131,12 +131,15 @@ class SourceFacts:
         Time of each frame, s.
     live : bool
         A live source, not a recording.
+    grows : bool
+        Frames are added while one looks.
     """
 
     title: str
     sensor_name: str
     times_s: np.ndarray
     live: bool = False
+    grows: bool = False
 
     @property
     def frames(self) -> int:
@@ -263,13 +266,20 @@ class SessionState:
         """Forget every observer (the window closes)."""
         self._observers.clear()
 
-    def open(self, facts: SourceFacts, frame: int = 0, *, playing: bool) -> None:
+    def open(
+        self,
+        facts: SourceFacts,
+        frame: int = 0,
+        *,
+        playing: bool,
+        history: History | None = None,
+    ) -> None:
         """Change to another source: choices stay, the cursor goes to `frame`."""
         same = self.facts is not None and self.facts.title == facts.title
         if not same or (self.facts is not None and self.facts.frames != facts.frames):
             self.play_range, self.markers = None, ()
         self.facts = facts
-        self.history = History(facts.frames)
+        self.history = History(facts.frames) if history is None else history
         self.frame = self.now = min(max(frame, 0), facts.frames - 1)
         self.frozen = False
         self._tell(SourceChanged(facts))
@@ -301,6 +311,17 @@ class SessionState:
         nearest = int(np.abs(times - (times[self.frame] + seconds)).argmin())
         away = nearest - self.frame
         self.step(away if away * seconds > 0 else int(np.sign(seconds)))
+
+    def grow(self, time_s: float) -> None:
+        """Take one more frame of a live source, and go on to it."""
+        facts = self.facts
+        if facts is not None:
+            count = facts.frames + 1
+            times = grown(facts.times_s, count, np.nan)
+            times[-1] = time_s
+            self.facts = replace(facts, times_s=times)
+            self.history.grow(count)
+            self.go_on(count - 1)
 
     def go_on(self, index: int) -> None:
         """Take the frame that playback, or a live source, is at now."""
@@ -355,7 +376,8 @@ class SessionState:
             return
         first, last = self.play_range or (0, self.facts.frames - 1)
         outside = not first <= self.frame <= last
-        if playing and (outside or (not self.choices.loop and self.frame == last)):
+        over = outside or (not self.choices.loop and self.frame == last)
+        if playing and over and not self.facts.grows:
             self.seek(first)
         self.playing = playing
         self._tell(PlayingChanged(playing))

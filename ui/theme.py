@@ -182,6 +182,7 @@ QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline}
 QCheckBox::indicator:checked {{ background: {c.accent}; border-color: {c.accent}; }}
 QCheckBox:focus {{ color: {c.accent}; }}
 QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
+QFrame#live {{ background: {c.panel}; border: none; border-bottom: 1px solid {c.border}; }}
 QFrame#message {{ background: {c.message}; border: none;
     border-bottom: 1px solid {c.message_edge}; }}
 """

@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Qt, Signal
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.session import LiveSession
-from bubbleviz.live.session_file import SessionPreset
+from bubbleviz.live.session_file import SensorPlace, SessionPreset
 from bubbleviz.live.stream import LiveStream
 from ui.live.frames import LiveFrames
 
@@ -126,6 +126,20 @@ class Connection(QObject):
             self.ready.emit(run)
         else:
             self.failed.emit(problem, details)
+
+
+def single(source: str, sensor: str) -> SessionPreset:
+    """Session of one sensor.
+
+    Parameters
+    ----------
+    source : str
+        As `--source`.
+    sensor : str
+        Sensor file or preset.
+    """
+    place = SensorPlace(name="sensor", sensor=sensor, source=source)
+    return SessionPreset(title=source, sensors=(place,))
 
 
 def _title(preset: SessionPreset, number: int) -> str:

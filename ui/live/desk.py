@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live.session import LiveSensor
@@ -11,6 +13,7 @@ from ui.live.background import Background
 from ui.live.connection import Connection, LiveRun
 from ui.live.frames import LiveOpener
 from ui.live.outlet import PRODUCTS
+from ui.live.pair import Pair
 from ui.live.publishing import Publishing
 from ui.live.recording import Recording
 from ui.requests import Failed, Opened, OpenRequest
@@ -36,21 +39,18 @@ class LiveDesk(QObject):
         While a session is being brought up.
     run : LiveRun or None
         What is connected.
-    chosen : int
-        Sensor that the panels show.
     """
 
     looked = Signal()
     changed = Signal()
     said = Signal(str, str)
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, pair: Pair) -> None:
         super().__init__()
-        self._controller = controller
+        self._controller, self._pair = controller, pair
         self.recording, self.publishing = Recording(), Publishing()
         self.connection: Connection | None = None
         self.run: LiveRun | None = None
-        self.chosen = 0
         self._pre_roll_s = PRE_ROLL_S
         self._marked: frozenset[int] = frozenset()
         self._background = Background("live")
@@ -58,12 +58,18 @@ class LiveDesk(QObject):
         self._timer.setInterval(LOOK_MS)
         self._timer.timeout.connect(self._look)
         for part in (self.recording, self.publishing):
-            part.said.connect(lambda text: self.said.emit(text, ""))
+            part.said.connect(self._say)
             part.changed.connect(self.looked)
         self.publishing.changed.connect(self._ask_what_goes_out)
         controller.opened.connect(self._on_opened)
         controller.failed.connect(self._on_failed)
+        pair.failed.connect(self._on_companion_failed)
         controller.state.subscribe(self._on_event)
+
+    @property
+    def chosen(self) -> int:
+        """Number of the sensor that the panels show."""
+        return self._pair.chosen
 
     @property
     def sensor(self) -> LiveSensor | None:
@@ -103,6 +109,7 @@ class LiveDesk(QObject):
         self.cancel()
         self.recording.stop()
         self.publishing.stop()
+        self._pair.end()
         run, self.run = self.run, None
         if run is not None:
             self._background.do(run.close)
@@ -123,10 +130,23 @@ class LiveDesk(QObject):
         elif self.run is not None:
             self.publishing.start(self.run)
 
+    def choose(self, number: int) -> None:
+        """Have the panels show a sensor of two."""
+        self._pair.choose(number)
+        self.changed.emit()
+
+    def choose_other(self) -> None:
+        """Have the panels show the other sensor."""
+        self.choose(1 - self.chosen)
+
     def zero_now(self) -> None:
         """Take the gas pressure's zero from the next contact-free frames."""
         if self.sensor is not None:
             self.sensor.zero.zero_now()
+
+    def now_ns(self) -> int:
+        """What time it is, ns since 1970."""
+        return time.time_ns()
 
     def close(self) -> None:
         """End everything; a recording is whole when this returns."""
@@ -140,13 +160,20 @@ class LiveDesk(QObject):
 
     # -- inside -------------------------------------------------------------------------------
 
+    def _say(self, text: str) -> None:
+        self.said.emit(text, "")
+
+    def _on_companion_failed(self, failed: Failed) -> None:
+        self.said.emit(failed.message, failed.details)
+
     def _look(self) -> None:
         self.publishing.diagnose()
         self.looked.emit()
 
     def _on_ready(self, run: LiveRun) -> None:
         self.disconnect_all()
-        self.run, self.chosen = run, 0
+        self.run = run
+        self._pair.prepare(run)
         self.set_pre_roll(self._pre_roll_s)
         self._timer.start()
         live = run.session.sensors[0]
@@ -176,7 +203,9 @@ class LiveDesk(QObject):
 
     def _on_opened(self, opened: Opened) -> None:
         self._marked = frozenset(self._controller.state.markers)
-        if self.run is not None and not self._is_ours(opened.request):
+        if self.run is not None and self._is_ours(opened.request):
+            self._pair.begin()
+        elif self.run is not None:
             self.disconnect_all()
 
     def _on_failed(self, failed: Failed) -> None:
@@ -201,3 +230,4 @@ class LiveDesk(QObject):
 
     def _ask_what_goes_out(self) -> None:
         self._controller.extra = PRODUCTS if self.publishing.on else frozenset()
+        self._pair.ask_besides()

@@ -52,6 +52,10 @@ class Recording(QObject):
         self._began = 0.0
         self._background = Background("recording")
 
+    def choose_folder(self, folder: str | Path) -> None:
+        """Put the next recordings there."""
+        self.folder = Path(folder)
+
     def start(self, recorder: Recorder) -> None:
         """Begin a new file."""
         if self.busy:

@@ -189,4 +189,5 @@ class PlaybackPanel(QWidget):
         if facts is None:
             return ""
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
-        return f"frame {frame} / {facts.frames - 1}   {time_text}"
+        of_all = "" if facts.grows else f" / {facts.frames - 1}"
+        return f"frame {frame}{of_all}   {time_text}"

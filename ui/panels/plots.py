@@ -38,6 +38,8 @@ EVERY_MS = 200
 """Curves take some ms to draw, and nobody reads faster."""
 CELL = (310, 112)
 """Width and height of a plot with room to read it, screen pixels."""
+FOLLOWED_S = 20.0
+"""How much of a live source is in sight."""
 
 
 class PlotsPanel(QWidget):
@@ -215,10 +217,17 @@ class PlotsPanel(QWidget):
         facts = self._state.facts
         if self._grid is None or not self.isVisible() or facts is None:
             return
+        if facts.grows and not self._state.frozen:
+            self._follow(float(facts.times_s[-1]))
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
                 plot.draw(facts.times_s, self._state.history, self._state.units)
         self._draw_cursor()
+
+    def _follow(self, now_s: float) -> None:
+        """Keep the last seconds of a live source in sight."""
+        for plot in self.plots.values():
+            plot.show_last(now_s, FOLLOWED_S)
 
     def _draw_cursor(self) -> None:
         facts = self._state.facts

@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QStatusBar
 
+from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
 from ui.state import SourceFacts
 from ui.units import Units
@@ -22,6 +23,7 @@ TIPS = {
     "residual": "Root mean square of measured minus modelled range",
     "camera": "Mean frame rate of the depth camera",
     "solve": "Depth image in → products out, and frames processed in the last second; click: more",
+    "latency": "From the stamp of a live frame to its picture: median and 95th percentile",
     "render": "Pictures drawn in the last second",
     "dropped": "Frames left out on purpose, because a newer one was there",
 }
@@ -51,6 +53,7 @@ def widest(units: Units) -> dict[str, str]:
         "residual": f"residual {units.length.text(8.88e-3)}",
         "camera": "camera 88.8 Hz",
         "solve": f"solve {units.duration.text(88.8)} · 88.8 Hz",
+        "latency": f"latency {units.duration.text(88.8)}, {units.duration.text(188.8)}",
         "render": "render 88 fps",
         "dropped": "dropped 8888 frames",
     }
@@ -73,6 +76,7 @@ class StatusBar(QStatusBar):
         self.setSizeGripEnabled(False)
         self.setContentsMargins(10, 2, 10, 2)
         self.labels = {name: self._label(name) for name in TIPS}
+        self.labels["latency"].hide()
         self.fit_units()
         for name, label in self.labels.items():
             self.addWidget(label, 1 if name == "sensor" else 0)
@@ -89,13 +93,18 @@ class StatusBar(QStatusBar):
         self._show_sensor()
         self.labels["sensor"].setToolTip(f"Sensor: {facts.sensor_name}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
+        for name in ("camera", "dropped"):  # the live bar has them of a stream
+            self.labels[name].setVisible(not facts.grows)
+        self.labels["latency"].setVisible(facts.grows)
+        self.show_latency(None)
 
     def show_result(self, result: Result, facts: SourceFacts) -> None:
         """Write the numbers of the frame that is shown."""
         units, frame, estimate, patch = self._units, result.frame, result.estimate, result.patch
         time_text = units.time.text(frame.time_s)
+        of_all = "" if facts.grows else f"/{facts.frames - 1}"
         texts = {
-            "frame": f"frame {frame.index}/{facts.frames - 1} · {time_text}",
+            "frame": f"frame {frame.index}{of_all} · {time_text}",
             "force": "force "
             + units.force.text(float(np.linalg.norm(patch.force_n)) if patch else None),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
@@ -117,6 +126,13 @@ class StatusBar(QStatusBar):
         self.labels["solve"].setText(f"solve {solve}")
         self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
         self.labels["dropped"].setText(f"dropped {rates.dropped} frames")
+
+    def show_latency(self, report: LatencyReport | None) -> None:
+        """Write how old live frames are when their pictures are drawn."""
+        text = self._units.duration.text
+        median, p95 = (None, None) if report is None else (report.median_s, report.p95_s)
+        ms = [None if s is None else 1e3 * s for s in (median, p95)]
+        self.labels["latency"].setText(f"latency {text(ms[0])}, {text(ms[1])}")
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Say that somebody wants to know more."""

@@ -34,7 +34,7 @@ class Timeline(QWidget):
         super().__init__()
         self._state = state
         self._gaps: tuple[Gap, ...] = ()
-        self._facts: SourceFacts | None = None
+        self._known: SourceFacts | None = None
         self._holding: int | None = None
         self._dragged: tuple[int, int] | None = None
         self.setObjectName("timeline")
@@ -46,8 +46,8 @@ class Timeline(QWidget):
     def show_source(self) -> None:
         """Take another source: where frames are missing in it."""
         facts = self._state.facts
-        if facts is not self._facts and facts is not None:
-            self._facts, self._gaps = facts, find_gaps(facts.times_s)
+        if facts is not self._known and facts is not None:
+            self._known, self._gaps = facts, find_gaps(facts.times_s)
         self.update()
 
     @property
@@ -223,6 +223,11 @@ class Timeline(QWidget):
             painter.drawRect(QRectF(MARGIN - 1, RULER, self._span + 1, BAND - 1))
 
     # -- geometry -----------------------------------------------------------------------------
+
+    @property
+    def _facts(self) -> SourceFacts | None:
+        """Of the source as it is now: a live one grows."""
+        return self._state.facts
 
     @property
     def _frames(self) -> int:

@@ -118,6 +118,10 @@ class TimePlot:
         end = float(times_s[-1])
         self.box.setXRange(float(times_s[0]), end if end > times_s[0] else 1.0, padding=0.01)
 
+    def show_last(self, now_s: float, seconds: float) -> None:
+        """Show the time before a moment."""
+        self.box.setXRange(max(now_s - seconds, 0.0), max(now_s, 1.0), padding=0.0)
+
     def show_cursor(self, frame: int, time_s: float, units: Units) -> None:
         """Put the cursor on a frame and write its numbers."""
         self.cursor.blockSignals(True)

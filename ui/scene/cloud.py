@@ -42,7 +42,6 @@ class CloudLayer:
             lighting=False,
             show_scalar_bar=False,
             interpolate_before_map=False,
-            name="cloud",
             reset_camera=False,
             render=False,
         )

@@ -29,7 +29,6 @@ class ContourLayer:
             color=theme.LINE,
             line_width=3,
             lighting=False,
-            name="contour",
             reset_camera=False,
             render=False,
         )

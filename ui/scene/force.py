@@ -30,7 +30,6 @@ class ForceLayer:
             arrow,
             color=theme.FORCE,
             ambient=0.4,
-            name="force",
             reset_camera=False,
             render=False,
         )

@@ -33,7 +33,6 @@ class MembraneLayer:
             diffuse=0.75,
             specular=0.15,
             specular_power=25,
-            name="membrane",
             reset_camera=False,
             render=False,
         )
@@ -69,7 +68,6 @@ class WireframeLayer:
             color=theme.WIREFRAME,
             line_width=1,
             lighting=False,
-            name="wireframe",
             reset_camera=False,
             render=False,
         )

@@ -33,11 +33,12 @@ class RimLayer:
             color=theme.of(view).rim,
             line_width=3,
             lighting=False,
-            name="rim",
             reset_camera=False,
             render=False,
         )
-        view.follow_theme(lambda colours: setattr(self._actor.prop, "color", colours.rim))
+        self._own: str | None = None
+        self._themes = theme.of(view).rim
+        view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Find the boundary of the new mesh; it is clamped, so once is enough."""
@@ -47,6 +48,15 @@ class RimLayer:
         self._line = pv.wrap(self._edges.GetOutput()).copy()
         self._line.clear_data()
         self._actor.mapper.SetInputData(self._line)
+
+    def paint(self, colour: str | None) -> None:
+        """Take a sensor's own colour; None: the theme's."""
+        self._own = colour
+        self._actor.prop.color = colour or self._themes
+
+    def _take_colours(self, colours: theme.Colours) -> None:
+        self._themes = colours.rim
+        self.paint(self._own)
 
     def draw(self, picture: Picture) -> None:
         """Nothing: the rim does not move."""

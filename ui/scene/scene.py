@@ -42,16 +42,20 @@ class Scene:
         self._view = view
         self._choices = choices
         self._surface = Surface(units)
-        self._ranges = HeldRanges()
+        self.ranges = HeldRanges()
+        self._T_W_B = np.eye(4)
+        self._beside_m = np.empty((0, 3))
         self._result: Result | None = None
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
+        self._sensor: Sensor | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         membrane = MembraneLayer(view, self._surface, units)
         wireframe = WireframeLayer(view, self._surface)
         contour = ContourLayer(view, self._surface)
         cloud, vectors = CloudLayer(view, units), VectorsLayer(view)
         self.object = ObjectLayer(view)
+        self._rim = RimLayer(view, self._surface)
         self.layers: dict[str, Layer] = {
             "membrane": membrane,
             "wireframe": wireframe,
@@ -60,7 +64,7 @@ class Scene:
             "force": ForceLayer(view),
             "readout": ReadoutLayer(view, units),
             "frustum": FrustumLayer(view),
-            "rim": RimLayer(view, self._surface),
+            "rim": self._rim,
             "object": self.object,
             "fit": FitLayer(view),
             "vectors": vectors,
@@ -74,11 +78,11 @@ class Scene:
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another sensor; the camera stays where the user has put it."""
-        self._mesh = mesh
+        self._mesh, self._sensor = mesh, sensor
         self._result = None
-        self._bounds = _bounds(mesh, sensor)
+        self._bounds = _bounds(mesh, sensor, self._beside_m)
         self._surface.set_mesh(mesh)
-        self._ranges.set_sensor(sensor)
+        self.ranges.set_sensor(sensor)
         self.marks.set_camera(np.array(sensor.camera.position_m))
         for layer in self.layers.values():
             layer.set_sensor(sensor, mesh)
@@ -94,16 +98,37 @@ class Scene:
         """Look at the whole membrane from where the scene says."""
         if self._mesh is None:
             return
-        low, high = self._mesh.nodes.min(axis=0), self._mesh.nodes.max(axis=0)
+        seen = np.vstack([self._mesh.nodes, self._beside_m])
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        R_B_W = self._T_W_B[:3, :3].T
         camera = self._view.camera
         camera.focal_point = tuple((low + high) / 2)
-        camera.position = tuple((low + high) / 2 + self._choices.view_from)
-        camera.up = (0.0, 0.0, 1.0)
+        camera.position = tuple((low + high) / 2 + R_B_W @ self._choices.view_from)
+        camera.up = tuple(R_B_W[:, 2])
         camera.view_angle = ANGLE_DEG
         bounds = [b for pair in zip(low, high, strict=True) for b in pair]
         self._view.renderer.ResetCamera(bounds)
         camera.zoom(self._choices.zoom)
         self._placed = self._camera_place()
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
+        self._view.refresh()
+
+    def place(self, T_W_B: np.ndarray, beside_m: np.ndarray, colour: str | None) -> None:
+        """Take where the sensor is in the world, what else is in view, and the sensor's colour.
+
+        A fresh view has the world's z up, and everything in it; `beside_m` is (k, 3) in B.
+        """
+        self._T_W_B, self._beside_m = T_W_B, beside_m
+        self._rim.paint(colour)
+        if self._mesh is not None and self._sensor is not None:
+            self._bounds = _bounds(self._mesh, self._sensor, beside_m)
+
+    def move_camera(self, T: np.ndarray) -> None:
+        """Look at the same things after B became another frame; T takes the old into the new."""
+        camera, R, t = self._view.camera, T[:3, :3], T[:3, 3]
+        camera.position = tuple(R @ camera.position + t)
+        camera.focal_point = tuple(R @ camera.focal_point + t)
+        camera.up = tuple(R @ camera.up)
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
@@ -116,7 +141,7 @@ class Scene:
             shape = self._surface.shape_of(result.estimate, choices.exaggeration)
         if shape is not None:
             self._surface.draw(shape)
-        picture = Picture(result, shape, self._ranges.take(result, choices), choices)
+        picture = Picture(result, shape, self.ranges.take(result, choices), choices)
         for name, layer in self.layers.items():
             layer.set_visible(name in choices.layers)
             if name in choices.layers:
@@ -163,9 +188,10 @@ class Scene:
         return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))
 
 
-def _bounds(mesh: MembraneMesh, sensor: Sensor) -> list[float]:
+def _bounds(mesh: MembraneMesh, sensor: Sensor, beside_m: np.ndarray) -> list[float]:
     """Box around everything that is ever drawn: x, y and z, each from and to, m."""
-    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    seen = np.vstack([mesh.nodes, beside_m])
+    low, high = seen.min(axis=0), seen.max(axis=0)
     margin = MARGIN * float(np.linalg.norm(high - low))
     low = np.minimum(low, sensor.camera.position_m) - margin
     high = np.maximum(high, sensor.camera.position_m) + margin
