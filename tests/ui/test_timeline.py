@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +12,7 @@ from fakes import FIRST_CONTACT, FRAMES, DentSource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 
+from bubbleviz.frames.frame import Frame
 from bubbleviz.numbers import Numbers
 from bubbleviz.sensor import Sensor
 from ui import theme
@@ -33,6 +35,14 @@ class GappySource(DentSource):
     def __init__(self, sensor: Sensor) -> None:
         super().__init__(sensor)
         self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
+
+
+class SlowSource(DentSource):
+    """Takes as long for a frame as ten are to take at the fastest speed."""
+
+    def __getitem__(self, index: int) -> Frame:
+        time.sleep(0.04)
+        return super().__getitem__(index)
 
 
 def pixels(timeline: Timeline) -> np.ndarray:
@@ -167,15 +177,14 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
 
 
 def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
-    driver = drive()
+    driver = drive(SlowSource)
     solved: list[int] = []
     driver.window.controller.shown.connect(lambda r: solved.append(r.frame.index))
     driver.state.choose(every_frame=True, speed=8.0, loop=False)
     driver.state.set_playing(True)
-    driver.wait(lambda: len(solved) >= 25)
-    driver.state.set_playing(False)
+    driver.wait(lambda: not driver.state.playing)
     driver.settle()
-    assert solved[:25] == list(range(1, 26))
+    assert solved == list(range(1, FRAMES))
     assert driver.window.controller.dropped == 0
 
 

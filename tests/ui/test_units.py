@@ -53,7 +53,7 @@ def choose(driver: Driver, symbol: str) -> None:
 @pytest.mark.parametrize(
     ("quantity", "symbol", "si", "text"),
     [
-        ("pressure", "psi", 6894.757293168, "1.000 psi"),
+        ("pressure", "psi", 6894.757293168e4, "10000.000 psi"),
         ("pressure", "Pa", 1234.4, "1234 Pa"),
         ("gas_pressure", "psi", 689.4757, "0.1000 psi"),
         ("length", "m", 0.0123, "0.01230 m"),

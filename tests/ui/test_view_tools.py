@@ -204,6 +204,9 @@ def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
     tools.save_picture(tmp_path / "view.png")
     image = QImage(str(tmp_path / "view.png"))
     assert (image.width(), image.height()) == (1800, 700)
+    height, width = before.shape[:2]
+    same = still(driver.window.view, width, height)
+    assert np.abs(same.astype(int) - before).mean() < 1.0
     large = still(driver.window.view, 1800, 700)
     red, green, blue = (large[:, :1500, k].astype(int) for k in range(3))
     assert np.count_nonzero((red > 130) & (red > 2 * blue) & (red > green + 30)) > 200
