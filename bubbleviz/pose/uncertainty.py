@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-DETERMINED_M = 1e-3
-"""Standard deviation at the patch's edge below which contact determines a direction: a ninth of
-the variance of a start that is off by up to 5 mm."""
+DETERMINED_M = 4e-4
+"""Standard deviation at the patch's edge below which contact determines a direction: better than
+one patch of the size of the estimate's resolution alone, whose model error this is."""
 
 _TURNS = 0.3
 _LARGEST_RADIUS_M = 0.1

@@ -1,7 +1,7 @@
 """Error of a pose over the directions that the true contact determines, modulo symmetry.
 
 A direction is determined when the normals of the true contact, at the true pose and with the
-sensor's own noise, fix it to 1 mm at the patch's edge (`bubbleviz.pose.uncertainty`). No estimate
+sensor's own noise, fix it to 0.4 mm at the patch's edge (`bubbleviz.pose.uncertainty`). No estimate
 has a part in that.
 """
 
