@@ -204,13 +204,43 @@ def bench_window(
 @click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
-def bench_live(minutes: float, rate: float, sensor: str, out: Path | None, as_json: bool) -> int:
+def bench_live(
+    minutes: float, rate: float, sensor: str, out: Path | None, window: bool, as_json: bool
+) -> int:
     """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
     from bubbleviz.live.soak import soak
 
     report = soak(sensor, 60.0 * minutes, rate, out)
     click.echo(report.to_json() if as_json else report.to_text())
-    return int(report.missing > 0 or report.repeated > 0)
+    return report.exit_code
+
+
+@bench.command("pair")
+@click.option("--session", default="dual_nut", help="Session of two synthetic sensors.")
+@click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=20.0, help="How long.")
+@click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=30.0, help="Frames a second.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> None:
+    """Two 640×480 cameras over Zenoh into one window: what is solved and drawn a second."""
+    from bubbleviz.live.session_file import load_session
+    from ui.live.bench_pair import pair_bench
+
+    report = pair_bench(load_session(session), seconds, rate)
+    click.echo(report.to_json() if as_json else report.to_text())
+
+
+@bench.command("restarts")
+@click.option("--times", type=click.IntRange(1, 1000), default=20, help="How often.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the moments.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
+    """Kill and restart a publisher under a recording window; exit code 1 after a loss."""
+    from ui.live.bench_restarts import restart_bench
+
+    report = restart_bench(sensor, times, seed)
+    click.echo(report.to_json() if as_json else report.to_text())
+    return int(not report.passed)
 
 
 # -- recordings: info, simulate -----------------------------------------------------------------
@@ -256,9 +286,16 @@ def simulate(
     outliers: float,
     seed: int,
     out: Path,
+@click.option("--window", is_flag=True, help="With the window open, on a screen nobody sees.")
     truth: Path | None,
 ) -> None:
     """Record a rigid object pressed into a simulated sensor."""
+    if window:
+        from ui.live.bench_soak import window_soak
+
+        whole = window_soak(sensor, 60.0 * minutes, rate, out)
+        click.echo(whole.to_json() if as_json else whole.to_text())
+        return whole.soak.exit_code
     where = pose or path_file
     if where is None or (pose and path_file):
         raise click.UsageError("give either --pose or --path")

@@ -35,6 +35,11 @@ class LatencyMeter:
         since = frame.stamp_ns if self._from_stamp else frame.arrival_ns
         self._ages.append((now_ns - since) * 1e-9)
 
+    @property
+    def ages_s(self) -> list[float]:
+        """The ages that are remembered, oldest first."""
+        return list(self._ages)
+
     def report(self) -> LatencyReport | None:
         """Ages so far; None before the first frame."""
         if not self._ages:

@@ -73,6 +73,11 @@ class SoakReport:
     stalls: int
     recording_bytes: int
 
+    @property
+    def exit_code(self) -> int:
+        """1 when the file lacks a frame, or has one twice."""
+        return int(self.missing > 0 or self.repeated > 0)
+
     def to_json(self) -> str:
         """JSON object with the attributes as keys."""
         return json.dumps(asdict(self), indent=2, allow_nan=False)
@@ -111,27 +116,31 @@ def soak(
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"
         endpoint = f"tcp/127.0.0.1:{free_port()}"
-        publisher = start_publisher(sensor_name, endpoint, rate_hz)
+        publisher = start_publisher(sensor_name, endpoint, f"synthetic:?rate={rate_hz:g}")
         try:
             measured = _run(load_sensor(sensor_name), endpoint, seconds, path, publisher)
         finally:
             publisher.kill()
             publisher.communicate()
-        return _report(measured, path, seconds, rate_hz)
+        return report_of(measured, path, seconds, rate_hz)
 
 
-def start_publisher(
-    sensor_name: str, endpoint: str, rate_hz: float, *options: str
-) -> subprocess.Popen[str]:
-    """Process that runs `bubbleviz publish` on the simulated press."""
-    source = f"synthetic:?rate={rate_hz:g}"
+def start_publisher(sensor_name: str, endpoint: str, source: str) -> subprocess.Popen[str]:
+    """Process that runs `bubbleviz publish` on a source."""
     arguments = ["publish", "--source", source, "--sensor", sensor_name, "--listen", endpoint]
     code = "from bubbleviz.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments, "--json", *options],
+        [sys.executable, "-c", code, *arguments, "--json"],
         stdout=subprocess.PIPE,
         text=True,
     )
+
+
+def images_sent(publisher: subprocess.Popen[str]) -> int:
+    """End a publisher in order; how many depth images it has sent."""
+    publisher.terminate()
+    sent = json.loads(publisher.communicate(timeout=30)[0])["sent"]
+    return next(int(count) for topic, count in sent.items() if topic.endswith("image_raw"))
 
 
 def free_port() -> int:
@@ -151,7 +160,9 @@ def resident_bytes() -> int:
 
 
 @dataclass
-class _Measured:
+class Measured:
+    """What was counted while streaming; `memory` is (s since the start, bytes), `sent` images."""
+
     solved: int
     skipped: int
     ages_s: list[float]
@@ -162,7 +173,7 @@ class _Measured:
 
 def _run(
     sensor: Sensor, endpoint: str, seconds: float, path: Path, publisher: subprocess.Popen[str]
-) -> _Measured:
+) -> Measured:
     stream, recorder = open_stream(f"zenoh:{endpoint}", sensor), Recorder()
     stream.listen(recorder.push)
     recorder.start(path)
@@ -176,16 +187,14 @@ def _run(
             watcher = Watcher(stream, pipeline, None)
             skipped_before = stream.counters().skipped
             ages, memory = _solve_for(watcher, seconds)
-            publisher.terminate()  # ends in order, and says how much it sent
-            sent = json.loads(publisher.communicate(timeout=30)[0])["sent"]
-            _drain(stream)
+            sent = images_sent(publisher)
+            drain(stream)
             skipped = stream.counters().skipped - skipped_before
     finally:
         status = recorder.stop()
     if status.problem:
         raise InputError(status.problem)
-    depth = next(count for topic, count in sent.items() if topic.endswith("image_raw"))
-    return _Measured(len(ages), skipped, ages, memory, status, depth)
+    return Measured(len(ages), skipped, ages, memory, status, sent)
 
 
 def _solve_for(watcher: Watcher, seconds: float) -> tuple[list[float], list[tuple[float, int]]]:
@@ -202,8 +211,8 @@ def _solve_for(watcher: Watcher, seconds: float) -> tuple[list[float], list[tupl
     return ages, memory
 
 
-def _drain(stream: LiveStream) -> None:
-    """Until nothing comes any more."""
+def drain(stream: LiveStream) -> None:
+    """Wait until nothing comes any more."""
     received = -1
     while stream.counters().received != received:
         received = stream.counters().received
@@ -223,7 +232,8 @@ def sequences(path: Path) -> np.ndarray:
     return np.array(found, dtype=np.int64)
 
 
-def _report(measured: _Measured, path: Path, seconds: float, rate_hz: float) -> SoakReport:
+def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) -> SoakReport:
+    """Report on a recording and what was counted meanwhile."""
     count = sequences(path)
     steps = np.diff(np.sort(count))
     ages = np.array(measured.ages_s)

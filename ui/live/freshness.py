@@ -24,12 +24,17 @@ class Freshness(QObject):
         controller.shown.connect(self._on_shown)
         view.rendered.connect(self._on_rendered)
 
-    def begin(self) -> None:
-        """Forget what was measured."""
-        self._shown, self._meter = None, LatencyMeter()
+    def begin(self, pictures: int = 600) -> None:
+        """Forget what was measured; from now on the last so many pictures count."""
+        self._shown, self._meter = None, LatencyMeter(pictures)
 
     def _on_opened(self, _: object) -> None:
         self.begin()
+
+    @property
+    def ages_s(self) -> list[float]:
+        """Age of each picture that counts, s."""
+        return self._meter.ages_s
 
     def report(self) -> LatencyReport | None:
         """Ages of the last pictures; None where none was live."""

@@ -56,11 +56,11 @@ class Recording(QObject):
         """Put the next recordings there."""
         self.folder = Path(folder)
 
-    def start(self, recorder: Recorder) -> None:
-        """Begin a new file."""
+    def start(self, recorder: Recorder, path: Path | None = None) -> None:
+        """Begin a new file, by default one in the folder that is named by the time."""
         if self.busy:
             return
-        path = new_name(self.folder)
+        path = path or new_name(self.folder)
         self.busy, self._recorder, self._began = True, recorder, time.monotonic()
         self._background.do(lambda: recorder.start(path), self._on_started)
         self.changed.emit()
