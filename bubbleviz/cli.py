@@ -203,11 +203,18 @@ def bench_window(
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=60.0, help="Frames a second.")
 @click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
+@click.option("--window", is_flag=True, help="With the window open, on a screen nobody sees.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def bench_live(
     minutes: float, rate: float, sensor: str, out: Path | None, window: bool, as_json: bool
 ) -> int:
     """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
+    if window:
+        from ui.live.bench_soak import window_soak
+
+        whole = window_soak(sensor, 60.0 * minutes, rate, out)
+        click.echo(whole.to_json() if as_json else whole.to_text())
+        return whole.soak.exit_code
     from bubbleviz.live.soak import soak
 
     report = soak(sensor, 60.0 * minutes, rate, out)
@@ -286,16 +293,9 @@ def simulate(
     outliers: float,
     seed: int,
     out: Path,
-@click.option("--window", is_flag=True, help="With the window open, on a screen nobody sees.")
     truth: Path | None,
 ) -> None:
     """Record a rigid object pressed into a simulated sensor."""
-    if window:
-        from ui.live.bench_soak import window_soak
-
-        whole = window_soak(sensor, 60.0 * minutes, rate, out)
-        click.echo(whole.to_json() if as_json else whole.to_text())
-        return whole.soak.exit_code
     where = pose or path_file
     if where is None or (pose and path_file):
         raise click.UsageError("give either --pose or --path")
