@@ -151,8 +151,9 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
     asked: list[tuple[str, tuple[object, ...]]] = []
 
     def record(name: str, answer: object) -> object:
-        def asking(sensor: Sensor, *rest: object) -> object:
-            asked.append((name, (sensor.name, *rest)))
+        def asking(sensor: Sensor, *rest: object, fresh: bool = False) -> object:
+            words = ("fresh",) if fresh else ()
+            asked.append((name, (sensor.name, *rest, *words)))
             return answer
 
         return asking
@@ -169,13 +170,15 @@ Asked = list[tuple[str, tuple[object, ...]]]
 
 def test_without_a_command_the_synthetic_sensor(windows: Asked) -> None:
     assert CliRunner().invoke(main, []).exit_code == 0
-    assert windows == [("window", ("soft-bubble pico flexx",))]
+    assert CliRunner().invoke(main, ["--fresh"]).exit_code == 0
+    name = "soft-bubble pico flexx"
+    assert windows == [("window", (name,)), ("window", (name, "fresh"))]
 
 
 def test_the_windows_exit_code_is_the_commands(
     windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
 ) -> None:
-    monkeypatch.setattr("ui.app.run_window", lambda *_: 3)
+    monkeypatch.setattr("ui.app.run_window", lambda *_, **__: 3)
     assert CliRunner().invoke(main, []).exit_code == 3
     assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
 
