@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
-from PySide6.QtWidgets import QApplication, QDockWidget, QMainWindow, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.meshread import SUFFIXES
 from bubbleviz.result import Result
@@ -19,6 +19,7 @@ from ui.calibration.session import Calibration
 from ui.connect_dialog import ConnectDialog
 from ui.controller import Controller
 from ui.costs import Costs
+from ui.dock import Dock, scrolled
 from ui.hover import Hover
 from ui.live.desk import LiveDesk
 from ui.live.freshness import Freshness
@@ -195,18 +196,18 @@ class MainWindow(QMainWindow):
         self.setStatusBar(self.status)
         right = Qt.DockWidgetArea.RightDockWidgetArea
         bottom = Qt.DockWidgetArea.BottomDockWidgetArea
-        self.layers_dock = self._dock("Layers", self.layers, right)
+        self.layers_dock = self._dock("Layers", scrolled(self.layers), right)
         self.kappa_dock = self._dock("Contact patch", self.kappa, right)
-        self.threshold_dock = self._dock("Threshold", self.threshold, right)
-        self.compare_dock = self._dock("Compare", self.compare, right)
-        self.tools_dock = self._dock("3-D tools", self.tools, right)
+        self.threshold_dock = self._dock("Threshold", scrolled(self.threshold), right)
+        self.compare_dock = self._dock("Compare", scrolled(self.compare), right)
+        self.tools_dock = self._dock("3-D tools", scrolled(self.tools), right)
         for dock, neighbour in (
             (self.threshold_dock, self.kappa_dock),
             (self.compare_dock, self.kappa_dock),
             (self.tools_dock, self.layers_dock),
         ):
+            dock.tab_of(neighbour)
             dock.hide()
-            self._tab_beside(dock, neighbour)
         self.pose_dock = self._dock("Pose", self.pose, right)
         self.pose_dock.hide()
         self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
@@ -234,22 +235,12 @@ class MainWindow(QMainWindow):
         self.setCorner(Qt.Corner.BottomRightCorner, right)
         self.resizeDocks([self.layers_dock], [270], Qt.Orientation.Horizontal)
 
-    def _dock(self, title: str, panel: QWidget, area: Qt.DockWidgetArea) -> QDockWidget:
-        dock = QDockWidget(title, self)
+    def _dock(self, title: str, panel: QWidget, area: Qt.DockWidgetArea) -> Dock:
+        dock = Dock(title, self)
         dock.setObjectName(title)
         dock.setWidget(panel)
         self.addDockWidget(area, dock)
         return dock
-
-    def _tab_beside(self, dock: QDockWidget, neighbour: QDockWidget) -> None:
-        """Make a dock a tab of its neighbour once it is opened: Qt draws tabs of hidden ones."""
-
-        def join(visible: bool) -> None:
-            if visible and dock not in self.tabifiedDockWidgets(neighbour):
-                self.tabifyDockWidget(neighbour, dock)
-                dock.raise_()
-
-        dock.visibilityChanged.connect(join)
 
     def _connect(self) -> None:
         self.controller.opened.connect(self._on_opened)

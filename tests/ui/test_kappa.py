@@ -217,4 +217,7 @@ def test_nothing_is_clipped(drive: Drive) -> None:
     for plot in (panel.histogram, panel.curve):
         words = plot.frame.words
         assert words.item.boundingRect().width() + words.pos().x() <= panel._grid.width() + 8
-    assert driver.window.width() == 1280
+    driver.window.tools_dock.show()
+    driver.window.layers_dock.show()
+    QApplication.processEvents()
+    assert (driver.window.width(), driver.window.height()) == (1280, 800)

@@ -10,7 +10,7 @@ import pytest
 from conftest import Driver
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QApplication, QLabel
+from PySide6.QtWidgets import QApplication, QLabel, QTabBar
 from test_images import in_view, near
 
 from ui.panels.view_tools import ViewTools
@@ -228,6 +228,24 @@ def test_the_turntable_turns_until_it_is_told(drive: Drive) -> None:
     stopped = tuple(camera.position)
     driver.bot.wait(100)
     assert tuple(camera.position) == stopped
+
+
+def test_docks_become_tabs_and_the_window_keeps_its_size(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    window = driver.window
+    window.resize(1280, 800)
+    for dock in (window.tools_dock, window.threshold_dock, window.compare_dock):
+        dock.show()
+        QApplication.processEvents()
+        assert not dock.visibleRegion().isEmpty()
+    assert window.tools_dock in window.tabifiedDockWidgets(window.layers_dock)
+    assert window.compare_dock in window.tabifiedDockWidgets(window.kappa_dock)
+    assert (window.width(), window.height()) == (1280, 800)
+    for dock in (window.layers_dock, window.tools_dock):
+        dock.hide()
+    QApplication.processEvents()
+    shown = [bar for bar in window.findChildren(QTabBar) if not bar.visibleRegion().isEmpty()]
+    assert [bar.tabText(0) for bar in shown] == ["Contact patch"]
 
 
 def test_no_text_of_the_tools_is_clipped(drive: Drive) -> None:

@@ -59,11 +59,10 @@ class ImageCell:
         self.item = pg.ImageItem(axisOrder="row-major")
         self._map = pg.colormap.get(MAPS[picture.kind])
         self.item.setLookupTable(self._map.getLookupTable(nPts=256))
-        self.pixel = pg.ScatterPlotItem(
-            size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None, pxMode=True
-        )
+        self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
+        self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
-        for item in (self.item, self.pixel, self.node):
+        for item in (self.item, self.halo, self.pixel, self.node):
             self.box.addItem(item)
         self.frame: Any = pg.GraphicsLayout()
         self.frame.layout.setContentsMargins(0, 2 * HEAD - 3, 0, 0)
@@ -96,10 +95,9 @@ class ImageCell:
     def mark(self, place: Probed | None) -> None:
         """Mark a place's pixel and where the camera sees its node."""
         pixel = place.pixel if place is not None else None
-        if pixel is None:
-            self.pixel.setData([], [])
-        else:
-            self.pixel.setData([pixel[1] + 0.5], [pixel[0] + 0.5])
+        ring = ([], []) if pixel is None else ([pixel[1] + 0.5], [pixel[0] + 0.5])
+        for item in (self.halo, self.pixel):
+            item.setData(*ring)
         if place is None:
             self.node.setData([], [])
         else:

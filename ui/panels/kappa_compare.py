@@ -126,9 +126,9 @@ class ComparePanel(QWidget):
 
     def _lay_out(self) -> None:
         column = QVBoxLayout(self)
-        column.setContentsMargins(8, 8, 8, 8)
+        column.setContentsMargins(6, 8, 2, 8)
         grid = QGridLayout()
-        grid.setHorizontalSpacing(6)
+        grid.setHorizontalSpacing(4)
         grid.setVerticalSpacing(3)
         for place, title in enumerate(("A", "B"), start=1):
             grid.addWidget(QLabel(title), 0, place)

@@ -102,7 +102,7 @@ class PlaybackPanel(QWidget):
 
     def _lay_out(self) -> None:
         column = QVBoxLayout(self)
-        column.setContentsMargins(10, 4, 10, 6)
+        column.setContentsMargins(6, 4, 6, 6)
         column.setSpacing(0)
         column.addWidget(self.timeline)
         column.addWidget(self.strip)
@@ -162,7 +162,7 @@ class PlaybackPanel(QWidget):
         if facts is not None:
             live = facts.live
             widest = self._text(facts.frames - 1)
-            self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 12)
+            self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 4)
         self.freeze.setVisible(live and not self._state.frozen)
         self.now.setVisible(live and self._state.frozen)
         self._show_frame()

@@ -45,6 +45,8 @@ TOOLS = {"turn": "Turn", "pick": "Pick", "distance": "Distance"}
 LARGEST_PIXELS = 8192
 MOST_EXAGGERATED = 10.0
 SECTION_STEPS = 200
+WIDTH = 286
+"""Room for the numbers of a place, screen pixels."""
 
 
 class ViewTools(QWidget):
@@ -110,9 +112,9 @@ class ViewTools(QWidget):
         self.width_box, self.height_box = _pixels(1920), _pixels(1080)
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")
-        self.turn = self._button("Turntable")
+        self.turn = self._button("Spin")
         self.turn.setCheckable(True)
-        self.turn.setToolTip("Turn about the vertical, 30° a second")
+        self.turn.setToolTip("Turntable: turn about the vertical, 30° a second")
 
     def _lay_out(self) -> None:
         column = QVBoxLayout(self)
@@ -131,6 +133,7 @@ class ViewTools(QWidget):
         form.addRow("Picture", _row(self.width_box, QLabel("×"), self.height_box, self.save))
         column.addLayout(form)
         column.addStretch(1)
+        self.setMinimumWidth(WIDTH)
         self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
 
     def _connect(self, controller: Controller) -> None:

@@ -1,0 +1,43 @@
+"""Docks that become tabs of others when they are opened, and panels that scroll when short."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QStyle, QWidget
+
+
+class Dock(QDockWidget):
+    """Panel at the window's edge.
+
+    Tabs are made just before they are seen: Qt draws those of docks that were never shown, and a
+    dock that is shown before it is a tab makes the window grow.
+    """
+
+    _neighbour: QDockWidget | None = None
+
+    def tab_of(self, neighbour: QDockWidget) -> None:
+        """Open as a tab of another dock, unless the user has moved it elsewhere."""
+        self._neighbour = neighbour
+
+    def setVisible(self, visible: bool) -> None:
+        """Become a tab first, the first time."""
+        window, neighbour = self.parentWidget(), self._neighbour
+        first = visible and neighbour is not None
+        if first and neighbour is not None and isinstance(window, QMainWindow):
+            self._neighbour = None
+            window.tabifyDockWidget(neighbour, self)
+        super().setVisible(visible)
+        if first:
+            self.raise_()
+
+
+def scrolled(panel: QWidget) -> QScrollArea:
+    """Panel that scrolls up and down where it is too short, so that the window need not grow."""
+    area = QScrollArea()
+    area.setWidget(panel)
+    area.setWidgetResizable(True)
+    area.setFrameShape(QFrame.Shape.NoFrame)
+    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    bar = area.style().pixelMetric(QStyle.PixelMetric.PM_ScrollBarExtent)
+    area.setMinimumWidth(panel.minimumSizeHint().width() + bar)
+    return area
