@@ -20,6 +20,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui.clock import PlayClock
 from ui.history import History
+from ui.live.lead import Lead
 from ui.needs import looks, products
 from ui.rates import RateMeter
 from ui.requests import (
@@ -113,6 +114,7 @@ class Controller(QObject):
         self._clock_read_s = 0.0
         self._came = -1
         self._awaiting = False
+        self._lead = Lead()
         self._opened: Opened | None = None
         self._numbers = Numbers()
         self.extra: frozenset[Product] = frozenset()
@@ -351,7 +353,7 @@ class Controller(QObject):
         if self._awaiting or not self._grows or not state.playing or state.frozen:
             return
         self._awaiting = True
-        choices = state.choices
+        choices, now = state.choices, time.perf_counter()
         self._asked, self._looked = products(choices), looks(choices)
         self.worker.ask(
             NewestRequest(
@@ -359,17 +361,19 @@ class Controller(QObject):
                 self._asked | self.extra,
                 choices.kappa,
                 choices.cloud_points,
-                time.perf_counter(),
+                now,
                 self._looked,
                 choices.least_area_m2,
+                now + self._lead.hold_s,
             )
         )
 
     def _on_newest(self, answer: Solved) -> None:
         """Ask for the next before this one is drawn, so that the solver has work meanwhile."""
         frame, state = answer.result.frame, self.state
-        self._awaiting = False
-        self.solves.tick(time.perf_counter())
+        self._awaiting, now = False, time.perf_counter()
+        self.solves.tick(now)
+        self._lead.waited(now - answer.done_s)
         state.grow(frame.time_s)
         self._ask_newest()
         waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9

@@ -104,7 +104,10 @@ class FollowRequest:
 
 @dataclass(frozen=True)
 class NewestRequest:
-    """Make products of the newest frame of a live source, as soon as there is one."""
+    """Make products of the newest frame of a live source, as soon as there is one.
+
+    `from_s`, by `time.perf_counter`, is when it may be taken at the earliest.
+    """
 
     session: int
     products: frozenset[Product]
@@ -113,6 +116,7 @@ class NewestRequest:
     asked_s: float = float("nan")
     looks: frozenset[Look] = frozenset()
     least_area_m2: float = 0.0
+    from_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -177,12 +181,13 @@ class Opened:
 
 @dataclass(frozen=True)
 class Solved:
-    """A frame's products, its numbers, and what was looked at closer."""
+    """A frame's products, its numbers, what was looked at closer, and when that was done."""
 
     request: FrameRequest | NewestRequest
     result: Result
     numbers: Numbers
     inspection: Inspection
+    done_s: float = float("nan")
 
 
 @dataclass(frozen=True)

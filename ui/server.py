@@ -106,6 +106,7 @@ class Server:
 
     def _newest(self, session: _Session, request: NewestRequest) -> Solved | Waited:
         source = session.source
+        time.sleep(max(request.from_s - time.perf_counter(), 0.0))
         frame = source.newest(WAIT_S) if isinstance(source, LiveFrames) else None
         return Waited(request) if frame is None else self._solved(session, request, frame)
 
@@ -117,7 +118,8 @@ class Server:
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.looks)
-        return Solved(request, result, numbers_of(result, session.gas), inspection)
+        numbers, done_s = numbers_of(result, session.gas), time.perf_counter()
+        return Solved(request, result, numbers, inspection, done_s)
 
     def _follow(self, session: _Session, request: FollowRequest) -> Followed:
         obj = None
