@@ -63,9 +63,14 @@ def _text_actor(view: View, *, size: int, top: int) -> Any:
     style = actor.GetTextProperty()
     write_in(view, style, size)
     style.SetVerticalJustificationToTop()
-    style.SetLineOffset(top)
     place = actor.GetPositionCoordinate()
     place.SetCoordinateSystemToNormalizedViewport()
-    place.SetValue(0.02, 1.0)
+
+    def put() -> None:
+        """As a share of the height: text grows with the screen's scale and in pictures."""
+        place.SetValue(0.02, 1.0 - top / max(view.height(), 1))
+
+    view.resized.connect(put)
+    put()
     view.renderer.AddViewProp(actor)
     return actor
