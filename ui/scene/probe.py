@@ -37,7 +37,14 @@ class ProbeMarks:
             mapper.SetResolveCoincidentTopologyToPolygonOffset()
             mapper.SetRelativeCoincidentTopologyPointOffsetParameter(TO_THE_FRONT)
             mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, TO_THE_FRONT)
+        view.follow_theme(self._paint)
         self.show(None)
+
+    def _paint(self, colours: theme.Colours) -> None:
+        """Take the colour of text for what was measured: it lies off the membrane, too."""
+        self._dots.point_data["colour"][0] = rgb(colours.text)
+        self._dots.Modified()
+        self._actors[0].prop.color = colours.text
 
     def set_camera(self, position_m: np.ndarray) -> None:
         """Take where the depth camera is, (3,) in B."""
