@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from pathlib import Path
 from typing import Any
@@ -113,10 +112,11 @@ class McapFile:
 
     def abandon(self) -> None:
         """Leave the file as it was synced last: writing failed, and no more can be written."""
-        raw = self._stream.detach() if isinstance(self._stream, io.BufferedWriter) else None
-        if raw is not None:
-            os.ftruncate(raw.fileno(), self.synced_bytes)
-            raw.close()
+        descriptor = self._stream.fileno()
+        os.ftruncate(descriptor, self.synced_bytes)
+        with Path(os.devnull).open("wb") as nowhere:  # for what is buffered: closing writes it
+            os.dup2(nowhere.fileno(), descriptor)
+        self._stream.close()
 
     def _new_channel(self, topic: str, kind: str) -> int:
         types = ros2_types()

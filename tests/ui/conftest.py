@@ -6,6 +6,7 @@ import gc
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,26 @@ def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable
         driver.wait(lambda: controller.result is not None)
         driver.settle() if not playing else None
         return driver
+
+    yield make
+    while windows:
+        _close(windows.pop())
+
+
+@pytest.fixture
+def open_bench(qtbot: QtBot, tmp_path: Path) -> Iterator[Callable[[], Any]]:
+    """Open windows for live sources, on which nothing is open yet."""
+    from live_bench import Bench
+
+    application()
+    windows: list[MainWindow] = []
+
+    def make() -> Bench:
+        controller = Controller(SessionState(), Worker())
+        window = MainWindow(controller.state, controller)
+        windows.append(window)
+        window.show()
+        return Bench(qtbot, window, tmp_path)
 
     yield make
     while windows:

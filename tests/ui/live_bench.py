@@ -1,0 +1,143 @@
+"""A window with live sources for tests: small sensors, and a robot in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from conftest import Driver
+from fakes import small_sensor
+from mcap.reader import make_reader
+
+from bubbleviz.live.session_file import SensorPlace, SessionPreset
+from bubbleviz.sensor import Sensor, sensor_to_toml
+from ui.live.connection import LiveRun
+from ui.live.desk import LiveDesk
+
+ROBOT = Path(__file__).parents[1] / "live" / "robot.py"
+WIDTH, HEIGHT = 64, 48
+"""Of the robot's images, pixels."""
+IMAGE, STRING = "sensor_msgs/msg/Image", "std_msgs/msg/String"
+
+
+def robot_sensor() -> Sensor:
+    """The small dome seen by a camera of the robot's image size."""
+    sensor = small_sensor("robot dome")
+    camera = sensor.camera.model_copy(
+        update={
+            "width": WIDTH,
+            "height": HEIGHT,
+            "fx": 36.8,
+            "fy": 30.4,
+            "cx": 31.5,
+            "cy": 23.5,
+            "noise_relative": 0.001,
+        }
+    )
+    return sensor.model_copy(update={"camera": camera})
+
+
+def sensor_file(folder: Path) -> str:
+    path = folder / "robot_dome.toml"
+    path.write_text(sensor_to_toml(robot_sensor()), encoding="utf-8")
+    return str(path)
+
+
+@contextmanager
+def robot(port: int, first: int = 0, *mode: str) -> Iterator[subprocess.Popen[str]]:
+    """Publishes images as a ROS 2 node with rmw_zenoh, until it is killed."""
+    command = [sys.executable, str(ROBOT), str(port), "rmw", str(first), *mode]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def two(folder: Path, source: str = "synthetic:?frames=6") -> SessionPreset:
+    """Two small sensors that face each other along the world's y."""
+    name, half = sensor_file(folder), 0.5**0.5
+    return SessionPreset(
+        title="Two",
+        sensors=(
+            SensorPlace(
+                name="left", sensor=name, source=f"{source}&prefix=/left&seed=1",
+                position_m=(0.0, -0.06, 0.0), quaternion_xyzw=(-half, 0.0, 0.0, half),
+            ),
+            SensorPlace(
+                name="right", sensor=name, source=f"{source}&prefix=/right&seed=2",
+                position_m=(0.0, 0.06, 0.0), quaternion_xyzw=(half, 0.0, 0.0, half),
+                colour="#d08a4f",
+            ),
+        ),
+    )  # fmt: skip
+
+
+@dataclass
+class Bench(Driver):
+    """A window and its live desk."""
+
+    folder: Path
+
+    @property
+    def desk(self) -> LiveDesk:
+        return self.window.desk
+
+    @property
+    def run(self) -> LiveRun:
+        assert self.desk.run is not None
+        return self.desk.run
+
+    @property
+    def shown(self) -> int:
+        """Number of the frame that is shown; -1 before the first."""
+        result = self.window.controller.result
+        return -1 if result is None else result.frame.index
+
+    def connect(self, preset: SessionPreset) -> None:
+        """Connect and wait for pictures of frames that come live."""
+        self.desk.connect_to(preset)
+        self.follow()
+
+    def follow(self, frames: int = 3) -> None:
+        """Wait until so many more frames were shown."""
+        facts = self.state.facts
+        before = self.shown if facts is not None and facts.grows else 0
+        self.wait(lambda: self.state.facts is not None and self.state.facts.grows)
+        self.wait(lambda: self.shown >= before + frames)
+
+    def record(self) -> None:
+        """Press the record button and wait until it writes."""
+        self.desk.recording.choose_folder(self.folder)
+        self.window.live.record.button.click()
+        self.wait(lambda: self.status().messages > 5)
+
+    def status(self) -> Any:
+        state = self.desk.recording.state()
+        assert state is not None
+        return state.status
+
+    def stop(self) -> Path:
+        """Press it again and wait until the file is whole."""
+        path = Path(self.status().path)
+        self.window.live.record.button.click()
+        self.wait(lambda: "Recorded" in self.window.message.label.text())
+        return path
+
+
+def contents(path: Path) -> dict[str, list[Any]]:
+    """Messages of a recording by type, read by the `mcap` library itself."""
+    found: dict[str, list[Any]] = {}
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        assert reader.get_summary() is not None  # there is a footer: the file is whole
+        for schema, _, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            found.setdefault(schema.name, []).append(message)
+    return found
