@@ -198,6 +198,59 @@ def bench_window(
     _print_measured(measured, as_json)
 
 
+@bench.command("start")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--runs", type=click.IntRange(1, 100), default=5, help="Processes to start.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -> None:
+    """Time from starting a process to its first picture of a recording."""
+    from bubbleviz.matching import checked_sensor
+    from ui.benchmark_start import start_times
+
+    checked_sensor(recording, sensor)
+    _print_measured(start_times(recording, sensor, runs), as_json)
+
+
+@bench.command("seek")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--seeks", type=click.IntRange(1, 10_000), default=60, help="How many.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -> None:
+    """Time from a seek anywhere in a recording to the new picture."""
+    from bubbleviz.matching import checked_sensor
+    from ui.benchmark_start import seek_times
+
+    _, chosen = checked_sensor(recording, sensor)
+    _print_measured(seek_times(chosen, recording, seeks), as_json)
+
+
+@bench.command("monkey")
+@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--minutes", type=click.FloatRange(0.02, 600.0), default=10.0, help="How long.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the clicks.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_monkey(
+    recording: Path | None, sensor: str | None, minutes: float, seed: int, as_json: bool
+) -> int:
+    """Click and type at random; exit code 1 after an exception or with 100 MiB more memory."""
+    from bubbleviz.matching import checked_sensor
+    from bubbleviz.sensor import load_sensor
+    from ui.benchmark_monkey import monkey_run
+
+    if recording is None:
+        chosen = load_sensor(sensor or SYNTHETIC_SENSOR)
+    else:
+        _, chosen = checked_sensor(recording, sensor)
+    report = monkey_run(chosen, recording, 60.0 * minutes, seed)
+    _print_measured(report.measured, as_json)
+    for problem in report.problems:
+        click.echo(problem, err=True)
+    return int(not report.passed)
+
+
 @bench.command("live")
 @click.option("--minutes", type=click.FloatRange(0.05, 600.0), default=1.0, help="How long.")
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=60.0, help="Frames a second.")
