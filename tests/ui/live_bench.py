@@ -112,6 +112,12 @@ class Bench(Driver):
         self.wait(lambda: self.state.facts is not None and self.state.facts.grows)
         self.wait(lambda: self.shown >= before + frames)
 
+    def settle_picture(self) -> None:
+        """Wait until the view is painted anew."""
+        count = self.window.view.render_count
+        self.window.view.refresh()
+        self.wait(lambda: self.window.view.render_count > count)
+
     def record(self) -> None:
         """Press the record button and wait until it writes."""
         self.desk.recording.choose_folder(self.folder)

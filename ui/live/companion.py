@@ -37,7 +37,7 @@ class Companion(QObject):
     Attributes
     ----------
     shown : Signal
-        A `Result` to draw.
+        Another `Result` to draw.
     opened : Signal
         Its first result is there.
     failed : Signal
@@ -94,7 +94,6 @@ class Companion(QObject):
         """Go on with another solver thread, of the other sensor."""
         self._seat, self._worker, self._awaiting = seat, seat.worker, seat.awaiting
         self._worker.answered.connect(self._on_answer)
-        self.shown.emit(seat.opened.result)
         self.follow()
 
     def follow(self) -> None:
@@ -148,7 +147,6 @@ class Companion(QObject):
     def _on_answer(self, answer: Answer) -> None:
         if isinstance(answer, Opened):
             self._seat = Seat(self._worker, answer, History(answer.facts.frames), False)
-            self.shown.emit(answer.result)
             self.opened.emit()
             self.follow()
         elif isinstance(answer, Failed):

@@ -154,7 +154,7 @@ class LiveBar(QFrame):
     def _with_rate(self, status: Status, frames: int) -> str:
         """Words for a state; a live one has the rate at which images come."""
         now = time.monotonic()
-        if self._counted is None or frames < self._counted[0][1]:
+        if self._counted is None or frames < self._counted[-1][1]:
             self._counted = deque([(now, frames)], maxlen=RATE_LOOKS)
         self._counted.append((now, frames))
         then, before = self._counted[0]
