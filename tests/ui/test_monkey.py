@@ -39,6 +39,6 @@ def test_a_monkey_breaks_nothing() -> None:
 
 
 def test_a_monkey_finds_an_exception_in_a_slot() -> None:
-    broken = "import ui.state as s\ns.SessionState.seek = lambda *a, **k: 1 / 0\n"
+    broken = "import ui.state as s\ns.SessionState.choose_panel = lambda *a, **k: 1 / 0\n"
     _, _, problems = monkey(2.0, seed=1, before=broken)
     assert any("ZeroDivisionError" in problem for problem in problems)
