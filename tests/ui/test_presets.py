@@ -21,6 +21,7 @@ RUNS = {
     "press": {"estimate", "patch"},
     "pose": {"estimate", "patch"},
     "cloud": {"cloud"},
+    "dual_nut": {"estimate", "patch"},
     "residual": {"estimate", "patch", "cloud", "residual"},
     "review": {"estimate", "patch"},
 }
@@ -72,7 +73,7 @@ def test_a_scene_starts_with_only_what_it_needs() -> None:
 
 
 def test_an_unknown_scene_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match=r'"nope".*cloud, pose, press, residual'):
+    with pytest.raises(InputError, match=r'"nope".*cloud, dual_nut, pose, press, residual'):
         load_scene("nope")
 
 
