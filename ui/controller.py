@@ -72,6 +72,8 @@ class Controller(QObject):
         A `Result` to draw.
     failed : Signal
         A `Failed` to tell the user about.
+    opening : Signal
+        What is being opened; empty when it is, or is not going to be.
     analysed : Signal
         Frames done and frames asked for of an analysis of all frames; equal when it is over.
     followed : Signal
@@ -91,6 +93,7 @@ class Controller(QObject):
     opened = Signal(object)
     shown = Signal(object)
     failed = Signal(object)
+    opening = Signal(str)
     analysed = Signal(int, int)
     compared = Signal(object)
     followed = Signal(object)
@@ -164,7 +167,19 @@ class Controller(QObject):
             playing=playing,
             live=live,
         )
+        self.cancel_opening()
+        self._waiting = request
         self.worker.ask(request)
+        self.opening.emit(what)
+
+    def cancel_opening(self) -> None:
+        """Open nothing; what is open stays, and the solver stops at its next step."""
+        if self._waiting is not None:
+            self._waiting.cancelled.set()
+            self._waiting = None
+            self.opening.emit("")
+
+    _waiting: OpenRequest | None = None
 
     def open_recording(self, path: Path, sensor_file: Path | None = None) -> None:
         """Open a recording with a sensor, with the present one, or with the preset that fits."""
@@ -424,6 +439,9 @@ class Controller(QObject):
         )
 
     def _on_answer(self, answer: Answer) -> None:
+        if self._waiting is not None and answer.request is self._waiting:
+            self._waiting = None
+            self.opening.emit("")
         if isinstance(answer, Failed):
             self._awaiting &= not isinstance(answer.request, NewestRequest)
             if isinstance(answer.request, AnalyseRequest):

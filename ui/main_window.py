@@ -33,7 +33,7 @@ from ui.panels.kappa_compare import ComparePanel
 from ui.panels.kappa_threshold import ThresholdPanel
 from ui.panels.layers import LayersPanel
 from ui.panels.live import LiveBar
-from ui.panels.message import MessageBar
+from ui.panels.message import BusyBar, HintBar, MessageBar
 from ui.panels.playback import PlaybackPanel
 from ui.panels.plots import PlotsPanel
 from ui.panels.pose.overlay import PoseOverlay
@@ -81,6 +81,8 @@ class MainWindow(QMainWindow):
         self.state = state
         self.controller = controller
         self.message = MessageBar(self)
+        self.busy = BusyBar(self)
+        self.hint = HintBar(self)
         self.view = View(self)
         self.scene = Scene(self.view, state.units, state.choices)
         self._numbers_at = 0.0
@@ -190,6 +192,8 @@ class MainWindow(QMainWindow):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addWidget(self.message)
+        column.addWidget(self.busy)
+        column.addWidget(self.hint)
         column.addWidget(self.live)
         column.addWidget(self.view, 1)
         self.setCentralWidget(centre)
@@ -246,6 +250,8 @@ class MainWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
+        self.controller.opening.connect(self.busy.wait_for)
+        self.busy.cancel.clicked.connect(self.controller.cancel_opening)
         self.view.dropped_files.connect(self._open_dropped)
         for dock, name in (
             (self.kappa_dock, "kappa_panel"),

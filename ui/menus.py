@@ -69,6 +69,7 @@ class Menus:
         palette = self._add(menu, "&Command palette…", self._window.show_palette)
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
         self._add(menu, "&What runs and what it costs", self._window.show_costs, "Ctrl+I")
+        self._add(menu, "&First steps", self._window.hint.show)
         self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
 
     def _edit(self, menu: QMenu) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Event
 from typing import Literal
 
 import numpy as np
@@ -42,6 +43,8 @@ class OpenRequest:
         As in `Choices`.
     playing, live : bool
         Play once it is open; it is a live source.
+    cancelled : Event
+        Set: nobody waits for it any more.
     """
 
     session: int
@@ -56,6 +59,7 @@ class OpenRequest:
     looks: frozenset[Look] = frozenset()
     playing: bool = False
     live: bool = False
+    cancelled: Event = field(default_factory=Event, compare=False)
 
 
 @dataclass(frozen=True)

@@ -163,7 +163,9 @@ class Server:
                 measured.append(str(error))
         return Compared(request, (measured[0], measured[1]))
 
-    def _open(self, request: OpenRequest) -> Opened:
+    def _open(self, request: OpenRequest) -> Opened | None:
+        if request.cancelled.is_set():
+            return None
         sensor = request.open_sensor()
         source = request.open_source(sensor)
         try:
@@ -182,7 +184,12 @@ class Server:
             result = _process(source, pipeline, frame, request.products)
         except BaseException:
             source.close()
+            if request.cancelled.is_set():
+                return None
             raise
+        if request.cancelled.is_set():
+            source.close()
+            return None
         self.close()
         gas = Gas.of(sensor.pneumatics, pipeline.mesh)
         settings = SideBySide(sensor, pipeline.camera.intrinsics)

@@ -65,7 +65,7 @@ class SessionKeeper(QObject):
         self.recent: tuple[str, ...] = ()
         self.hinted = False
         self._opened: Opened | None = None
-        self._pending: SavedSession | None = None
+        self._pending: tuple[SavedSession, str] | None = None  # and the source it is for
         self._problem = ""
         self._file: Path | None = None
         self._written: UserFile | None = None
@@ -74,6 +74,7 @@ class SessionKeeper(QObject):
         self._timer.timeout.connect(lambda: self._autosave())
         window.controller.opened.connect(self._on_opened)
         window.controller.failed.connect(self._on_failed)
+        window.hint.understood.clicked.connect(self._on_hint_read)
         window.state.subscribe(self._on_event)
 
     # -- the user's own file ------------------------------------------------------------------
@@ -90,6 +91,7 @@ class SessionKeeper(QObject):
             user = UserFile()
             self._window.message.say(str(error))
         self.recent, self.hinted = user.recent, user.hinted
+        self._window.hint.setVisible(not self.hinted)
         self.recent_changed.emit()
         self._timer.start()
         return user.session
@@ -178,6 +180,7 @@ class SessionKeeper(QObject):
         if saved.sensor is not None and sensor is None:
             problems.append(f"sensor {saved.sensor} is not there")
         opener: Callable[[Sensor], FrameSource] | None = None
+        path = None
         if saved.source == SYNTHETIC:
             opener = synthetic
         elif saved.source is not None:
@@ -192,7 +195,8 @@ class SessionKeeper(QObject):
             if self._opened is not None:  # else something will be opened in its place
                 self._tell_problem()
             return False
-        self._pending = saved
+        path_found = str(path.absolute()) if path is not None else SYNTHETIC
+        self._pending = saved, path_found
         self._window.controller.open(
             saved.source or "",
             opener,
@@ -206,7 +210,7 @@ class SessionKeeper(QObject):
     def expect(self, saved: SavedSession, path: Path) -> None:
         """Take range, markers and view of a session if this is its recording."""
         if saved.source is not None and Path(saved.source) == path.absolute():
-            self._pending = saved
+            self._pending = saved, str(path.absolute())
 
     def reload(self) -> None:
         """Open recording and sensor anew from their files."""
@@ -288,10 +292,10 @@ class SessionKeeper(QObject):
         if not isinstance(event, SourceChanged):
             return
         self._tell_problem()
-        saved = self._pending
-        if saved is None:
+        pending, self._pending = self._pending, None
+        if pending is None or pending[1] != self._names()[0]:
             return
-        self._pending = None
+        saved = pending[0]
         with self._window.settings.unrecorded():
             state = self._window.state
             state.choose_range(saved.play_range)
@@ -301,6 +305,9 @@ class SessionKeeper(QObject):
             for name in ("position", "focal_point", "up", "view_angle"):
                 setattr(camera, name, getattr(saved.camera, name))
             self._window.view.refresh()
+
+    def _on_hint_read(self) -> None:
+        self.hinted = True
 
     def _tell_problem(self) -> None:
         if self._problem:

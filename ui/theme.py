@@ -185,6 +185,8 @@ QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-heig
 QFrame#live {{ background: {c.panel}; border: none; border-bottom: 1px solid {c.border}; }}
 QFrame#message {{ background: {c.message}; border: none;
     border-bottom: 1px solid {c.message_edge}; }}
+QFrame#busy, QFrame#hint {{ background: {c.panel}; border: none;
+    border-bottom: 1px solid {c.border}; }}
 """
 
 
