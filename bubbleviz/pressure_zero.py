@@ -14,6 +14,8 @@ from bubbleviz.sensor import Sensor
 
 ENOUGH = 15
 """Contact-free frames whose median is a zero: half a second at 30 Hz."""
+PASSED = 6
+"""Live frames after one with contact that are not asked about."""
 
 
 class PressureZero:
@@ -39,6 +41,7 @@ class PressureZero:
         self.offset_pa: float | None = None
         self._free: list[float] = []
         self._asked = True
+        self._passing = 0
 
     @property
     def waiting(self) -> bool:
@@ -62,11 +65,20 @@ class PressureZero:
             return
         if not contact_free:
             self._free.clear()  # a zero is learned in one rest, not from scraps of many
+            self._passing = PASSED
             return
         self._free.append(raw_pressure_pa)
         if len(self._free) >= ENOUGH:
             self.offset_pa = float(np.median(self._free)) - self.reference_pa
             self._free, self._asked = [], False
+
+    def wants_next(self) -> bool:
+        """Whether to find out about the next frame: that costs another estimate where it touches.
+
+        Of a contact only every few frames are asked about.
+        """
+        self._passing = max(self._passing - 1, 0)
+        return self._asked and self._passing == 0
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with its gas pressure shifted."""
@@ -89,7 +101,7 @@ def untouched(frame: Frame, pipeline: Pipeline) -> bool:
 
 def zeroed(frame: Frame, zero: PressureZero, pipeline: Pipeline) -> Frame:
     """The frame with its gas pressure shifted; learned from where the zero is still waited for."""
-    if zero.waiting and frame.gas_pressure_pa is not None:
+    if frame.gas_pressure_pa is not None and zero.wants_next():
         zero.learn(frame.gas_pressure_pa, contact_free=untouched(frame, pipeline))
     return zero.applied(frame)
 

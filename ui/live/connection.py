@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 import traceback
 from dataclasses import dataclass
 
@@ -101,14 +100,13 @@ class Connection(QObject):
         session = LiveSession(self.preset, self._pre_roll_s)
         session.__enter__()
         self._session = session
-        epoch_ns = time.time_ns()
         frames = tuple(
-            LiveFrames(_title(self.preset, k), each.stream, each.zero, epoch_ns)
+            LiveFrames(_title(self.preset, k), each.stream, each.zero)
             for k, each in enumerate(session.sensors)
         )
         try:
             for source in frames:
-                while not source.begin(LOOK_S):
+                while not source.came(LOOK_S):
                     if self._stop.is_set():
                         session.__exit__()
                         return None
@@ -116,6 +114,9 @@ class Connection(QObject):
         except BaseException:
             session.__exit__()
             raise
+        epoch_ns = min(source.first_ns for source in frames)
+        for source in frames:
+            source.begin(epoch_ns)
         return LiveRun(self.preset, session, frames)
 
     def _tell(self, run: LiveRun | None, problem: str, details: str) -> None:

@@ -40,13 +40,11 @@ class LiveFrames:
     stream : LiveStream
         Started; whoever started it stops it.
     zero : PressureZero
-    epoch_ns : int
-        When time began, ns since 1970; the same for all sensors of a session.
     """
 
-    def __init__(self, name: str, stream: LiveStream, zero: PressureZero, epoch_ns: int) -> None:
+    def __init__(self, name: str, stream: LiveStream, zero: PressureZero) -> None:
         self.name, self.stream, self.zero = name, stream, zero
-        self._epoch_ns = epoch_ns
+        self._epoch_ns = 0
         self._kept: deque[Frame] = deque()
         self._bytes = 0
         self._times_s = np.zeros(0)
@@ -56,7 +54,7 @@ class LiveFrames:
 
     @property
     def times_s(self) -> np.ndarray:
-        """Arrival of each frame, s since the session began."""
+        """Arrival of each frame, s since the first of the session."""
         with self._lock:
             return self._times_s.copy()
 
@@ -79,21 +77,27 @@ class LiveFrames:
     def close(self) -> None:
         """Nothing: the stream goes on for the recorder, and for another sensor file."""
 
-    def begin(self, timeout_s: float) -> bool:
+    def came(self, timeout_s: float) -> bool:
         """Wait for the first frame, with camera info or without where none comes."""
         frame = self.stream.take(timeout_s)
         now = time.monotonic()
-        if self._first is None:
-            self._first = None if frame is None else (frame, now)
-        elif frame is not None:
-            self._first = (frame, self._first[1])
+        if frame is not None:
+            self._first = (frame, now if self._first is None else self._first[1])
         if self._first is None:
             return False
         first, since = self._first
-        if first.intrinsics is None and now - since < CAMERA_S:
-            return False
-        self._take(first)
-        return True
+        return first.intrinsics is not None or now - since >= CAMERA_S
+
+    @property
+    def first_ns(self) -> int:
+        """When the first frame arrived, ns since 1970; 0 before."""
+        return 0 if self._first is None else self._first[0].arrival_ns
+
+    def begin(self, epoch_ns: int) -> None:
+        """Begin with the first frame; time began at `epoch_ns` for all sensors of a session."""
+        if self._first is not None:
+            self._epoch_ns = epoch_ns
+            self._take(self._first[0])
 
     def newest(self, timeout_s: float) -> Frame | None:
         """The newest frame nobody has seen, waiting for one; None when none came."""
