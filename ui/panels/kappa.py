@@ -48,6 +48,7 @@ class KappaPanel(QWidget):
         self.box.setRange(LOWEST, HIGHEST)
         self.box.setDecimals(2)
         self.box.setPrefix("κ = ")
+        self.box.setToolTip(self.slider.toolTip())
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
         self.solver = QComboBox()

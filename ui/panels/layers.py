@@ -92,6 +92,7 @@ class LayersPanel(QWidget):
         form.addRow("Pressure to", self.pressure_max)
         form.addRow("Residual to ±", self.residual_max)
         column.addLayout(form)
+        self.cloud_colour.setToolTip("What colours the points; residual: measured minus modelled")
         self.cloud_points.setToolTip("Beyond that every n-th point is drawn; all are solved with")
         self.opacity.setToolTip("Opacity of the membrane, 10 … 100 %")
         self.pressure_max.setToolTip("Upper end of the pressure colours; lowest value: automatic")

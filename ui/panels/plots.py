@@ -65,6 +65,7 @@ class PlotsPanel(QWidget):
         self.analyse = QPushButton("Analyse all frames")
         self.analyse.setToolTip("Compute what these plots need of all frames, in the background")
         self.cancel = QPushButton("Cancel")
+        self.cancel.setToolTip("Stop; what was computed stays")
         self.progress = QProgressBar()
         self.hint = QLabel("Click in a plot to go there")
         self.hint.setObjectName("dim")

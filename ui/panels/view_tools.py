@@ -84,6 +84,9 @@ class ViewTools(QWidget):
         self.views = {name: self._button(title) for name, title in VIEWS.items()}
         self.views["camera"].setToolTip("As the depth camera sees it")
         self.tools = {name: self._button(title) for name, title in TOOLS.items()}
+        for name in ("top", "side", "front"):
+            self.views[name].setToolTip(f"Look from the {name}, in the bubble frame B")
+        self.tools["turn"].setToolTip("Drag turns the scene, the wheel goes nearer")
         self.tools["pick"].setToolTip("Click on the membrane or a point: numbers that stay")
         self.tools["distance"].setToolTip("Click on two points; a third begins anew")
         group = QButtonGroup(self)
@@ -109,6 +112,9 @@ class ViewTools(QWidget):
         self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
         self.flipped = QCheckBox("other side")
         self.section_text = QLabel()
+        self.section.setToolTip("Cut the membrane open across an axis of the bubble frame B")
+        self.section_at.setToolTip("Where the cutting plane is")
+        self.flipped.setToolTip("Show what is on the other side of the plane")
         self.width_box, self.height_box = _pixels(1920), _pixels(1080)
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")

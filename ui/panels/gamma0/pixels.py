@@ -30,6 +30,7 @@ class PixelsPage(Page):
         super().__init__(calibration, units)
         self.picture = QComboBox()
         self.picture.addItems(PICTURES)
+        self.picture.setToolTip("What the image shows of each pixel")
         self.view = ImageView()
         self.validity = Threshold(units.share, 1.0, "automatic")
         self.deviations = Threshold(Unit("σ", 1.0, 1), MOST_DEVIATIONS)

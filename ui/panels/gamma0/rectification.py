@@ -27,6 +27,8 @@ class RectificationPage(Page):
         self.levels = QLabel()
         self.levels.setWordWrap(True)
         self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
+        self.add.setToolTip("Recording of the untouched membrane at another gauge pressure")
+        self.drop.setToolTip("Take the recording added last out again")
         self.numbers = Numbers()
         row = QHBoxLayout()
         row.addWidget(self.add)

@@ -68,10 +68,13 @@ class PosePanel(QWidget):
         self.move_it = QPushButton("Move in view")
         self.here = QPushButton("Start from here")
         self.once = QPushButton("Fit once")
+        self.once.setToolTip("Both stages of the registration (VI) on this frame")
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")
         self.stage = QComboBox()
         self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
+        self.csv.setToolTip("Poses found so far, T_B_O in m, as POSES.csv")
+        self.tum.setToolTip("Poses found so far in the TUM format of trajectories, m")
         self.values = {name: QLabel() for name in NUMBERS}
         self._fill()
         self._lay_out()
@@ -109,6 +112,7 @@ class PosePanel(QWidget):
 
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
+        self.object.setToolTip("Object to look for: a preset, or a mesh file dropped here")
         self.object.addItem(NONE, None)
         for path in sorted(presets_folder("objects").glob("*.*")):
             self.object.addItem(path.stem.replace("_", " "), path.stem)

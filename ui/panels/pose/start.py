@@ -37,6 +37,8 @@ class StartBoxes(QWidget):
             grid.addWidget(QLabel(f"r{name}"), 1, 2 * column)
             grid.addWidget(self.angles[column], 1, 2 * column + 1)
             grid.setColumnStretch(2 * column + 1, 1)
+            self.places[column].setToolTip(f"Start of the search: {name} of T_B_O")
+            self.angles[column].setToolTip(f"Start of the search: turn about {name} of B, degrees")
         for box in self.angles:
             box.setRange(-180.0, 180.0)
             box.setDecimals(1)
