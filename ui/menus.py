@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QDockWidget, QFileDialog, QMenu
+from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 
 from ui.panels.playback import next_speed
 from ui.panels.view_tools import VIEWS
@@ -117,6 +117,7 @@ class Menus:
         self._add(menu, "&Record / stop recording", desk.toggle_recording, "Ctrl+R")
         self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
         self._add(menu, "&Publish results / stop", desk.toggle_publishing, "Ctrl+Shift+R")
+        self._add(menu, "Publish &at…", self._publish_at)
         self._add(menu, "Gas pressure &zero now", desk.zero_now, "Z")
         self._add(menu, "The &other sensor", desk.choose_other, "B")
 
@@ -225,6 +226,17 @@ class Menus:
         facts = self._window.state.facts
         if facts is not None:
             self._window.state.seek(facts.frames - 1)
+
+    def _publish_at(self) -> None:
+        publishing = self._window.desk.publishing
+        endpoint, chosen = QInputDialog.getText(
+            self._window,
+            "Publish results",
+            "Listen at (127.0.0.1: this computer only; an address of it: others, too)",
+            text=publishing.endpoint,
+        )
+        if chosen:
+            publishing.choose_endpoint(endpoint)
 
     def _open_recording(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self._window, "Open recording", "", RECORDINGS)

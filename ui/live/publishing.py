@@ -48,6 +48,10 @@ class Publishing(QObject):
         self._lock = Lock()
         self._background = Background("publishing")
 
+    def choose_endpoint(self, endpoint: str) -> None:
+        """Listen there the next time."""
+        self.endpoint = endpoint.strip() or LOOPBACK
+
     def start(self, run: LiveRun) -> None:
         """Listen at the endpoint and publish what is solved from now on."""
         if self.on:
