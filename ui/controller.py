@@ -57,6 +57,8 @@ from ui.worker import Worker
 POSE: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 TICK_MS = 8
 """How often playback looks at its clock."""
+LOOK_EVERY_S = 0.15
+"""How often closer looks are taken while playing."""
 AHEAD_S = 0.025
 """How early the next frame may be asked for, so that the solver has work while this is drawn."""
 
@@ -271,6 +273,8 @@ class Controller(QObject):
             if not event.by_playback and not self.state.frozen:
                 self._start_clock()
         elif isinstance(event, PlayingChanged):
+            if not event.playing and self._looked and self.result is not None:
+                self._ask_frame()
             self._start_clock()
             self._timer.start() if event.playing and not self._grows else self._timer.stop()
             self._ask_newest()
@@ -377,7 +381,7 @@ class Controller(QObject):
                 choices.kappa,
                 choices.cloud_points,
                 now,
-                self._looked,
+                self._looks_due(),
                 choices.least_area_m2,
                 now + self._lead.hold_s,
             )
@@ -395,7 +399,7 @@ class Controller(QObject):
         numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
         self._remember(frame.index, numbers, _rule_of(answer.request))
         if state.frame == frame.index:
-            self.inspection, self._numbers = answer.inspection, answer.numbers
+            self.inspection, self._numbers = self._newest_look(answer), answer.numbers
             self._show(answer.result)
 
     # -- requests and answers ---------------------------------------------------------------
@@ -417,9 +421,24 @@ class Controller(QObject):
             self.state.choices.kappa,
             self.state.choices.cloud_points,
             time.perf_counter(),
-            looks(self.state.choices),
+            self._looks_due(),
             self.state.choices.least_area_m2,
         )
+
+    def _looks_due(self) -> frozenset[Look]:
+        """Closer looks to ask for now: while playing not at every frame, nobody sees so many."""
+        now = time.perf_counter()
+        if self.state.playing and now - self._looked_s < LOOK_EVERY_S:
+            return frozenset()
+        self._looked_s = now
+        return looks(self.state.choices)
+
+    def _newest_look(self, answer: Solved) -> Inspection:
+        """Closer look of an answer, or the last one where it was left out."""
+        left_out = bool(self._looked) and not answer.request.looks
+        return self.inspection if left_out else answer.inspection
+
+    _looked_s = 0.0
 
     def _ask_patch(self) -> None:
         result = self.result
@@ -487,7 +506,7 @@ class Controller(QObject):
             waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
         numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
         self._remember(frame.index, numbers, _rule_of(request))
-        self.inspection, self._numbers = answer.inspection, answer.numbers
+        self.inspection, self._numbers = self._newest_look(answer), answer.numbers
         self._show(answer.result)
         if _rule_of(request) != self._rule:
             self._ask_patch()

@@ -146,6 +146,21 @@ def test_only_chosen_images_are_computed(drive: Drive) -> None:
     assert (counts["look change"], counts["look residual"], counts["pixel_mask"]) == before
 
 
+def test_while_playing_not_every_frame_is_looked_at_closer(drive: Drive) -> None:
+    driver = drive()
+    opened(driver, "depth", "change")
+    counts, controller = driver.pipeline.counts, driver.window.controller
+    before = counts["look change"], counts["total"]
+    driver.state.choose(every_frame=True)
+    driver.state.set_playing(True)
+    driver.wait(lambda: counts["total"] > before[1] + 30)
+    assert 2 < counts["look change"] - before[0] < 20
+    driver.state.set_playing(False)
+    driver.settle()
+    image = lambda: controller.inspection.images["depth"]  # noqa: E731
+    driver.wait(lambda: np.array_equal(image(), controller.result.frame.depth_m, equal_nan=True))
+
+
 def test_images_show_the_press_and_leave_out_what_is_missing(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.images.boxes)

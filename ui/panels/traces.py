@@ -58,7 +58,7 @@ TRACES = MappingProxyType(
             "Run time",
             lambda u: u.duration,
             {"solve_ms": BLUE, "total_ms": ORANGE},
-            ("solver", "depth in → out"),
+            ("solver", "in → out"),
         ),
         "latency": Trace("Latency", lambda u: u.duration, {"latency_ms": BLUE}),
     }
