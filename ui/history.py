@@ -42,14 +42,11 @@ class History:
         (F,) array of each of `QUANTITIES`; NaN where nothing is known.
     contact : (F,) int8 array
         `UNKNOWN`, `FREE` or `CONTACT`.
-    revision : int
-        Counts the changes.
     """
 
     def __init__(self, frames: int) -> None:
         self.values = {name: np.full(frames, np.nan) for name in QUANTITIES}
         self.contact = np.full(frames, UNKNOWN, np.int8)
-        self.revision = 0
         self._has = np.zeros(frames, np.uint8)
 
     def __len__(self) -> int:
@@ -64,7 +61,6 @@ class History:
 
     def take(self, frame: int, known: Numbers, *, patch: bool) -> None:
         """Keep the numbers of a frame; those of its patch only where `patch` says so."""
-        self.revision += 1
         self._put(frame, known, ("gas_measured_pa", "total_ms", "latency_ms"))
         self._has[frame] |= _FRAME
         if known.status:
@@ -79,7 +75,6 @@ class History:
 
     def forget_patches(self) -> None:
         """Forget what another threshold makes different."""
-        self.revision += 1
         for name in OF_PATCH:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
