@@ -305,3 +305,19 @@ def test_a_source_that_stopped_is_stale_within_a_second(
     link: str, silent: float | None, state: str
 ) -> None:
     assert status_of(link, silent).state == state  # type: ignore[arg-type]
+
+
+def test_a_zero_that_is_waited_for_asks_about_few_frames_of_a_contact() -> None:
+    zero, asked = PressureZero(1e5), 0
+    for _ in range(60):
+        if zero.wants_next():
+            asked += 1
+            zero.learn(1e5, contact_free=False)
+    assert asked == 10
+    rested = 0
+    while zero.waiting:
+        rested += 1
+        if zero.wants_next():
+            zero.learn(1e5 + 20.0, contact_free=True)
+    assert zero.offset_pa == 20.0 and rested < 21
+    assert not zero.wants_next()

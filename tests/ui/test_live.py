@@ -21,6 +21,7 @@ from bubbleviz.live.zenoh_session import SessionOptions
 from bubbleviz.live.zenoh_source import ZenohSource
 from ui.live.connection import single
 from ui.live.desk import LOOK_MS
+from ui.live.lead import Lead
 
 Open = Callable[[], Bench]
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
@@ -254,6 +255,17 @@ def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None
     assert len(arrived) > 20
     assert set(arrived) <= {message.log_time for message in contents(path)[IMAGE]}
     assert STALE_AFTER_S + LOOK_MS / 1000.0 < 1.0
+
+
+def test_the_solver_is_held_back_by_what_its_results_waited() -> None:
+    """As in a window that takes 50 ms for a picture while the solver takes 15."""
+    lead = Lead()
+    for _ in range(40):
+        lead.waited(max(0.050 - 0.015 - lead.hold_s, 0.0))
+    assert 0.028 < lead.hold_s < 0.035  # the result is there just before the window is
+    for _ in range(40):
+        lead.waited(0.0)
+    assert lead.hold_s == 0.0
 
 
 def test_garbage_is_counted_shown_and_survived(open_bench: Open) -> None:

@@ -202,7 +202,7 @@ class LiveDesk(QObject):
         )
 
     def _on_opened(self, opened: Opened) -> None:
-        self._marked = frozenset(self._controller.state.markers)
+        self._marked = frozenset()
         if self.run is not None and self._is_ours(opened.request):
             self._pair.begin()
         elif self.run is not None:

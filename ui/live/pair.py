@@ -141,3 +141,4 @@ class Pair(QObject):
             companion.follow()
         elif isinstance(event, ChoicesChanged) and companion.open is not None:
             self._show(companion.open.result)
+            companion.follow()

@@ -28,6 +28,7 @@ class RecordControls(QWidget):
         self.button = QToolButton()
         self.button.setText("● Record")
         self.button.setCheckable(True)
+        self.button.setToolTip("Record (Ctrl+R)")
         self.pre_roll = QDoubleSpinBox()
         self.pre_roll.setRange(0.0, MOST_PRE_ROLL_S)
         self.pre_roll.setDecimals(1)
@@ -40,6 +41,7 @@ class RecordControls(QWidget):
         self.note = QLineEdit()
         self.note.setPlaceholderText("Note, saved at the moment you began it")
         self.note.setMinimumWidth(200)
+        self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
         self._noted_ns: int | None = None
         row = QHBoxLayout(self)
