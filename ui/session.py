@@ -103,6 +103,8 @@ class WindowSession:
 
     def _connect(self, live: SessionPreset) -> None:
         """Connect; a source that is not there yet is waited for in the window."""
+        from ui.requests import Failed
+
         desk, problems = self.window.desk, list[str]()
         desk.said.connect(lambda problem, _: problems.append(problem))
         desk.connect_to(live)
@@ -110,10 +112,10 @@ class WindowSession:
         self.wait_for(
             lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
         )
-        failed = next((a.message for a in self._answers if not hasattr(a, "facts")), "")
-        if problem := failed or next(iter(problems), ""):
+        problems += [answer.message for answer in self._answers if isinstance(answer, Failed)]
+        if problems:
             self.window.close()
-            raise InputError(problem)
+            raise InputError(problems[0])
 
     def _restore(self, file: Path, recording: Path | None, *, known: bool) -> bool:
         """Come back to the user's last session; whether its source is open now.

@@ -114,7 +114,7 @@ def _restart(
         robot.start()
         recovered += _shows_more_than(session, before)
     forget()
-    desk.recording.close()
+    desk.close()
     return RestartReport(times, recovered, gone, len(arrived), len(arrived & _logged(path)))
 
 

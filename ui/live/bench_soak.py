@@ -101,5 +101,5 @@ def _soak(
     state = desk.recording.state()
     if state is None:
         raise InputError("bench live: the recording ended early")
-    desk.recording.close()
+    desk.close()
     return Measured(solved, skipped, ages, memory, state.status, sent), pictures_hz

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live.session import LiveSensor
@@ -48,12 +46,12 @@ class LiveDesk(QObject):
     def __init__(self, controller: Controller, pair: Pair) -> None:
         super().__init__()
         self._controller, self._pair = controller, pair
-        self.recording, self.publishing = Recording(), Publishing()
+        self._background = Background("live")
+        self.recording, self.publishing = Recording(self._background), Publishing()
         self.connection: Connection | None = None
         self.run: LiveRun | None = None
         self._pre_roll_s = PRE_ROLL_S
         self._marked: frozenset[int] = frozenset()
-        self._background = Background("live")
         self._timer = QTimer(self)
         self._timer.setInterval(LOOK_MS)
         self._timer.timeout.connect(self._look)
@@ -112,7 +110,7 @@ class LiveDesk(QObject):
         self._pair.end()
         run, self.run = self.run, None
         if run is not None:
-            self._background.do(run.close)
+            self._background.do(run.close)  # after the recording, which has the same thread
             self.changed.emit()
         self._timer.stop()
 
@@ -144,15 +142,10 @@ class LiveDesk(QObject):
         if self.sensor is not None:
             self.sensor.zero.zero_now()
 
-    def now_ns(self) -> int:
-        """What time it is, ns since 1970."""
-        return time.time_ns()
-
     def close(self) -> None:
         """End everything; a recording is whole when this returns."""
         connection = self.connection
         self.disconnect_all()
-        self.recording.close()
         self.publishing.close()
         self._background.close()
         if connection is not None:

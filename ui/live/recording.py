@@ -29,6 +29,11 @@ class RecordingState:
 class Recording(QObject):
     """The record button's work.
 
+    Parameters
+    ----------
+    background : Background
+        Where it is done.
+
     Attributes
     ----------
     changed : Signal
@@ -44,13 +49,13 @@ class Recording(QObject):
     changed = Signal()
     said = Signal(str)
 
-    def __init__(self) -> None:
+    def __init__(self, background: Background) -> None:
         super().__init__()
         self.folder = Path.cwd()
         self.busy = False
         self._recorder: Recorder | None = None
         self._began = 0.0
-        self._background = Background("recording")
+        self._background = background
 
     def choose_folder(self, folder: str | Path) -> None:
         """Put the next recordings there."""
@@ -87,11 +92,6 @@ class Recording(QObject):
             self.stop()
             return None
         return RecordingState(time.monotonic() - self._began, status)
-
-    def close(self) -> None:
-        """End what is recorded; the file is whole when this returns."""
-        self.stop()
-        self._background.close()
 
     def _on_started(self, _: object, problem: str) -> None:
         if problem:
