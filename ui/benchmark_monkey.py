@@ -48,6 +48,8 @@ class Report:
         Resident memory after warming up and at the end.
     longest_ms : float
         Longest time an action and its events kept the window's thread.
+    longest : str
+        What that was.
     problems : list of str
         Tracebacks, and messages of the window that came with one.
     """
@@ -57,6 +59,7 @@ class Report:
     memory_start_mib: float = float("nan")
     memory_end_mib: float = float("nan")
     longest_ms: float = 0.0
+    longest: str = ""
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -152,7 +155,9 @@ class Monkey:
             except Exception:
                 report.problems.append(traceback.format_exc())
             self._session.application.processEvents()
-            report.longest_ms = max(report.longest_ms, 1e3 * (time.perf_counter() - began))
+            took_ms = 1e3 * (time.perf_counter() - began)
+            if took_ms > report.longest_ms:
+                report.longest_ms, report.longest = took_ms, f"{thing.__name__} {self._at}"
             report.actions += 1
             if passed > WARM_UP_SHARE * seconds and report.memory_start_mib != (
                 report.memory_start_mib
@@ -160,6 +165,8 @@ class Monkey:
                 report.memory_start_mib = _memory_mib()
         report.seconds = time.monotonic() - start
         report.memory_end_mib = _memory_mib()
+
+    _at = ""
 
     # -- things to do -------------------------------------------------------------------------
 
@@ -221,6 +228,7 @@ class Monkey:
     def _action(self) -> None:
         actions = self._session.window.shortcuts.actions
         name = self._dice.choice(sorted(actions))
+        self._at = name
         if not _forbidden(name) and not _forbidden(actions[name].text()):
             actions[name].trigger()
 
@@ -257,7 +265,9 @@ class Monkey:
         view: QWidget = window.view
         found += [view, view, view, window.playback.timeline, window.playback.timeline]
         found += [window.status, *window.status.findChildren(QLabel)[-3:]]
-        return self._dice.choice(found) if found else None
+        chosen = self._dice.choice(found) if found else None
+        self._at = f"{type(chosen).__name__} {chosen.toolTip() if chosen else ''}"
+        return chosen
 
     def _place(self, widget: QWidget) -> QPoint:
         from PySide6.QtCore import QPoint

@@ -56,6 +56,8 @@ from ui.units import SYSTEMS
 from ui.view import View
 
 RATES_EVERY_MS = 500
+STEPS = 200
+"""That can be undone; some hold collected frames."""
 NUMBERS_EVERY_S = 0.1
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
 UNSEEN = frozenset({"kappa", "speed", "loop", "every_frame"})
@@ -98,6 +100,7 @@ class MainWindow(QMainWindow):
         self.tools = ViewTools(state, controller, self.view, self.scene)
         self.pointing = Pointing(state, self.view, self.scene, self.hover)
         self.undo_stack = QUndoStack(self)
+        self.undo_stack.setUndoLimit(STEPS)
         self.settings = SettingsHistory(state, self.undo_stack)
         self.keeper = SessionKeeper(self)
         self.costs = Costs()

@@ -23,6 +23,8 @@ UNKNOWN = "#5b6470"
 """Where there is no number."""
 NODE = "#ff5ccd"
 CONTACT = "#e0662f"
+BETWEEN = "#e8edf2"
+"""Middle of a diverging map that lies on the membrane."""
 GAP = "#e5484d"
 BLUE, ORANGE, GREEN = "#4c9fe8", "#f0883e", "#35c07a"
 """Curves; told apart with any colour vision, on dark and on light."""
@@ -104,7 +106,7 @@ DARK = Colours(
 )
 LIGHT = Colours(
     view="#f2f4f7",
-    cloud="#77828f",
+    cloud="#38424d",
     rim="#4a5561",
     frustum="#7f8b99",
     window="#dfe3e8",
@@ -171,7 +173,8 @@ QLabel#dim {{ color: {c.dim}; }}
 QLabel#value {{ font-weight: 600; }}
 QPushButton, QToolButton {{ background: {c.button}; border: 1px solid {c.border};
     border-radius: 4px; padding: 4px 10px; }}
-QToolButton {{ padding: 4px 6px; }}
+QToolButton {{ padding: 4px 5px; }}
+QToolButton#slim {{ padding: 4px 2px; }}
 QPushButton:hover, QToolButton:hover {{ background: {c.hover}; }}
 QPushButton:checked, QToolButton:checked {{ background: {c.accent}; color: {c.on_accent}; }}
 QPushButton:focus, QToolButton:focus, QComboBox:focus, QDoubleSpinBox:focus

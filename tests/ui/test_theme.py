@@ -163,6 +163,12 @@ def test_the_window_fits_into_1280_by_800(drive: Drive, name: str) -> None:
     driver.window.show_rates()
     driver.settle()
     assert (driver.window.width(), driver.window.height()) == (1280, 800)
+    for panel in driver.window.panels.values():
+        shown = panel.isVisible()
+        panel.show()
+        QApplication.processEvents()
+        assert (driver.window.width(), driver.window.height()) == (1280, 800), panel
+        panel.setVisible(shown)
     for label in driver.window.findChildren(QLabel):
         if label.isVisible() and not label.wordWrap() and "<" not in label.text():
             advance = label.fontMetrics().horizontalAdvance(label.text())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -34,6 +36,10 @@ EVERY_S = 0.1
 MODES = {False: "real time", True: "every frame"}
 JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
 JUMP_KEYS = {-1.0: "Ctrl+←", -0.1: "Shift+←", 0.1: "Shift+→", 1.0: "Ctrl+→"}
+
+
+MARGIN, SPACING = 10, 4
+"""At both sides of the row, and between what is in it, screen pixels."""
 
 
 def next_speed(speed: float, direction: int) -> float:
@@ -89,6 +95,7 @@ class PlaybackPanel(QWidget):
     def _jump(self, text: str, seconds: float) -> QToolButton:
         button = QToolButton()
         button.setText(text)
+        button.setObjectName("slim")
         button.setToolTip(f"{text.replace(' s', '')} seconds ({JUMP_KEYS[seconds]})")
         button.clicked.connect(lambda: self._state.jump(seconds))
         return button
@@ -102,21 +109,24 @@ class PlaybackPanel(QWidget):
 
     def _lay_out(self) -> None:
         column = QVBoxLayout(self)
-        column.setContentsMargins(6, 4, 6, 6)
+        column.setContentsMargins(MARGIN, 4, MARGIN, 6)
         column.setSpacing(0)
         column.addWidget(self.timeline)
         column.addWidget(self.strip)
         row = QHBoxLayout()
         row.setContentsMargins(0, 4, 0, 0)
-        row.setSpacing(4)
+        row.setSpacing(SPACING)
         back, on = list(self.jumps.values())[:2], list(self.jumps.values())[2:]
-        for button in (self.first, *back, self.back, self.play, self.forward, *on, self.last):
+        moves = (self.first, *back, self.back, self.play, self.forward, *on, self.last)
+        for button in moves:
             row.addWidget(button)
         row.addStretch(1)
         row.addWidget(self.readout)
         row.addStretch(1)
-        for widget in (self.mark, self.loop, self.freeze, self.now, self.mode, self.speed):
+        how = (self.mark, self.loop, self.freeze, self.now, self.mode, self.speed)
+        for widget in how:
             row.addWidget(widget)
+        self._in_row: tuple[QWidget, ...] = (*moves, self.readout, *how)
         column.addLayout(row)
         column.addStretch(1)
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
@@ -165,7 +175,22 @@ class PlaybackPanel(QWidget):
             self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 4)
         self.freeze.setVisible(live and not self._state.frozen)
         self.now.setVisible(live and self._state.frozen)
+        self._fit()
         self._show_frame()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Show what there is room for."""
+        super().resizeEvent(event)
+        self._fit()
+
+    def _fit(self) -> None:
+        """Leave the jumps out of a narrow window; their keys stay."""
+        jumps = tuple(self.jumps.values())
+        others = [w for w in self._in_row if w not in jumps and not w.isHidden()]
+        needed, more = _width(others) + 2 * MARGIN, _width(jumps)
+        self.setMinimumWidth(needed)
+        for button in jumps:
+            button.setVisible(self.width() >= needed + more)
 
     def changeEvent(self, event: QEvent) -> None:
         """Follow the window's theme."""
@@ -191,3 +216,8 @@ class PlaybackPanel(QWidget):
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         of_all = "" if facts.grows else f" / {facts.frames - 1}"
         return f"frame {frame}{of_all}   {time_text}"
+
+
+def _width(widgets: Sequence[QWidget]) -> int:
+    """Room that widgets in a row need, screen pixels."""
+    return sum(max(w.sizeHint().width(), w.minimumWidth()) + SPACING for w in widgets)

@@ -14,7 +14,7 @@ from ui import theme
 from ui.scene.layer import Picture
 from ui.view import View
 
-COLOURS = ["#2a6fff", "#e8edf2", "#e5484d"]
+COLOURS = [theme.NEARER, theme.BETWEEN, theme.GAP]
 """Inside the object, on it, outside."""
 
 HIGHEST_M = 1e-3
