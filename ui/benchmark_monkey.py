@@ -44,8 +44,8 @@ class Report:
     ----------
     actions : int
     seconds : float
-    memory_start_mib, memory_end_mib : float
-        Resident memory after warming up and at the end.
+    memory_mib : list of float
+        Resident memory, a sample a second.
     longest_ms : float
         Longest time an action and its events kept the window's thread.
     longest : str
@@ -56,16 +56,22 @@ class Report:
 
     actions: int = 0
     seconds: float = 0.0
-    memory_start_mib: float = float("nan")
-    memory_end_mib: float = float("nan")
+    memory_mib: list[float] = field(default_factory=list)
     longest_ms: float = 0.0
     longest: str = ""
     problems: list[str] = field(default_factory=list)
 
     @property
     def growth_mib(self) -> float:
-        """Resident memory grown since warming up."""
-        return self.memory_end_mib - self.memory_start_mib
+        """Lowest memory in the last tenth against the tenth after warming up.
+
+        What a calibration needs for a while and gives back is no growth.
+        """
+        samples = self.memory_mib
+        tenth, begin = max(len(samples) // 10, 1), int(WARM_UP_SHARE * len(samples))
+        if len(samples) <= begin + tenth:
+            return 0.0
+        return min(samples[-tenth:]) - min(samples[begin : begin + tenth])
 
     @property
     def passed(self) -> bool:
@@ -78,7 +84,7 @@ class Report:
         return {
             "actions": float(self.actions),
             "seconds": self.seconds,
-            "memory_mib": self.memory_end_mib,
+            "memory_mib": self.memory_mib[-1] if self.memory_mib else float("nan"),
             "growth_mib": self.growth_mib,
             "longest_ms": self.longest_ms,
             "problems": float(len(self.problems)),
@@ -159,12 +165,9 @@ class Monkey:
             if took_ms > report.longest_ms:
                 report.longest_ms, report.longest = took_ms, f"{thing.__name__} {self._at}"
             report.actions += 1
-            if passed > WARM_UP_SHARE * seconds and report.memory_start_mib != (
-                report.memory_start_mib
-            ):
-                report.memory_start_mib = _memory_mib()
+            if passed > len(report.memory_mib):
+                report.memory_mib.append(_memory_mib())
         report.seconds = time.monotonic() - start
-        report.memory_end_mib = _memory_mib()
 
     _at = ""
 
