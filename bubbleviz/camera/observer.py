@@ -231,11 +231,20 @@ class RangeObserver:
         """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
         return precision / (1.0 + precision * self._facet_error_m**2)
 
-    def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
-        """Model of the block residuals around a displacement (n,), or the reference."""
+    def linearise(
+        self, displacement_m: np.ndarray | None = None, near: Linearisation | None = None
+    ) -> Linearisation:
+        """Model of the block residuals around a displacement (n,), or the reference.
+
+        From a model `near`, where one is given, every ray walks to its triangle: half the time.
+        """
         if displacement_m is None or not displacement_m.any():
             return Linearisation(self._at_rest, np.zeros(len(self._at_rest.ray)))
-        hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
+        nodes, normals = self.mesh.deformed(displacement_m), self.mesh.normals
+        if near is None:
+            hits = self._caster.cast(nodes, normals)
+        else:
+            hits = self._caster.again(nodes, normals, near.hits)
         change = hits.range_m - self._rest_range[hits.ray]
         return Linearisation(hits, change - self._along_rays(hits, displacement_m))
 

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from bubbleviz.deferred import import_without
+from bubbleviz.membrane.mesh import triangles_across
+
+_WALK = 4
+"""Triangles that a ray may walk over; it is cast again before more are needed."""
+
+_OUTSIDE = 1e-6
+"""Barycentric coordinate below which a ray has left its triangle."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,24 @@ class Hits:
     sensitivity: np.ndarray
 
 
+class _Facets(NamedTuple):
+    """Triangles seen from the rays' origin.
+
+    Attributes
+    ----------
+    faces : (m, 3, 3) array
+        Cross products of the corners, opposite each corner.
+    facing : (m, 3) array
+        Node normals times the facet's vector.
+    offset : (m,) array
+        Distance of its plane times the length of that vector.
+    """
+
+    faces: np.ndarray
+    facing: np.ndarray
+    offset: np.ndarray
+
+
 class RayCaster:
     """Casts one bundle of rays from one origin onto a mesh whose nodes may move.
 
@@ -55,6 +81,7 @@ class RayCaster:
         self.origin = np.asarray(origin, float)
         self.directions = np.ascontiguousarray(directions, float)
         self.triangles = triangles
+        self._across = triangles_across(triangles)
         self._indices = core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32))
         # Nodes are moved by −origin before single precision sees them: all rays start at zero.
         rays = np.zeros((len(directions), 6), np.float32)
@@ -86,22 +113,47 @@ class RayCaster:
             local, normals, ray if rays is None else np.asarray(rays)[ray], triangle
         )
 
+    def again(self, nodes: np.ndarray, normals: np.ndarray, hits: Hits) -> Hits:
+        """Hits of the same rays after the nodes moved a little: each walks to its triangle.
+
+        A ray whose triangle is several further away ends on the plane of one close by.
+        """
+        facets = self._facets(nodes - self.origin, normals)
+        found = self._meet(facets, hits.ray, hits.triangle)
+        for _ in range(_WALK):
+            out = np.argmin(found.barycentric, axis=1)
+            lowest = found.barycentric[np.arange(len(out)), out]
+            leaving = np.flatnonzero(lowest < -_OUTSIDE)
+            following = self._across[found.triangle[leaving], out[leaving]]
+            leaving, following = leaving[following >= 0], following[following >= 0]
+            if not len(leaving):
+                break
+            moved = self._meet(facets, hits.ray[leaving], following)
+            for name in ("triangle", "barycentric", "range_m", "sensitivity"):
+                getattr(found, name)[leaving] = getattr(moved, name)
+        return found
+
     def _refine(
         self, local: np.ndarray, normals: np.ndarray, ray: np.ndarray, triangle: np.ndarray
     ) -> Hits:
         """Hit in double precision on the triangle that single precision found."""
+        return self._meet(self._facets(local, normals), ray, triangle)
+
+    def _facets(self, local: np.ndarray, normals: np.ndarray) -> _Facets:
         corners = local[self.triangles]
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
         # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
         faces = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
         facet = faces.sum(axis=1)
         facing = np.einsum("mkj,mj->mk", normals[self.triangles], facet)
-        offset = np.einsum("mj,mj->m", a, facet)
-        volumes = np.einsum("rkj,rj->rk", faces[triangle], self.directions[ray])
+        return _Facets(faces, facing, np.einsum("mj,mj->m", a, facet))
+
+    def _meet(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
+        volumes = np.einsum("rkj,rj->rk", facets.faces[triangle], self.directions[ray])
         along = volumes.sum(axis=1)
         barycentric = volumes / along[:, None]
-        sensitivity = barycentric * facing[triangle] / along[:, None]
-        return Hits(ray, triangle, barycentric, offset[triangle] / along, sensitivity)
+        sensitivity = barycentric * facets.facing[triangle] / along[:, None]
+        return Hits(ray, triangle.copy(), barycentric, facets.offset[triangle] / along, sensitivity)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -28,6 +28,13 @@ is compared with those of the discrepancy principle and the L-curve in `study ac
 MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""
 
+_NEAR, _FAR = 0.05, 0.5
+"""Shares of a mesh edge. Moved by less than the first, a ray meets the same facet at the same
+slope, to within what changes the patch; by more than the second, the answer is another one."""
+
+_COLD = 3
+"""Times as many casts in a first frame, which the frames of a stream share between them."""
+
 MINIMUM_BLOCKS = 3
 """A plane's worth of blocks: with fewer, no dent can be told from a shift of the sensor."""
 
@@ -41,7 +48,7 @@ class EstimatorOptions:
     solver : str or None
         Name of the solver; None for the default.
     relinearisations : int
-        How often rays may be re-cast at the current shape within one frame.
+        How often rays may be re-cast at the current shape within one frame of a stream.
     nodes : int or None
         Size of the mesh of an analytic dome; None for the sensor file's.
     tolerance : float or None
@@ -155,12 +162,11 @@ class Estimator:
             tension_n_per_m,
             information_density(Q, self.mesh.areas[self.mesh.free]),
         )
-        # Moved by less than half an edge, a ray meets much the same facet at much the same slope.
-        self._step_m = 0.5 * self.mesh.edge_length
+        self._near_m, self._far_m = (k * self.mesh.edge_length for k in (_NEAR, _FAR))
         self._last: _Answer | None = None
         self._solve_ms = 0.0
         self._linear = observer.linearise()
-        self._cast_at = np.zeros(len(self.mesh.nodes))
+        self._cast_at = self._linear_at = np.zeros(len(self.mesh.nodes))
 
     def estimate(self, depth_m: np.ndarray, gas_pressure_pa: float | None = None) -> Estimate:
         """Solve one frame.
@@ -198,7 +204,9 @@ class Estimator:
         recast = self.options.relinearisations > 0
         answer = self._last
         here = answer.displacement_m if answer else np.zeros(len(self.mesh.nodes))
-        for _ in range(1 + max(1, self.options.relinearisations)):
+        # From rest a dent is reached in steps; a seek ends where playing the recording would.
+        casts, settled_m = (1, self._far_m) if answer else (_COLD, self._near_m)
+        for _ in range(1 + casts * self.options.relinearisations if recast else 2):
             linear = self._linearise(here if recast else np.zeros_like(here))
             expected = self.observer.predict(linear, here)
             observation = self.observer.observe(depth_m, expected)
@@ -210,16 +218,19 @@ class Estimator:
             answer = self._solve_linear(observation, linear, gas, answer)
             moved = np.max(np.abs(answer.displacement_m - here))
             here = answer.displacement_m
-            settled = moved <= self._step_m or (not recast and observation.trusted == 1.0)
+            settled = moved <= settled_m or (not recast and observation.trusted == 1.0)
             if settled or answer.status == "implausible":
                 break
         return observation, linear, answer
 
     def _linearise(self, displacement_m: np.ndarray) -> Linearisation:
-        """Model around a displacement; rays are cast again only where it left the last one."""
-        if np.max(np.abs(displacement_m - self._cast_at)) > self._step_m:
+        """Model around a displacement, no older than it has to be for this one."""
+        if np.max(np.abs(displacement_m - self._cast_at)) > self._far_m:
             self._linear = self.observer.linearise(displacement_m)
-            self._cast_at = displacement_m
+            self._cast_at = self._linear_at = displacement_m
+        elif np.max(np.abs(displacement_m - self._linear_at)) > self._near_m:
+            self._linear = self.observer.linearise(displacement_m, self._linear)
+            self._linear_at = displacement_m
         return self._linear
 
     @property

@@ -92,3 +92,15 @@ class MembraneMesh:
         a, b, c = (nodes[self.triangles[:, k]] for k in range(3))
         normal_z = 0.5 * np.cross(b - a, c - a)[:, 2]
         return float(np.sum(normal_z * (a[:, 2] + b[:, 2] + c[:, 2]) / 3.0))
+
+
+def triangles_across(triangles: np.ndarray) -> np.ndarray:
+    """Triangle (m, 3) across the side opposite each corner; −1 at the rim."""
+    n = int(triangles.max()) + 1
+    start, end = np.roll(triangles, -1, axis=1).ravel(), np.roll(triangles, -2, axis=1).ravel()
+    key = start * n + end
+    order = np.argsort(key)
+    there = np.minimum(np.searchsorted(key[order], end * n + start), len(key) - 1)
+    found = order[there]
+    across = np.where(key[found] == end * n + start, found // 3, -1)
+    return across.reshape(-1, 3)

@@ -20,7 +20,7 @@ from bubbleviz.inverse.pivoting import DenseQuadratic, nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 from bubbleviz.pose.contact import ContactPoints
 from bubbleviz.pose.model import ObjectModel
 from bubbleviz.pose.samples import contact_samples
@@ -85,7 +85,7 @@ class PressedMembrane:
             core.Tensor.from_numpy(mesh.nodes.astype(np.float32)),
             core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, np.uint32)),
         )
-        self._neighbours = _neighbours(mesh.triangles)
+        self._neighbours = triangles_across(mesh.triangles)
         self._row = np.full(len(mesh.nodes), -1)
         self._compliance = np.zeros((0, len(mesh.nodes)))
         self._touching = np.zeros(len(self._points), bool)
@@ -230,15 +230,3 @@ def _solve3(a: np.ndarray, b: np.ndarray, c: np.ndarray, right: np.ndarray) -> n
     volume = np.einsum("ij,ij->i", a, bc)
     parts = [np.einsum("ij,ij->i", right, side) for side in (bc, ca, ab)]
     return np.stack(parts, axis=1) / volume[:, None]
-
-
-def _neighbours(triangles: np.ndarray) -> np.ndarray:
-    """Triangle (m, 3) across the side opposite each corner; −1 at the rim."""
-    n = int(triangles.max()) + 1
-    start, end = np.roll(triangles, -1, axis=1).ravel(), np.roll(triangles, -2, axis=1).ravel()
-    key = start * n + end
-    order = np.argsort(key)
-    there = np.minimum(np.searchsorted(key[order], end * n + start), len(key) - 1)
-    found = order[there]
-    across = np.where(key[found] == end * n + start, found // 3, -1)
-    return across.reshape(-1, 3)

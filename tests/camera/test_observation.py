@@ -49,6 +49,20 @@ def test_rays_meet_the_sphere_where_geometry_says():
     assert facet_error(MESH) == pytest.approx(MESH.edge_length**2 / (8 * radius), rel=0.3)
 
 
+@pytest.mark.parametrize("depth_m", [0.0, 0.004, 0.012])
+def test_rays_walk_to_where_they_would_be_cast(depth_m):
+    """After a motion of a share of an edge, and from one triangle to the next but one."""
+    caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
+    old = caster.cast(MESH.deformed(smooth_dent(depth_m)), MESH.normals)
+    nodes = MESH.deformed(smooth_dent(depth_m + 0.5 * MESH.edge_length))
+    fresh, walked = caster.cast(nodes, MESH.normals), caster.again(nodes, MESH.normals, old)
+    both, a, b = np.intersect1d(fresh.ray, walked.ray, return_indices=True)
+    assert len(both) > 0.999 * len(fresh.ray)
+    assert np.mean(fresh.triangle[a] != old.triangle[b]) > 0.002  # or there was nothing to walk
+    assert np.mean(fresh.triangle[a] != walked.triangle[b]) < 1e-3  # rays along an edge
+    assert np.max(np.abs(fresh.range_m[a] - walked.range_m[b])) < 1e-5
+
+
 def test_the_operators_reproduce_points_and_differences():
     base = smooth_dent(0.01)
     hits = cast(base)

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import active_set
 from bubbleviz.inverse.estimator import Estimator
-from tests.inverse.conftest import SENSOR, TENSION, estimator
+from tests.inverse.conftest import SENSOR, TENSION, estimator, press
 
 
 def force_of(solver, estimate):
@@ -88,6 +88,20 @@ def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
     reference = np.linalg.norm(sphere.force)
     assert np.linalg.norm(force_of(warm, a) - force_of(warm, b)) < 0.02 * reference
     assert warm.estimate(untouched.depth(0.01)).status == "no_contact"
+
+
+def test_a_seek_ends_where_playing_does():
+    """The shape after a press does not depend on how one came to it."""
+    played, deepest = estimator(), press("two_legged_toy", 0.012)
+    way = [press("two_legged_toy", depth).depth(0.002) for depth in (0.004, 0.006, 0.008, 0.010)]
+    frames = [*way, *(deepest.depth(0.002, seed) for seed in range(3))]
+    a = [played.estimate(frame) for frame in frames][-1]
+    b = estimator().estimate(frames[-1])
+    again = played.estimate(frames[-1])
+    top = np.max(a.contact_pressure_pa)
+    for other in (b, again):
+        assert np.max(np.abs(a.contact_pressure_pa - other.contact_pressure_pa)) < 0.01 * top
+        assert np.max(np.abs(a.displacement_m - other.displacement_m)) < 1e-5
 
 
 def test_noise_alone_is_no_contact_and_costs_no_solve(untouched):
