@@ -8,11 +8,12 @@ from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.build import build_mesh, reference_tension
 from bubbleviz.membrane.forward import ForwardModel
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import triangles_across
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.contact import contact_points
 from bubbleviz.pose.model import ObjectModel
 from bubbleviz.pose.motion import moved
-from bubbleviz.pose.pressed import PressedMembrane, _neighbours
+from bubbleviz.pose.pressed import PressedMembrane
 from bubbleviz.pose.sliding import Viewer, slide
 from bubbleviz.pose.uncertainty import Directions
 from bubbleviz.sensor import load_sensor
@@ -94,7 +95,7 @@ def test_a_flat_face_that_turned_is_turned_back(pipeline, turn):
 
 def test_neighbours_share_the_side(pipeline):
     triangles = pipeline.mesh.triangles
-    across = _neighbours(triangles)
+    across = triangles_across(triangles)
     for k in (0, 100, 1000):
         for corner in range(3):
             other = across[k, corner]
