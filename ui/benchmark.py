@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median, quantiles
 
@@ -13,6 +15,8 @@ from ui.session import WindowSession, window_session
 
 WARM_UP_S = 2.0
 WINDOW_S = 1.0
+BEAT_MS = 2
+TOO_LONG_MS = 50.0
 
 
 def replay_fps(
@@ -38,7 +42,9 @@ def replay_fps(
     dict
         `camera_hz`; `median_fps`, `p5_fps`: VTK renders in the second before each render;
         `solve_hz`: frames solved and shown in a second; `solve_ms`: median time of depth in →
-        products out; `draw_ms`: mean time of the GUI thread for a picture; `shown_frames` and
+        products out; `draw_ms`: mean time of the GUI thread for a picture; `blocked_ms`,
+        `blocked_p99_ms`: longest time and 99th percentile between two beats of a watchdog in the
+        GUI thread, and how many were over 50 ms; `shown_frames` and
         `dropped_frames` (on purpose) while counting; `seconds`; `load_average` of the machine
         over the last minute and its `cores`; `width`, `height` in pixels.
     """
@@ -60,7 +66,8 @@ def _count(session: WindowSession, seconds: float) -> dict[str, float]:
     controller.shown.connect(lambda result: solves.append(result.times_ms["total"]))
     view.rendered.connect(lambda: renders.append(time.perf_counter()))
     dropped, busy, start = controller.dropped, view.busy_s, time.perf_counter()
-    run_for(seconds)
+    with beats() as gaps_ms:
+        run_for(seconds)
     elapsed = time.perf_counter() - start
     fps = [
         float(sum(now - WINDOW_S < then <= now for then in renders))
@@ -74,10 +81,35 @@ def _count(session: WindowSession, seconds: float) -> dict[str, float]:
         "solve_hz": len(solves) / elapsed,
         "solve_ms": median(solves) if solves else float("nan"),
         "draw_ms": 1e3 * (view.busy_s - busy) / max(len(renders), 1),
+        "blocked_ms": max(gaps_ms, default=float("nan")),
+        "blocked_p99_ms": quantiles(gaps_ms, n=100)[-1] if len(gaps_ms) > 1 else float("nan"),
+        "blocked_over_50_ms": sum(gap > TOO_LONG_MS for gap in gaps_ms),
         "shown_frames": len(solves),
         "dropped_frames": controller.dropped - dropped,
         "seconds": elapsed,
     }
+
+
+@contextmanager
+def beats() -> Iterator[list[float]]:
+    """Times between two beats of a timer in this thread, ms: how long it was kept from events."""
+    from PySide6.QtCore import Qt, QTimer
+
+    gaps_ms: list[float] = []
+    last = time.perf_counter()
+
+    def beat() -> None:
+        nonlocal last
+        now = time.perf_counter()
+        gaps_ms.append(1e3 * (now - last))
+        last = now
+
+    timer = QTimer()
+    timer.setTimerType(Qt.TimerType.PreciseTimer)
+    timer.timeout.connect(beat)
+    timer.start(BEAT_MS)
+    yield gaps_ms
+    timer.stop()
 
 
 def run_for(seconds: float) -> None:
