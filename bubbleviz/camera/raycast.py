@@ -143,14 +143,15 @@ class RayCaster:
         corners = local[self.triangles]
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
         # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
-        faces = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
-        facet = faces.sum(axis=1)
+        faces = np.empty_like(corners)
+        faces[:, 0], faces[:, 1], faces[:, 2] = _cross(b, c), _cross(c, a), _cross(a, b)
+        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
         facing = np.einsum("mkj,mj->mk", normals[self.triangles], facet)
         return _Facets(faces, facing, np.einsum("mj,mj->m", a, facet))
 
     def _meet(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
-        volumes = np.einsum("rkj,rj->rk", facets.faces[triangle], self.directions[ray])
-        along = volumes.sum(axis=1)
+        volumes = (facets.faces[triangle] @ self.directions[ray][:, :, None])[:, :, 0]
+        along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
         barycentric = volumes / along[:, None]
         sensitivity = barycentric * facets.facing[triangle] / along[:, None]
         return Hits(ray, triangle.copy(), barycentric, facets.offset[triangle] / along, sensitivity)
