@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live.session import LiveSensor
@@ -10,6 +12,7 @@ from ui.controller import Controller
 from ui.live.background import Background
 from ui.live.connection import Connection, LiveRun
 from ui.live.frames import LiveOpener
+from ui.live.memory import EVERY_S, give_back
 from ui.live.outlet import PRODUCTS
 from ui.live.pair import Pair
 from ui.live.publishing import Publishing
@@ -54,12 +57,14 @@ class LiveDesk(QObject):
         self._marked: frozenset[int] = frozenset()
         self._timer = QTimer(self)
         self._timer.setInterval(LOOK_MS)
-        self._timer.timeout.connect(self._look)
+        self._timer.timeout.connect(self._on_tick)
+        self._due, self._trimmed_s = True, time.monotonic()
         for part in (self.recording, self.publishing):
             part.said.connect(self._say)
             part.changed.connect(self.looked)
         self.publishing.changed.connect(self._ask_what_goes_out)
         controller.opened.connect(self._on_opened)
+        controller.shown.connect(self._on_shown)
         controller.failed.connect(self._on_failed)
         pair.failed.connect(self._on_companion_failed)
         controller.state.subscribe(self._on_event)
@@ -159,7 +164,21 @@ class LiveDesk(QObject):
     def _on_companion_failed(self, failed: Failed) -> None:
         self.said.emit(failed.message, failed.details)
 
+    def _on_tick(self) -> None:
+        """Look, if no picture came meanwhile: texts that change beside one cost another upload."""
+        if self._due:
+            self._look()
+        self._due = True
+        if time.monotonic() - self._trimmed_s > EVERY_S:
+            self._trimmed_s = time.monotonic()
+            self._background.do(give_back)
+
+    def _on_shown(self, _: object) -> None:
+        if self._due and self._timer.isActive():
+            self._look()
+
     def _look(self) -> None:
+        self._due = False
         self.publishing.diagnose()
         self.looked.emit()
 
