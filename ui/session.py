@@ -62,8 +62,8 @@ class WindowSession:
         # same time can lock each other out.
         self.window = MainWindow(state, self.controller)
         self._answers: list[Opened | Failed] = []
-        self.controller.opened.connect(self._answers.append)
-        self.controller.failed.connect(self._answers.append)
+        self.controller.opened.connect(self._note)
+        self.controller.failed.connect(self._note)
         known = recording is not None or live is not None
         restored = keep_in is not None and self._restore(keep_in, recording, known=known)
         if scene is not None:
@@ -78,6 +78,12 @@ class WindowSession:
                 f"{recording or 'synthetic press'}: has no frame {frame}; "
                 f"choose 0 to {state.facts.frames - 1}"
             )
+        self.controller.opened.disconnect(self._note)
+        self.controller.failed.disconnect(self._note)
+        self._answers.clear()  # each holds a camera's rays and a frame
+
+    def _note(self, answer: Opened | Failed) -> None:
+        self._answers.append(answer)
 
     def _open(self, sensor: Sensor, recording: Path | None, frame: int | None) -> None:
         from ui.requests import Failed
