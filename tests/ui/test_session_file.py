@@ -290,3 +290,24 @@ def test_a_session_is_a_small_file(drive: Drive, tmp_path: Path) -> None:
     driver.window.keeper.save_as(tmp_path / "a.bubbleviz")
     assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
     assert np.isfinite(read_session(tmp_path / "a.bubbleviz").frame)
+
+
+def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
+    """Each answer holds a camera's rays and a frame: 15 MiB for a RealSense."""
+    import gc
+
+    from fakes import DentSource
+
+    from ui.requests import Opened
+    from ui.session import window_session
+
+    sensor = load(files / "dome.toml")
+    with window_session(sensor, files / "press.mcap", 3) as session:
+        controller = session.controller
+        for frame in (1, 2, 3, 4):
+            before = controller.solved_session
+            controller.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
+            session.wait_for(lambda before=before: controller.solved_session > before, "opening")
+        gc.collect()
+        kept = sum(isinstance(thing, Opened) for thing in gc.get_objects())
+        assert kept <= 1
