@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
@@ -13,6 +15,9 @@ from ui.scene.companion import CompanionScene
 from ui.scene.scene import Scene
 from ui.state import ChoicesChanged, Event, FrameChanged, FrozenChanged, PlayingChanged
 from ui.view import View
+
+ALONE_S = 0.15
+"""A sensor without a picture for this long is not waited for by the other."""
 
 
 class Pair(QObject):
@@ -37,6 +42,8 @@ class Pair(QObject):
         self.drawing: CompanionScene | None = None
         self._run: LiveRun | None = None
         self.chosen = 0
+        self._shown_s = 0.0
+        controller.shown.connect(self._on_shown)
         controller.state.subscribe(self._on_event)
 
     def prepare(self, run: LiveRun) -> None:
@@ -127,8 +134,15 @@ class Pair(QObject):
         self._show(opened.result)
 
     def _show(self, result: Result) -> None:
-        if self.drawing is not None and self.companion is not None:
-            self.drawing.show(result, self._controller.state.choices)
+        """Draw with the chosen sensor's next picture: two sensors cost one picture, not two."""
+        if self.drawing is None or self.companion is None:
+            return
+        self.drawing.show(result, self._controller.state.choices)
+        if time.perf_counter() - self._shown_s > ALONE_S:
+            self._view.refresh()
+
+    def _on_shown(self, _: object) -> None:
+        self._shown_s = time.perf_counter()
 
     def _on_event(self, event: Event) -> None:
         companion = self.companion

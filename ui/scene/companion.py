@@ -64,7 +64,7 @@ class CompanionScene:
         self._rim.paint(colour)
 
     def show(self, result: Result, choices: Choices) -> None:
-        """Draw a result with what the user chose to see."""
+        """Have the next picture show a result with what the user chose to see."""
         shape = self._surface.shape_of(result.estimate, choices.exaggeration)
         if shape is not None:
             self._surface.draw(shape)
@@ -74,7 +74,6 @@ class CompanionScene:
             if name in choices.layers:
                 layer.draw(picture)
         self._assembly.SetVisibility(True)
-        self._view.refresh()
 
     def hide(self) -> None:
         """Show nothing."""
