@@ -11,7 +11,6 @@ from bubbleviz.pipeline import Product
 from bubbleviz.sensor import Sensor
 from ui.history import History
 from ui.live.frames import LiveFrames, LiveOpener
-from ui.live.lead import Lead
 from ui.needs import products
 from ui.rates import RateMeter
 from ui.requests import (
@@ -57,7 +56,7 @@ class Companion(QObject):
         self.extra: frozenset[Product] = frozenset()
         self._session = session
         self._seat: Seat | None = None
-        self._awaiting, self._lead = False, Lead()
+        self._awaiting = False
         self._worker = Worker()
         self._worker.answered.connect(self._on_answer)
         choices = session.choices
@@ -140,7 +139,6 @@ class Companion(QObject):
                 choices.kappa,
                 choices.cloud_points,
                 least_area_m2=choices.least_area_m2,
-                from_s=time.perf_counter() + self._lead.hold_s,
             )
         )
 
@@ -160,9 +158,8 @@ class Companion(QObject):
 
     def _on_solved(self, answer: Solved, seat: Seat) -> None:
         if isinstance(answer.request, NewestRequest):
-            self._awaiting, now = False, time.perf_counter()
-            self.solves.tick(now)
-            self._lead.waited(now - answer.done_s)
+            self._awaiting = False
+            self.solves.tick(time.perf_counter())
             seat = self._seat = seat.with_newest(answer)
             self._go_on()
         else:
