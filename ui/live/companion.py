@@ -36,7 +36,7 @@ class Companion(QObject):
     Attributes
     ----------
     shown : Signal
-        Another `Result` to draw.
+        Another `Result` to draw; the next one is made once `follow` is called.
     opened : Signal
         Its first result is there.
     failed : Signal
@@ -161,7 +161,6 @@ class Companion(QObject):
             self._awaiting = False
             self.solves.tick(time.perf_counter())
             seat = self._seat = seat.with_newest(answer)
-            self._go_on()
         else:
             seat = self._seat = seat.showing(answer)
         self.shown.emit(seat.opened.result)

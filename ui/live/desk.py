@@ -169,6 +169,7 @@ class LiveDesk(QObject):
         if self._due:
             self._look()
         self._due = True
+        self._pair.look()
         if time.monotonic() - self._trimmed_s > EVERY_S:
             self._trimmed_s = time.monotonic()
             self._background.do(give_back)

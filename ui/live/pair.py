@@ -142,7 +142,21 @@ class Pair(QObject):
             self._view.refresh()
 
     def _on_shown(self, _: object) -> None:
+        """Let both go on at once: neither takes the other's time."""
         self._shown_s = time.perf_counter()
+        if self.companion is not None and self._playing:
+            self.companion.follow()
+
+    @property
+    def _playing(self) -> bool:
+        state = self._controller.state
+        return state.playing and not state.frozen
+
+    def look(self) -> None:
+        """Let the other sensor go on alone while the chosen one sends nothing."""
+        alone = time.perf_counter() - self._shown_s > ALONE_S
+        if self.companion is not None and alone and self._playing:
+            self.companion.follow()
 
     def _on_event(self, event: Event) -> None:
         companion = self.companion
