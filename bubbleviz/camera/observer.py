@@ -231,22 +231,36 @@ class RangeObserver:
         """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
         return precision / (1.0 + precision * self._facet_error_m**2)
 
-    def linearise(
-        self, displacement_m: np.ndarray | None = None, near: Linearisation | None = None
-    ) -> Linearisation:
-        """Model of the block residuals around a displacement (n,), or the reference.
-
-        From a model `near`, where one is given, every ray walks to its triangle: half the time.
-        """
+    def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
+        """Model of the block residuals around a displacement (n,), or the reference."""
         if displacement_m is None or not displacement_m.any():
             return Linearisation(self._at_rest, np.zeros(len(self._at_rest.ray)))
-        nodes, normals = self.mesh.deformed(displacement_m), self.mesh.normals
-        if near is None:
-            hits = self._caster.cast(nodes, normals)
-        else:
-            hits = self._caster.again(nodes, normals, near.hits)
+        hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
+        return Linearisation(hits, self._offset(hits, displacement_m))
+
+    def relinearise(
+        self, linear: Linearisation, displacement_m: np.ndarray, triangles: np.ndarray
+    ) -> Linearisation:
+        """The same model, around a displacement (n,) close by for the rays of some triangles.
+
+        Each of these rays walks to its triangle, which takes a fraction of casting them all.
+
+        Parameters
+        ----------
+        linear : Linearisation
+        displacement_m : (n,) array
+        triangles : (m,) bool array
+        """
+        some = np.flatnonzero(triangles[linear.hits.triangle])
+        nodes = self.mesh.deformed(displacement_m)
+        moved = self._caster.again(nodes, self.mesh.normals, linear.hits.of(some))
+        offset = linear.offset_m.copy()
+        offset[some] = self._offset(moved, displacement_m)
+        return Linearisation(linear.hits.with_others(some, moved), offset)
+
+    def _offset(self, hits: Hits, displacement_m: np.ndarray) -> np.ndarray:
         change = hits.range_m - self._rest_range[hits.ray]
-        return Linearisation(hits, change - self._along_rays(hits, displacement_m))
+        return change - self._along_rays(hits, displacement_m)
 
     def predict(self, linear: Linearisation, displacement_m: np.ndarray) -> np.ndarray:
         """Model of every block's residual at a displacement (n,), (B,) in m; 0 where unknown."""

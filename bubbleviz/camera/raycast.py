@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,17 @@ class Hits:
     range_m: np.ndarray
     sensitivity: np.ndarray
 
+    def of(self, some: np.ndarray) -> Hits:
+        """Hits number `some` (j,)."""
+        return Hits(*(getattr(self, field.name)[some] for field in fields(self)))
+
+    def with_others(self, some: np.ndarray, others: Hits) -> Hits:
+        """The same with `others` in place of those number `some` (j,)."""
+        arrays = [getattr(self, field.name).copy() for field in fields(self)]
+        for array, field in zip(arrays, fields(self), strict=True):
+            array[some] = getattr(others, field.name)
+        return Hits(*arrays)
+
 
 class _Facets(NamedTuple):
     """Triangles seen from the rays' origin.
@@ -81,7 +93,6 @@ class RayCaster:
         self.origin = np.asarray(origin, float)
         self.directions = np.ascontiguousarray(directions, float)
         self.triangles = triangles
-        self._across = triangles_across(triangles)
         self._indices = core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32))
         # Nodes are moved by −origin before single precision sees them: all rays start at zero.
         rays = np.zeros((len(directions), 6), np.float32)
@@ -113,6 +124,10 @@ class RayCaster:
             local, normals, ray if rays is None else np.asarray(rays)[ray], triangle
         )
 
+    @cached_property
+    def _across(self) -> np.ndarray:
+        return triangles_across(self.triangles)
+
     def again(self, nodes: np.ndarray, normals: np.ndarray, hits: Hits) -> Hits:
         """Hits of the same rays after the nodes moved a little: each walks to its triangle.
 
@@ -129,8 +144,7 @@ class RayCaster:
             if not len(leaving):
                 break
             moved = self._meet(facets, hits.ray[leaving], following)
-            for name in ("triangle", "barycentric", "range_m", "sensitivity"):
-                getattr(found, name)[leaving] = getattr(moved, name)
+            found = found.with_others(leaving, moved)
         return found
 
     def _refine(
@@ -154,7 +168,7 @@ class RayCaster:
         along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
         barycentric = volumes / along[:, None]
         sensitivity = barycentric * facets.facing[triangle] / along[:, None]
-        return Hits(ray, triangle.copy(), barycentric, facets.offset[triangle] / along, sensitivity)
+        return Hits(ray, triangle, barycentric, facets.offset[triangle] / along, sensitivity)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -224,13 +224,18 @@ class Estimator:
         return observation, linear, answer
 
     def _linearise(self, displacement_m: np.ndarray) -> Linearisation:
-        """Model around a displacement, no older than it has to be for this one."""
+        """Model around a displacement, nowhere older than it has to be for this one."""
         if np.max(np.abs(displacement_m - self._cast_at)) > self._far_m:
             self._linear = self.observer.linearise(displacement_m)
             self._cast_at = self._linear_at = displacement_m
-        elif np.max(np.abs(displacement_m - self._linear_at)) > self._near_m:
-            self._linear = self.observer.linearise(displacement_m, self._linear)
-            self._linear_at = displacement_m
+            return self._linear
+        moved = np.abs(displacement_m - self._linear_at) > self._near_m
+        if moved.any():
+            around = moved[self.mesh.triangles].any(axis=1)
+            self._linear = self.observer.relinearise(self._linear, displacement_m, around)
+            nodes = self.mesh.triangles[around]
+            self._linear_at = self._linear_at.copy()
+            self._linear_at[nodes] = displacement_m[nodes]
         return self._linear
 
     @property

@@ -11,6 +11,7 @@ from typing import Any
 STAGES = {
     "observe": "observe",
     "linearise": "linearise",
+    "relinearise": "linearise",
     "assemble": "assemble",
     "select": "solve",
     "refine": "solve",

@@ -92,7 +92,7 @@ def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "1 of 4 recordings have no result" in done.stderr
-    assert "bad.mcap: the recording is truncated" in done.stderr
+    assert "bad.mcap: the MCAP file is truncated" in done.stderr
     rows = table_of(out)
     assert list(rows) == [*NAMES[:2], "bad.mcap", NAMES[2]]
     assert [row["outcome"] for row in rows.values()] == ["done", "done", "bad_input", "done"]
@@ -114,7 +114,9 @@ def test_a_recording_that_ends_early_says_so(
     recordings: Path, sensor: Path, tmp_path: Path
 ) -> None:
     cut = recordings / "cut.mcap"
-    cut.write_bytes((recordings / "a.mcap").read_bytes()[:-40])
+    record = [*COMMAND[:-1], "record", "--source", f"replay:{recordings / 'a.mcap'}", "--out", cut]
+    subprocess.run(record, check=True, capture_output=True)
+    cut.write_bytes(cut.read_bytes()[:-40])
     row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), Settings(str(sensor))))
     assert row.outcome == "done"
     assert "ends early" in row.note

@@ -63,6 +63,24 @@ def test_rays_walk_to_where_they_would_be_cast(depth_m):
     assert np.max(np.abs(fresh.range_m[a] - walked.range_m[b])) < 1e-5
 
 
+def test_only_rays_of_given_triangles_are_looked_at_again():
+    observer = RangeObserver(CAMERA, MESH, 0.01, block=3)
+    before, after = smooth_dent(0.008), smooth_dent(0.0085)
+    old, fresh = observer.linearise(before), observer.linearise(after)
+    some = np.abs(after - before)[MESH.triangles].max(axis=1) > 1e-4
+    mixed = observer.relinearise(old, after, some)
+    chosen = some[old.hits.triangle]
+    assert 0.05 < chosen.mean() < 0.9
+    for name in ("triangle", "range_m", "sensitivity"):
+        got, kept = getattr(mixed.hits, name), getattr(old.hits, name)
+        assert np.array_equal(got[~chosen], kept[~chosen])
+    assert np.array_equal(mixed.offset_m[~chosen], old.offset_m[~chosen])
+    a, b = observer.predict(mixed, after), observer.predict(fresh, after)
+    stale = observer.predict(old, after)
+    rays = old.hits.ray[chosen]
+    assert np.max(np.abs(a - b)[rays]) < 1e-7 < np.max(np.abs(stale - b)[rays])
+
+
 def test_the_operators_reproduce_points_and_differences():
     base = smooth_dent(0.01)
     hits = cast(base)
