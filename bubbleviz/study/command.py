@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-SENSOR = "pico_flexx_75mm"
+from bubbleviz.defaults import SYNTHETIC_SENSOR
+
 DEPTH_OF_SWEEP_M = 0.015
 
 
@@ -30,7 +31,9 @@ def _common(function: Callable[..., None]) -> Callable[..., None]:
 
 @study.command()
 @_common
-@click.option("--sensor", default=SENSOR, show_default=True, help="Sensor file or preset.")
+@click.option(
+    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
+)
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
 @click.option("--shipped-only", is_flag=True, help="The whole grid, with the shipped default only.")
 def accuracy(
@@ -87,7 +90,9 @@ def accuracy(
 
 @study.command()
 @_common
-@click.option("--sensor", default=SENSOR, show_default=True, help="Sensor file or preset.")
+@click.option(
+    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
+)
 def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
     from bubbleviz.sensor import load_sensor
@@ -143,7 +148,9 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
 
 @study.command()
 @_common
-@click.option("--sensor", default=SENSOR, show_default=True, help="Sensor file or preset.")
+@click.option(
+    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
+)
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
 def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
     """Pose error against run time: stage one, both stages, other libraries, the whole cloud."""

@@ -1,0 +1,4 @@
+"""What is meant where nothing is named; imports nothing, as the command line does at its start."""
+
+SYNTHETIC_SENSOR = "pico_flexx_75mm"
+"""Preset of the built-in live sensor, and of studies."""
