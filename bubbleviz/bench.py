@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from bubbleviz.defaults import SYNTHETIC_SENSOR
+
+if TYPE_CHECKING:
+    from bubbleviz.sensor import Sensor
 
 
 @click.group()
@@ -26,17 +30,9 @@ def bench_window(
     """Replay with membrane and cloud shown, and count the rendered frames."""
     if synthetic == (recording is not None):
         raise click.UsageError("give either REC or --synthetic")
-    from bubbleviz.matching import checked_sensor
-    from bubbleviz.sensor import load_sensor
-
-    if recording is None:
-        chosen = load_sensor(sensor or SYNTHETIC_SENSOR)
-    else:
-        _, chosen = checked_sensor(recording, sensor)
     from ui.benchmark import replay_fps
 
-    measured = replay_fps(chosen, recording, seconds)
-    _print_measured(measured, as_json)
+    _print_measured(replay_fps(_sensor_for(recording, sensor), recording, seconds), as_json)
 
 
 @bench.command("start")
@@ -60,11 +56,9 @@ def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -> None:
     """Time from a seek anywhere in a recording to the new picture."""
-    from bubbleviz.matching import checked_sensor
     from ui.benchmark_start import seek_times
 
-    _, chosen = checked_sensor(recording, sensor)
-    _print_measured(seek_times(chosen, recording, seeks), as_json)
+    _print_measured(seek_times(_sensor_for(recording, sensor), recording, seeks), as_json)
 
 
 @bench.command("monkey")
@@ -77,15 +71,9 @@ def bench_monkey(
     recording: Path | None, sensor: str | None, minutes: float, seed: int, as_json: bool
 ) -> int:
     """Click and type at random; exit code 1 after an exception or with 100 MiB more memory."""
-    from bubbleviz.matching import checked_sensor
-    from bubbleviz.sensor import load_sensor
     from ui.benchmark_monkey import monkey_run
 
-    if recording is None:
-        chosen = load_sensor(sensor or SYNTHETIC_SENSOR)
-    else:
-        _, chosen = checked_sensor(recording, sensor)
-    report = monkey_run(chosen, recording, 60.0 * minutes, seed)
+    report = monkey_run(_sensor_for(recording, sensor), recording, 60.0 * minutes, seed)
     _print_measured(report.measured, as_json)
     for problem in report.problems:
         click.echo(problem, err=True)
@@ -142,6 +130,16 @@ def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
     report = restart_bench(sensor, times, seed)
     click.echo(report.to_json() if as_json else report.to_text())
     return int(not report.passed)
+
+
+def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
+    """The sensor named, else the preset that fits the recording or is simulated."""
+    from bubbleviz.matching import checked_sensor
+    from bubbleviz.sensor import load_sensor
+
+    if recording is None:
+        return load_sensor(sensor or SYNTHETIC_SENSOR)
+    return checked_sensor(recording, sensor)[1]
 
 
 def _print_measured(measured: dict[str, float], as_json: bool) -> None:

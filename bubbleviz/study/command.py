@@ -19,6 +19,11 @@ def study() -> None:
     """Measure error against run time, speed, stability and pose."""
 
 
+_sensor = click.option(
+    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
+)
+
+
 def _common(function: Callable[..., None]) -> Callable[..., None]:
     """Options of every study."""
     options = [
@@ -31,9 +36,7 @@ def _common(function: Callable[..., None]) -> Callable[..., None]:
 
 @study.command()
 @_common
-@click.option(
-    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
-)
+@_sensor
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
 @click.option("--shipped-only", is_flag=True, help="The whole grid, with the shipped default only.")
 def accuracy(
@@ -90,9 +93,7 @@ def accuracy(
 
 @study.command()
 @_common
-@click.option(
-    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
-)
+@_sensor
 def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
     from bubbleviz.sensor import load_sensor
@@ -148,9 +149,7 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
 
 @study.command()
 @_common
-@click.option(
-    "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
-)
+@_sensor
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
 def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
     """Pose error against run time: stage one, both stages, other libraries, the whole cloud."""
