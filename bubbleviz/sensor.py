@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bubbleviz.errors import InputError
+from bubbleviz.tomlfile import checked, named_file, read_toml
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: outside 0.1 mm … 1 m somebody mixed up mm and m."""
@@ -147,23 +147,12 @@ def load_sensor(name: str | Path) -> Sensor:
     InputError
         The file is missing, is not TOML, or breaks the schema; names the key and what to do.
     """
-    path = Path(name)
-    if not path.exists():
-        path = presets_folder("sensors") / f"{Path(name).stem}.toml"
-        if not path.exists():
-            known = ", ".join(sorted(p.stem for p in presets_folder("sensors").glob("*.toml")))
-            raise InputError(f"{name}: no such sensor file; give a .toml file or one of: {known}")
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
+    path = named_file(name, presets_folder("sensors"), "sensor file")
+    data = read_toml(path)
     for key in ("folder", "file"):
         if key in data:
             raise InputError(f"{path}: {key}: unknown key; remove it")
-    try:
-        return Sensor.model_validate({**data, "folder": path.parent, "file": path.name})
-    except ValidationError as error:
-        raise InputError(f"{path}: {_first_problem(error)}") from error
+    return checked(Sensor, {**data, "folder": path.parent, "file": path.name}, path, "sensor")
 
 
 def sensor_to_toml(sensor: Sensor) -> str:
@@ -172,18 +161,3 @@ def sensor_to_toml(sensor: Sensor) -> str:
 
     data: dict[str, Any] = sensor.model_dump(mode="json", exclude_none=True)
     return tomli_w.dumps(data)
-
-
-def _first_problem(error: ValidationError) -> str:
-    problem = error.errors()[0]
-    where = ".".join(str(part) for part in problem["loc"]) or "sensor"
-    if problem["type"] == "extra_forbidden":
-        return f"{where}: unknown key; check its spelling"
-    if problem["type"] == "missing":
-        return f"{where}: missing; add it"
-    message = problem["msg"].removeprefix("Value error, ")
-    if isinstance(problem["input"], dict):  # the section as a whole
-        return f"{where}: {message}"
-    length = where.endswith("_m") and not where.endswith("_per_m")
-    hint = "; lengths are in metres" if length else ""
-    return f"{where} = {problem['input']!r}: {message}{hint}"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import presets_folder
+from bubbleviz.tomlfile import checked, read_toml
 from ui.state import CloudColour
 
 Layer = Literal[
@@ -144,12 +144,4 @@ def read_scene(path: Path) -> ScenePreset:
     InputError
         It is not TOML or breaks the schema; names the key.
     """
-    try:
-        return ScenePreset.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
-    except ValidationError as error:
-        problem = error.errors()[0]
-        where = ".".join(str(part) for part in problem["loc"]) or "scene"
-        message = problem["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: {where}: {message}; correct it") from error
+    return checked(ScenePreset, read_toml(path), path, "scene")

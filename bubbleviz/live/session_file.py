@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.errors import InputError
 from bubbleviz.sensor import presets_folder
+from bubbleviz.tomlfile import checked, named_file, read_toml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -75,18 +74,5 @@ def load_session(name: str | Path) -> SessionPreset:
     InputError
         There is none, it is not TOML, or breaks the schema; names the key.
     """
-    path = Path(name)
-    if not path.exists():
-        path = presets_folder("sessions") / f"{Path(name).stem}.toml"
-        if not path.exists():
-            known = ", ".join(sorted(p.stem for p in presets_folder("sessions").glob("*.toml")))
-            raise InputError(f"{name}: no such session; give a .toml file or one of: {known}")
-    try:
-        return SessionPreset.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
-    except ValidationError as error:
-        problem = error.errors()[0]
-        where = ".".join(str(part) for part in problem["loc"]) or "session"
-        message = problem["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: {where}: {message}; correct it") from error
+    path = named_file(name, presets_folder("sessions"), "session")
+    return checked(SessionPreset, read_toml(path), path, "session")

@@ -1,0 +1,84 @@
+"""TOML files that people write: found by name, read, and checked with one clear sentence."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from bubbleviz.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def named_file(name: str | Path, presets: Path, what: str) -> Path:
+    """The file of that name or, where there is none, the preset of its stem.
+
+    Raises
+    ------
+    InputError
+        There is neither; lists the presets.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    path = presets / f"{path.stem}.toml"
+    if path.exists():
+        return path
+    known = ", ".join(sorted(p.stem for p in presets.glob("*.toml")))
+    raise InputError(f"{name}: no such {what}; give a .toml file or one of: {known}")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Tables of a TOML file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
+
+
+def checked(model: type[Model], data: Mapping[str, Any], path: Path, whole: str) -> Model:
+    """What the tables of a file describe.
+
+    Parameters
+    ----------
+    model : type
+    data : mapping
+    path : Path
+        For the message.
+    whole : str
+        What to call the file's content where no key is to blame.
+
+    Raises
+    ------
+    InputError
+        It breaks the schema; names the first key that does and what to do.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error, whole)}") from error
+
+
+def _first_problem(error: ValidationError, whole: str) -> str:
+    problem = error.errors()[0]
+    where = ".".join(str(part) for part in problem["loc"]) or whole
+    if problem["type"] == "extra_forbidden":
+        return f"{where}: unknown key; check its spelling"
+    if problem["type"] == "missing":
+        return f"{where}: missing; add it"
+    message = problem["msg"].removeprefix("Value error, ")
+    if isinstance(problem["input"], dict):  # the section as a whole
+        return f"{where}: {message}"
+    length = where.endswith("_m") and not where.endswith("_per_m")
+    hint = "; lengths are in metres" if length else ""
+    return f"{where} = {problem['input']!r}: {message}{hint}"
