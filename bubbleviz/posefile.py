@@ -57,11 +57,7 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
         Names the file and the line.
     """
     path = Path(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV ({error}); check the path") from error
+    rows = read_rows(path)
     if not rows:
         raise InputError(f"{path}: no poses; give a line for each frame below the header")
     missing = [name for name in COLUMNS if name not in rows[0]]
@@ -74,6 +70,21 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
         except (InputError, ValueError) as error:
             raise InputError(f"{path}: line {k + 2}: {error}") from None
     return poses, _times(path, rows)
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Lines of a CSV file by the names in its header.
+
+    Raises
+    ------
+    InputError
+        It cannot be read as CSV.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error}); check the path") from error
 
 
 def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:

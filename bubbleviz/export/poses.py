@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
 from bubbleviz.errors import InputError
-from bubbleviz.posefile import COLUMNS
+from bubbleviz.posefile import COLUMNS, read_rows
 
 _QUALITY = ("fitness", "rmse_m")
 
@@ -21,11 +20,7 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
         Names the file and the line.
     """
     path = Path(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV ({error}); check the path") from error
+    rows = read_rows(path)
     needed = ("frame", "status", *COLUMNS)
     missing = [name for name in needed if not rows or name not in rows[0]]
     if missing:
