@@ -221,14 +221,20 @@ def drain(stream: LiveStream) -> None:
 
 def sequences(path: Path) -> np.ndarray:
     """The publisher's count of every depth image in a recording, in file order."""
-    from mcap.reader import make_reader
+    from mcap.records import Channel, Message, Schema
+    from mcap.stream_reader import StreamReader  # a chunk at a time: the file may be gigabytes
 
+    schemas: set[int] = set()
+    channels: set[int] = set()
+    found = []
     with path.open("rb") as file:
-        found = [
-            message.sequence
-            for schema, _, message in make_reader(file).iter_messages(log_time_order=False)
-            if schema is not None and schema.name == IMAGE
-        ]
+        for record in StreamReader(file).records:
+            if isinstance(record, Schema) and record.name == IMAGE:
+                schemas.add(record.id)
+            elif isinstance(record, Channel) and record.schema_id in schemas:
+                channels.add(record.id)
+            elif isinstance(record, Message) and record.channel_id in channels:
+                found.append(record.sequence)
     return np.array(found, dtype=np.int64)
 
 
