@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.deferred import import_without
-from bubbleviz.membrane.mesh import triangles_across
+from bubbleviz.membrane.mesh import cross, triangles_across
 
 _WALK = 4
 """Triangles that a ray may walk over; it is cast again before more are needed."""
@@ -158,7 +158,7 @@ class RayCaster:
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
         # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
         faces = np.empty_like(corners)
-        faces[:, 0], faces[:, 1], faces[:, 2] = _cross(b, c), _cross(c, a), _cross(a, b)
+        faces[:, 0], faces[:, 1], faces[:, 2] = cross(b, c), cross(c, a), cross(a, b)
         facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
         facing = np.einsum("mkj,mj->mk", normals[self.triangles], facet)
         return _Facets(faces, facing, np.einsum("mj,mj->m", a, facet))
@@ -169,12 +169,3 @@ class RayCaster:
         barycentric = volumes / along[:, None]
         sensitivity = barycentric * facets.facing[triangle] / along[:, None]
         return Hits(ray, triangle, barycentric, facets.offset[triangle] / along, sensitivity)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of rows, (m, 3); several times faster than `np.cross`."""
-    out = np.empty_like(a)
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
-    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class Gas:
             lowest_change_pa=-pneumatics.gauge_pressure_pa,
             highest_change_pa=P0 * mesh.cap_volume() / chamber,
         )
+
+    def behind(self, mesh: MembraneMesh) -> Gas:
+        """The same gas behind another mesh of the same facets."""
+        return replace(self, dV_du=self.dV_du.sum() / mesh.areas.sum() * mesh.areas)
 
     def volume(self, displacement: np.ndarray) -> float:
         """Gas volume V in m³ at displacement u (first order in u, as the membrane is)."""

@@ -104,3 +104,12 @@ def triangles_across(triangles: np.ndarray) -> np.ndarray:
     found = order[there]
     across = np.where(key[found] == end * n + start, found // 3, -1)
     return across.reshape(-1, 3)
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of rows, (m, 3); several times faster than `np.cross`."""
+    out = np.empty_like(a)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+    return out

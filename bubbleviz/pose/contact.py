@@ -41,6 +41,8 @@ class ContactPoints:
         Mean of `points`, weighted by area.
     radius_m : float
         Their root mean square distance from it.
+    rest_center : (3,) array
+        Where that part of the membrane was at rest, on average.
     """
 
     points: np.ndarray
@@ -51,6 +53,12 @@ class ContactPoints:
     free_areas_m2: np.ndarray
     center: np.ndarray
     radius_m: float
+    rest_center: np.ndarray
+
+    @property
+    def extent_m(self) -> float:
+        """Largest distance of a contact point from the centre."""
+        return float(np.linalg.norm(self.points - self.center, axis=1).max())
 
 
 def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> ContactPoints | None:
@@ -76,6 +84,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     facets = vectors / areas[:, None]
     share = 0.25 * np.repeat(areas, 4)
     center = share[on] @ points[on] / share[on].sum()
+    at_rest = np.einsum("qj,tjk->tqk", _CENTRES, mesh.nodes[triangles]).reshape(-1, 3)
     spread = share[on] @ np.sum((points[on] - center) ** 2, axis=1) / share[on].sum()
     off = np.flatnonzero(level <= 0.0)
     free = _thinned(off[_within(points[off], points[on], _REACH_M)])
@@ -89,6 +98,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         free_areas_m2=np.full(len(free), share[on].mean()),
         center=center,
         radius_m=float(np.sqrt(spread)),
+        rest_center=share[on] @ at_rest[on] / share[on].sum(),
     )
 
 

@@ -19,7 +19,7 @@ def motion_between(start: np.ndarray, end: np.ndarray, center: np.ndarray) -> np
     """Motion (6,) in B about the centre that takes pose `start` to pose `end`, both (4, 4)."""
     R = end[:3, :3] @ start[:3, :3].T
     shift = end[:3, 3] - center - R @ (start[:3, 3] - center)
-    return np.concatenate([shift, Rotation.from_matrix(R).as_rotvec()])
+    return np.concatenate([shift, Rotation.from_matrix(R, assume_valid=True).as_rotvec()])
 
 
 def about(center: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -38,3 +38,8 @@ def rows(directions: np.ndarray, points: np.ndarray, center: np.ndarray) -> np.n
     a, b, c = directions.T
     result[:, 3], result[:, 4], result[:, 5] = y * c - z * b, z * a - x * c, x * b - y * a
     return result
+
+
+def way_at(radius_m: float, motion: np.ndarray) -> float:
+    """Way in m that a motion (6,) takes places at some radius around its centre, at most."""
+    return float(np.linalg.norm(motion[:3]) + radius_m * np.linalg.norm(motion[3:]))

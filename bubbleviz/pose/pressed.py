@@ -15,14 +15,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from bubbleviz.inverse.pivoting import DenseQuadratic, nonnegative_qp
 from bubbleviz.inverse.problem import Equilibrium
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
+from bubbleviz.membrane.mesh import MembraneMesh, cross, triangles_across
 from bubbleviz.pose.contact import ContactPoints
 from bubbleviz.pose.model import ObjectModel
+from bubbleviz.pose.motion import moved, rows
 from bubbleviz.pose.samples import contact_samples
 
 _SOFT = 2e-3
@@ -31,16 +33,24 @@ _SOFT = 2e-3
 _GAP_M = 5e-4
 """Points further above the membrane at rest cannot be touched."""
 
-_CLOSE_M = 2e-3
-"""Way of a point to the membrane that a small motion of the object may close."""
-
 _SIDEWAYS = 0.1
 """Cosine of a point's normal with the membrane's beyond which it looks away from it."""
 
-_REACH_M = 0.015
+_OFF = -0.05
+"""Barycentric coordinate of a point that is not over the membrane, but beyond its rim."""
+
 _STEPS = 6
 _TOLERANCE = 1e-3
 """Steps to the place below a point, and what they may leave in units of a triangle."""
+
+AROUND_M = 5e-3
+"""How far around the patch an object's outline shows: the membrane smooths out what is further."""
+
+_MARGIN_EDGES = 2.0
+"""How much further responses are kept at hand, in edges: the contact moves."""
+
+_MOST_ROWS = 2_500
+"""Responses that are kept in all."""
 
 
 @dataclass(frozen=True)
@@ -49,17 +59,89 @@ class _Below:
 
     Attributes
     ----------
-    corners : (k, 3) int array
-        Nodes of the triangle below each.
-    weights : (k, 3) array
+    triangle : (c,) int array
+        The one below each.
+    corners : (c, 3) int array
+        Its nodes.
+    weights : (c, 3) array
         Barycentric coordinates there.
-    height_m : (k,) array
+    height_m : (c,) array
         Along the interpolated normals, positive outside.
     """
 
+    triangle: np.ndarray
     corners: np.ndarray
     weights: np.ndarray
     height_m: np.ndarray
+
+    def of(self, some: np.ndarray | slice) -> _Below:
+        """Of some of the points."""
+        return _Below(
+            self.triangle[some], self.corners[some], self.weights[some], self.height_m[some]
+        )
+
+
+@dataclass(frozen=True)
+class _Responses:
+    """What forces on some nodes do to each other's displacement.
+
+    Attributes
+    ----------
+    nodes : (k,) int array
+    number : (n,) int array
+        Place of each node among them, −1 for others.
+    M : (k, k) array
+        Displacement under a unit force into the bubble.
+    """
+
+    nodes: np.ndarray
+    number: np.ndarray
+    M: np.ndarray
+
+    def between(self, below: _Below) -> np.ndarray:
+        """The same (c, c) for forces on points, slightly softened."""
+        corners, weights = self.number[below.corners], below.weights
+        half = np.einsum("ca,caj->cj", weights, self.M[corners])
+        C = np.einsum("ca,jca->jc", weights, half[:, corners])
+        diagonal = np.arange(len(C))
+        C[diagonal, diagonal] *= 1.0 + _SOFT
+        return C
+
+    def loads(self, below: _Below, forces: np.ndarray) -> np.ndarray:
+        """Forces (c,) on points, on the nodes (k,) below them."""
+        shares = (below.weights * forces[:, None]).ravel()
+        corners = self.number[below.corners].ravel()
+        return np.bincount(corners, shares, minlength=len(self.nodes))
+
+    def displacements(self, loads: np.ndarray) -> np.ndarray:
+        """Displacements (n, s) of these nodes under loads (k, s), 0 for others."""
+        u = np.zeros((len(self.number), loads.shape[1]))
+        u[self.nodes] = -self.M @ loads
+        return u
+
+
+@dataclass(frozen=True)
+class Press:
+    """An object pressed into the membrane.
+
+    Attributes
+    ----------
+    displacement_m : (n,) array
+        u around the contact, 0 far from it.
+    points : (c, 3) array
+        Places of the object that touch, in B.
+    held : _Below
+        Where they are over the membrane.
+    responses : _Responses
+    factor : tuple
+        Cholesky factor of their responses to each other.
+    """
+
+    displacement_m: np.ndarray
+    points: np.ndarray
+    held: _Below
+    responses: _Responses
+    factor: tuple[np.ndarray, bool]
 
 
 class PressedMembrane:
@@ -87,83 +169,132 @@ class PressedMembrane:
         )
         self._neighbours = triangles_across(mesh.triangles)
         self._row = np.full(len(mesh.nodes), -1)
-        self._compliance = np.zeros((0, len(mesh.nodes)))
+        self._compliance = np.zeros((0, len(mesh.nodes)), np.float32)
+        self._responses = _Responses(np.zeros(0, int), self._row.copy(), np.zeros((0, 0)))
+        self._triangle = np.full(len(self._points), -1)
         self._touching = np.zeros(len(self._points), bool)
 
-    def press(self, poses: np.ndarray, contact: ContactPoints) -> np.ndarray:
-        """Displacements (s, n) in m of the membrane under the object at poses T_B_O (s, 4, 4).
-
-        The poses are close to the first. Only the part of the object that is near the contact is
-        pressed, and only what nearly touches at the first pose may touch at the others.
-        """
-        displacement = np.zeros((len(poses), len(self.mesh.nodes)))
-        near, triangle, below = self._candidates(poses[0], contact)
-        if not len(near):
-            return displacement
+    def press(self, T_B_O: np.ndarray, contact: ContactPoints) -> Press:
+        """Press the object at a pose (4, 4); only the part of it that is near the contact."""
+        near, below = self._candidates(T_B_O, contact)
+        responses = self._around(below, contact)
+        C = responses.between(below)
         start = self._touching[near]
-        (displacement[0],), touching = self._pressed(below, 1, start)
+        guess = start if start.any() else below.height_m < 0.0
+        forces, _, _ = nonnegative_qp(DenseQuadratic(C), below.height_m, guess, 1e-6)
+        touching = np.flatnonzero(forces > 0.0)
         self._touching[:] = False
-        self._touching[near] = touching
-        up = np.einsum("ij,ij->i", below.weights, displacement[0][below.corners])
-        kept = below.height_m - up < _CLOSE_M
-        if len(poses) > 1 and kept.any():
-            R, t = poses[1:, :3, :3], poses[1:, None, :3, 3]
-            points = np.einsum("sij,pj->spi", R, self._points[near[kept]]) + t
-            others = self._below(points.reshape(-1, 3), np.tile(triangle[kept], len(poses) - 1))
-            displacement[1:], _ = self._pressed(others, len(poses) - 1, touching[kept])
-        return displacement
+        self._touching[near[touching]] = True
+        held = below.of(touching)
+        loads = responses.loads(held, forces[touching])
+        return Press(
+            displacement_m=responses.displacements(loads[:, None])[:, 0],
+            points=self._points[near[touching]] @ T_B_O[:3, :3].T + T_B_O[:3, 3],
+            held=held,
+            responses=responses,
+            factor=cho_factor(C[np.ix_(touching, touching)], check_finite=False),
+        )
 
-    def _pressed(
-        self, below: _Below, poses: int, start: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (s, n) under points of several poses, and which touch at the last one."""
-        nodes, local = np.unique(below.corners, return_inverse=True)
-        rows = self._responses(nodes)
-        M = rows[:, nodes]
-        corners = local.reshape(poses, -1, 3)
-        weights = below.weights.reshape(poses, -1, 3)
-        heights = below.height_m.reshape(poses, -1)
-        loads = np.zeros((poses, len(nodes)))
-        for k in range(poses):
-            f = _contact_forces(M, corners[k], weights[k], heights[k], start)
-            shares = (weights[k] * f[:, None]).ravel()
-            loads[k] = np.bincount(corners[k].ravel(), shares, minlength=len(nodes))
-        return -loads @ rows, f > 0.0
+    def lifted(self, press: Press, motions: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """Derivatives (n, q) of u by motions (6, q) in B about a centre, by their heights alone."""
+        held = press.held
+        normals = np.einsum("ca,cak->ck", held.weights, self.mesh.normals[held.corners])
+        heights = rows(normals, press.points, center) @ motions
+        forces = -cho_solve(press.factor, heights, check_finite=False)
+        loads = np.empty((len(press.responses.nodes), motions.shape[1]))
+        for k, force in enumerate(forces.T):
+            loads[:, k] = press.responses.loads(held, force)
+        return press.responses.displacements(loads)
 
-    def _candidates(
-        self, T_B_O: np.ndarray, contact: ContactPoints
-    ) -> tuple[np.ndarray, np.ndarray, _Below]:
+    def slid(self, press: Press, motions: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """Displacements (n, s) after motions (s, 6) in B about a centre; what touches stays so."""
+        T = np.stack([moved(np.eye(4), motion, center) for motion in motions])
+        points = np.einsum("sij,cj->sci", T[:, :3, :3], press.points) + T[:, None, :3, 3]
+        count = len(press.points)
+        start = press.held.of(np.tile(np.arange(count), len(motions)))
+        below = self._below(points.reshape(-1, 3), start)
+        loads = np.empty((len(press.responses.nodes), len(motions)))
+        for k in range(len(motions)):
+            there = below.of(slice(k * count, (k + 1) * count))
+            factor = cho_factor(press.responses.between(there), check_finite=False)
+            forces = -cho_solve(factor, there.height_m, check_finite=False)
+            loads[:, k] = press.responses.loads(there, forces)
+        return press.responses.displacements(loads)
+
+    def _candidates(self, T_B_O: np.ndarray, contact: ContactPoints) -> tuple[np.ndarray, _Below]:
         """Object points (c,) that the membrane may touch at a pose, and where they are."""
         R, t = T_B_O[:3, :3], T_B_O[:3, 3]
-        reach = 2.0 * contact.radius_m + _REACH_M
+        reach = contact.extent_m + AROUND_M
         away = np.sum((self._points - (contact.center - t) @ R) ** 2, axis=1)
         near = np.flatnonzero(away < reach**2)
         points = self._points[near] @ R.T + t
-        triangle = self._closest(points)
-        below = self._below(points, triangle)
+        new = self._triangle[near] < 0
+        self._triangle[near[new]] = self._closest(points[new])
+        below = self._below(points, self._unknown(self._triangle[near]))
+        over = below.weights.min(axis=1) > _OFF
+        self._triangle[near] = np.where(over, below.triangle, -1)
         normals = self.mesh.normals[below.corners].mean(axis=1)
-        looks = np.einsum("pij,pj->pi", self._normals[near] @ R.T, normals)
-        kept = (below.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
-        kept &= below.weights.min(axis=1) > -0.05  # not beyond the rim
-        found = _Below(below.corners[kept], below.weights[kept], below.height_m[kept])
-        return near[kept], triangle[kept], found
+        looks = np.einsum("cij,cj->ci", self._normals[near] @ R.T, normals)
+        kept = over & (below.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
+        return near[kept], below.of(kept)
+
+    def _around(self, below: _Below, contact: ContactPoints) -> _Responses:
+        """Responses of the nodes that a camera sees around the contact, and of those below it."""
+        away = np.linalg.norm(self.mesh.nodes - contact.rest_center, axis=1)
+        reach = contact.extent_m + AROUND_M + 2.0 * self.mesh.edge_length
+        needed = away < reach
+        needed[below.corners] = True
+        if np.any(self._responses.number[needed] < 0):
+            needed |= away < reach + _MARGIN_EDGES * self.mesh.edge_length
+            nodes = np.flatnonzero(needed)
+            number = np.full(len(self.mesh.nodes), -1)
+            number[nodes] = np.arange(len(nodes))
+            self._responses = _Responses(nodes, number, self._compliances(nodes))
+        return self._responses
+
+    def _compliances(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacements (k, k) of nodes under a unit force inward on each of them; 0 on the rim."""
+        new = nodes[self._row[nodes] < 0]
+        if len(self._compliance) + len(new) > _MOST_ROWS:
+            self._row[:] = -1
+            self._compliance, new = self._compliance[:0], nodes
+        free = self.mesh.free
+        own = np.searchsorted(free, new)
+        own[self.mesh.rim[new]] = -1
+        loads = np.zeros((len(free), len(new)))
+        moves = np.flatnonzero(own >= 0)
+        loads[own[moves], moves] = 1.0 / self._equilibrium.A[own[moves]]
+        found = np.zeros((len(new), len(self.mesh.nodes)), np.float32)
+        found[:, free] = self._equilibrium.response(loads).T
+        self._row[new] = len(self._compliance) + np.arange(len(new))
+        self._compliance = np.concatenate([self._compliance, found])
+        return self._compliance[np.ix_(self._row[nodes], nodes)].astype(np.float64)
 
     def _closest(self, points: np.ndarray) -> np.ndarray:
         """Triangle (k,) of the membrane at rest that is closest to each point (k, 3)."""
         from open3d import core
 
+        if not len(points):
+            return np.zeros(0, np.int64)
         query = core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
         found = self._scene.compute_closest_points(query)["primitive_ids"]
         return found.numpy().astype(np.int64)
 
-    def _below(self, points: np.ndarray, triangle: np.ndarray) -> _Below:
-        """Barycentric coordinates and height of points (k, 3), walking from a triangle close by.
+    def _unknown(self, triangle: np.ndarray) -> _Below:
+        """A first guess above the middle of triangles (c,)."""
+        corners = self.mesh.triangles[triangle]
+        return _Below(triangle, corners, np.full(corners.shape, 1.0 / 3.0), np.zeros(len(corners)))
+
+    def _below(self, points: np.ndarray, start: _Below) -> _Below:
+        """Barycentric coordinates and height of points (c, 3), walking from a place close by.
 
         Newton's method on the triangle, and on to the neighbour where it leads out of it.
         """
-        triangle = triangle.copy()
-        weights = np.full((len(points), 3), 1.0 / 3.0)
-        height = np.zeros(len(points))
+        triangle, weights, height = (
+            start.triangle.copy(),
+            start.weights.copy(),
+            start.height_m.copy(),
+        )
         moving = np.arange(len(points))
         for step in range(_STEPS):
             corners = self.mesh.triangles[triangle[moving]]
@@ -187,46 +318,12 @@ class PressedMembrane:
             moving = moving[leaves | (np.abs(change[:, 2]) > _TOLERANCE * self.mesh.edge_length)]
             if not len(moving):
                 break
-        return _Below(self.mesh.triangles[triangle], weights, height)
-
-    def _responses(self, nodes: np.ndarray) -> np.ndarray:
-        """Displacement (k, n) under a unit force into the bubble on each node; 0 for the rim's."""
-        new = nodes[self._row[nodes] < 0]
-        if len(new):
-            free = self.mesh.free
-            number = np.full(len(self.mesh.nodes), -1)
-            number[free] = np.arange(len(free))
-            own = number[new]
-            loads = np.zeros((len(free), len(new)))
-            moves = own >= 0
-            loads[own[moves], np.flatnonzero(moves)] = 1.0 / self._equilibrium.A[own[moves]]
-            rows = np.zeros((len(new), len(self.mesh.nodes)))
-            rows[:, free] = self._equilibrium.response(loads).T
-            self._row[new] = len(self._compliance) + np.arange(len(new))
-            self._compliance = np.concatenate([self._compliance, rows])
-        return self._compliance[self._row[nodes]]
-
-
-def _contact_forces(
-    M: np.ndarray, corners: np.ndarray, weights: np.ndarray, height_m: np.ndarray, start: np.ndarray
-) -> np.ndarray:
-    """Forces f ≥ 0 (c,) on points that may not be inside the object; see the module."""
-    BM = np.zeros((len(corners), len(M)))
-    C = np.zeros((len(corners), len(corners)))
-    for a in range(3):
-        BM += weights[:, a, None] * M[corners[:, a]]
-    for a in range(3):
-        C += weights[:, a] * BM[:, corners[:, a]]
-    diagonal = np.arange(len(C))
-    C[diagonal, diagonal] += _SOFT * C[diagonal, diagonal].mean()
-    guess = start if start.any() else height_m < 0.0
-    forces, _, _ = nonnegative_qp(DenseQuadratic(C), height_m, guess, 1e-6)
-    return forces
+        return _Below(triangle, self.mesh.triangles[triangle], weights, height)
 
 
 def _solve3(a: np.ndarray, b: np.ndarray, c: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions (k, 3) of [a b c] x = right by Cramer's rule."""
-    bc, ca, ab = np.cross(b, c), np.cross(c, a), np.cross(a, b)
+    bc, ca, ab = cross(b, c), cross(c, a), cross(a, b)
     volume = np.einsum("ij,ij->i", a, bc)
     parts = [np.einsum("ij,ij->i", right, side) for side in (bc, ca, ab)]
     return np.stack(parts, axis=1) / volume[:, None]

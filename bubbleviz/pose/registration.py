@@ -7,13 +7,13 @@ left to `sliding`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from bubbleviz.pose.contact import ContactPoints
 from bubbleviz.pose.model import ObjectModel
-from bubbleviz.pose.motion import motion_between, moved, rows
+from bubbleviz.pose.motion import motion_between, moved, rows, way_at
 
 INLIER_M = 1.5e-3
 """A contact point this close to the object agrees with it: three deviations of the estimate."""
@@ -155,8 +155,6 @@ class _Term:
 _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 """Where a point beside the object is off to is half noise: turns cannot be told from it."""
 
-_NOTHING = _Term(np.zeros((6, 6)), np.zeros(6), 0.0)
-
 
 @dataclass(frozen=True)
 class _Distance:
@@ -177,6 +175,10 @@ class _Distance:
     normal: np.ndarray
     place: np.ndarray
     over: np.ndarray
+
+    def of(self, some: slice) -> _Distance:
+        """Of some of the points."""
+        return _Distance(*(getattr(self, field.name)[some] for field in fields(self)))
 
 
 class Registration:
@@ -241,7 +243,7 @@ class Registration:
         """A fit moved to another pose (4, 4), with more information (6, 6) about the outline."""
         past = [(float(f), float(r)) for f, r in fit.history]
         there = self._finished(contact, T_B_O, past)
-        return replace(there, outline=there.outline + found)
+        return replace(there, outline=found)
 
     def _fit(
         self,
@@ -257,16 +259,16 @@ class Registration:
         T, scale = start, widest_m
         history = []
         for _ in range(iterations):
-            distance = self._distance(contact.points, T)
+            distance, free = self._distances(contact, T, around=around)
             history.append(_agreement(contact, distance)[:2])
             total = self._surface(contact, share_m2, distance, scale)
             total += self._beside(contact, share_m2, distance, scale)
             if around:
-                total += self._free(contact, T)
+                total += self._free(contact, free)
             pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
             step = -np.linalg.solve(total.H + prior.information, total.g + pull)
             T = moved(T, step, contact.center)
-            settled = _size(step, contact.radius_m) < _CONVERGED_M and scale == _NARROWEST_M
+            settled = way_at(contact.radius_m, step) < _CONVERGED_M and scale == _NARROWEST_M
             scale = max(_NARROWING * scale, _NARROWEST_M)
             if settled:
                 break
@@ -275,11 +277,11 @@ class Registration:
     def _finished(
         self, contact: ContactPoints, T: np.ndarray, history: list[tuple[float, float]]
     ) -> Fit:
-        distance = self._distance(contact.points, T)
+        distance, free = self._distances(contact, T, around=True)
         fitness, rmse, count = _agreement(contact, distance)
         surface = self._surface(contact, contact.areas_m2, distance, _NARROWEST_M)
         outline = self._beside(contact, contact.areas_m2, distance, _NARROWEST_M)
-        outline += self._free(contact, T)
+        outline += self._free(contact, free)
         return Fit(
             T_B_O=T,
             fitness=fitness,
@@ -292,6 +294,14 @@ class Registration:
             places_m=distance.place,
             history=np.array([*history, (fitness, rmse)]),
         )
+
+    def _distances(
+        self, contact: ContactPoints, T: np.ndarray, *, around: bool
+    ) -> tuple[_Distance, _Distance]:
+        """Of the contact points and, with those around them, of the free ones."""
+        points = np.concatenate([contact.points, contact.free]) if around else contact.points
+        every, count = self._distance(points, T), len(contact.points)
+        return every.of(slice(count)), every.of(slice(count, None))
 
     def _distance(self, points: np.ndarray, T: np.ndarray) -> _Distance:
         R = T[:3, :3]
@@ -336,11 +346,8 @@ class Registration:
         weight = self.precision.beside * share_m2[used]
         return _Term.of(J, distance.signed_m[used], weight, 2.0 * scale)
 
-    def _free(self, contact: ContactPoints, T: np.ndarray) -> _Term:
+    def _free(self, contact: ContactPoints, distance: _Distance) -> _Term:
         """The free membrane is not inside the object."""
-        if not len(contact.free):
-            return _NOTHING
-        distance = self._distance(contact.free, T)
         depth = np.minimum(distance.signed_m + _SLACK_M, 0.0)
         used = depth < 0.0
         J = -rows(distance.gradient[used], contact.free[used], contact.center)
@@ -356,8 +363,3 @@ def _agreement(contact: ContactPoints, distance: _Distance) -> tuple[float, floa
     area = float(areas.sum())
     rmse = np.sqrt(areas @ distance.signed_m[agree] ** 2 / area) if area > 0.0 else np.nan
     return area / float(contact.areas_m2.sum()), float(rmse), int(np.count_nonzero(agree))
-
-
-def _size(step: np.ndarray, radius_m: float) -> float:
-    """Way in m that a motion (6,) takes the patch's edge, at most."""
-    return float(np.linalg.norm(step[:3]) + radius_m * np.linalg.norm(step[3:]))

@@ -2,7 +2,7 @@
 
 Contact normals do not see a flat face slide or turn in its plane, but the membrane around it moves
 along. So the depth image is compared with the membrane that the object would make, for motions in
-those directions only. Steps are as wide as the mesh: below that, the membrane's facets decide.
+those directions only.
 """
 
 from __future__ import annotations
@@ -13,21 +13,19 @@ import numpy as np
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.camera.view import MembraneView
 from bubbleviz.pose.contact import ContactPoints
-from bubbleviz.pose.motion import moved
-from bubbleviz.pose.pressed import PressedMembrane
+from bubbleviz.pose.motion import about, motion_between
+from bubbleviz.pose.pressed import AROUND_M, PressedMembrane
 from bubbleviz.pose.uncertainty import Directions
-from bubbleviz.result import Estimate
 
-_TRUST = 0.05
-"""Share of the pixels' information that the facets of the model leave, whose errors last as long as
-the object is on the same facets."""
+_TRUST = 0.5
+"""Share of the pixels' information that is left: what the facets of the model get wrong lasts as
+long as the object is on the same facets, and is then about as large as the noise."""
 
 _OUTLYING = 4.0
 """Residual in σ from which a pixel is no witness."""
 
-_MOST = 1_800
+_MOST = 10_000
 """Pixels beyond which more of them say too little for their time."""
 
 _LEAST_SIGMA_M = 5e-4
@@ -36,15 +34,16 @@ _LEAST_SIGMA_M = 5e-4
 _MAD = 0.6745
 """Median of |z| of a standard normal z."""
 
-_WIDE = 0.6
-_NARROW_M = 3e-4
-"""Width of the steps at the patch's edge, in open directions in edges of the mesh."""
+_WIDE = 0.3
+"""Width of the steps of derivatives at the patch's edge, in edges of the mesh: its facets decide on
+narrower ones, and a pixel sees no more."""
+
+_VALID, _FAR = 0.3, 0.6
+"""Way of the patch's edge, in edges of the mesh, over which derivatives hold, and that one step may
+go: derivatives are found anew at its end."""
 
 _MODEL_DEVIATION_M = 5e-4
 """How far the model may be off in the determined directions."""
-
-_AROUND_M = 0.020
-"""How far around the patch pixels are looked at."""
 
 
 @dataclass(frozen=True)
@@ -56,128 +55,164 @@ class Slide:
     motion : (6,) array
         In B about the patch's centre.
     information : (6, 6) array
+    ended : bool
+        It was so short that derivatives hold to its end.
     """
 
     motion: np.ndarray
     information: np.ndarray
+    ended: bool
 
 
 @dataclass(frozen=True)
-class Sight:
-    """The depth image around the patch.
+class Outlook:
+    """The depth image that the object would make, linear around a pose.
 
     Attributes
     ----------
-    corners : (b, 3) int array
-        Nodes of the triangle that each pixel sees.
-    sensitivity : (b, 3) array
-        Derivative of its range by their displacement.
-    residual_m : (b,) array
-        Its range, such that sensitivity · displacement models it.
-    weight : float
-        1/σ² of each and of those left out for it.
+    T_B_O : (4, 4) array
+    center : (3,) array
+    pixel : (b,) int array
+        Which of the observer's pixels are looked at.
+    every : int
+        How many of those that could be each stands for.
+    expected_m : (b,) array
+        Residuals of these pixels, as the observer has them, at the pose.
+    jacobian : (b, 6) array
+        Their derivatives by small motions in B about the centre.
     """
 
-    corners: np.ndarray
-    sensitivity: np.ndarray
-    residual_m: np.ndarray
-    weight: float
+    T_B_O: np.ndarray
+    center: np.ndarray
+    pixel: np.ndarray
+    every: int
+    expected_m: np.ndarray
+    jacobian: np.ndarray
 
-    def model(self, displacements_m: np.ndarray) -> np.ndarray:
-        """Ranges (s, b) of displacements (s, n)."""
-        return np.einsum("bi,sbi->sb", self.sensitivity, displacements_m[:, self.corners])
+    def residual_m(self, change_m: np.ndarray, T_B_O: np.ndarray) -> np.ndarray:
+        """Measured minus modelled (b,) at a pose close by; NaN where there is no return."""
+        way = motion_between(self.T_B_O, T_B_O, self.center)
+        residual: np.ndarray = change_m[self.pixel] - self.expected_m - self.jacobian @ way
+        return residual
 
 
-class Viewer:
-    """Looks at depth images around the contact.
+class Sliding:
+    """Follows one object in the directions that its contact leaves open.
 
     Parameters
     ----------
     observer : RangeObserver
+    pressed : PressedMembrane
+        Of that object; its facets are those of the observer's mesh.
     """
 
-    def __init__(self, observer: RangeObserver) -> None:
-        self._observer, self._mesh = observer, observer.mesh
+    def __init__(self, observer: RangeObserver, pressed: PressedMembrane) -> None:
+        self._observer, self._pressed, self.mesh = observer, pressed, pressed.mesh
         camera = observer.camera
-        view = MembraneView(camera, observer.mesh)
-        at_rest = view.hits(np.zeros(len(observer.mesh.nodes)), np.sort(observer.pixel))
-        rest = np.full(view.shape[0] * view.shape[1], np.nan)
-        rest[at_rest.ray] = at_rest.range_m
-        self._rest_m = rest[observer.pixel]
         self._directions = camera.directions[observer.pixel]
+        caster = RayCaster(camera.center, self._directions, self.mesh.triangles)
+        at_rest = caster.cast(self.mesh.nodes, self.mesh.normals)
+        self._rest_m = np.full(len(observer.pixel), np.nan)
+        self._rest_m[at_rest.ray] = at_rest.range_m
         self._places = camera.center + self._rest_m[:, None] * self._directions
+        self._outlook: Outlook | None = None
 
-    def look(self, depth_m: np.ndarray, estimate: Estimate, contact: ContactPoints) -> Sight:
-        """What a depth image (H, W) shows around the contact."""
-        mesh = self._mesh
-        reach = 2.0 * contact.radius_m + _AROUND_M
-        change = self._observer.pixel_residuals(depth_m)
-        near = np.linalg.norm(self._places - contact.center, axis=1) < reach
-        pixel = np.flatnonzero(near & np.isfinite(change))
+    def step(
+        self,
+        depth_m: np.ndarray,
+        contact: ContactPoints,
+        T_B_O: np.ndarray,
+        directions: Directions,
+        known: np.ndarray,
+        pull: np.ndarray,
+    ) -> Slide:
+        """One Gauss–Newton step in the open directions.
+
+        The other directions are solved for too, and left: the model's own error, which is mostly
+        along the membrane's normal, is theirs to take up.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+        contact : ContactPoints
+        T_B_O : (4, 4) array
+            Pose that is best in the determined directions.
+        directions : Directions
+        known : (6, 6) array
+            Information there is already.
+        pull : (6,) array
+            Gradient of what is known at `T_B_O`.
+        """
+        outlook = self._at(T_B_O, contact, directions)
+        residual = outlook.residual_m(self._observer.pixel_residuals(depth_m), T_B_O)
+        seen = np.isfinite(residual)
+        J = outlook.jacobian[seen] @ about(contact.center, outlook.center) @ directions.motions
+        weight = outlook.every * _TRUST * _weights(residual[seen])
+        H, g = (J.T * weight) @ J, -J.T @ (weight * residual[seen])
+        H[np.diag_indices(6)] += directions.determined / _MODEL_DEVIATION_M**2
+        # Schur complement of the determined directions.
+        free = ~directions.determined
+        gain = np.linalg.solve(H[~free][:, ~free], H[~free][:, free]).T
+        H, g = H[free][:, free] - gain @ H[~free][:, free], g[free] - gain @ g[~free]
+        motions, edge = directions.motions[:, free], self.mesh.edge_length
+        step = -np.linalg.solve(H + motions.T @ known @ motions, g + motions.T @ pull)
+        step = np.clip(step, -_FAR * edge, _FAR * edge)
+        inverse = np.linalg.pinv(motions)
+        ended = bool(np.abs(step).max() < _VALID * edge)
+        return Slide(motions @ step, inverse.T @ H @ inverse, ended)
+
+    def _at(self, T_B_O: np.ndarray, contact: ContactPoints, directions: Directions) -> Outlook:
+        """The linear model around a pose, or the last one where it still holds."""
+        known = self._outlook
+        if known is not None:
+            way = motion_between(known.T_B_O, T_B_O, contact.center)
+            ways = np.linalg.solve(directions.motions, way)
+            if np.abs(ways).max() < _VALID * self.mesh.edge_length:
+                return known
+        self._outlook = self._looked(T_B_O, contact, directions)
+        return self._outlook
+
+    def _looked(self, T_B_O: np.ndarray, contact: ContactPoints, directions: Directions) -> Outlook:
+        """Derivatives over wide steps in the open directions."""
+        mesh, motions, free = self.mesh, directions.motions, ~directions.determined
+        press = self._pressed.press(T_B_O, contact)
+        width = _WIDE * mesh.edge_length
+        slopes = np.empty((len(mesh.nodes), 6))
+        slopes[:, ~free] = self._pressed.lifted(press, motions[:, ~free], contact.center)
+        steps = width * motions[:, free].T
+        forth, back = np.split(
+            self._pressed.slid(press, np.concatenate([steps, -steps]), contact.center), 2, axis=1
+        )
+        slopes[:, free] = (forth - back) / (2.0 * width)
+        reach = contact.extent_m + AROUND_M
+        pixel = np.flatnonzero(_near(self._places, contact.rest_center, reach))
         every = max(1, -(-len(pixel) // _MOST))
         pixel = pixel[::every]
-        nodes = mesh.deformed(estimate.displacement_m)
-        close = np.linalg.norm(nodes - contact.center, axis=1) < reach + 2.0 * mesh.edge_length
+        close = _near(mesh.nodes, contact.rest_center, reach + 2.0 * mesh.edge_length)
         triangles = mesh.triangles[close[mesh.triangles].any(axis=1)]
         caster = RayCaster(self._observer.camera.center, self._directions[pixel], triangles)
-        hits = caster.cast(nodes, mesh.normals)
-        corners = triangles[hits.triangle]
-        seen = pixel[hits.ray]
-        missed = change[seen] + self._rest_m[seen] - hits.range_m
-        along = np.einsum("bi,bi->b", hits.sensitivity, estimate.displacement_m[corners])
-        sigma = np.median(np.abs(missed)) / _MAD if len(missed) else np.inf
-        weight = every / max(sigma, _LEAST_SIGMA_M) ** 2
-        return Sight(corners, hits.sensitivity, missed + along, weight)
+        hits = caster.cast(mesh.deformed(press.displacement_m), mesh.normals)
+        pixel = pixel[hits.ray]
+        J = np.einsum("bi,bik->bk", hits.sensitivity, slopes[triangles[hits.triangle]])
+        return Outlook(
+            T_B_O=T_B_O,
+            center=contact.center,
+            pixel=pixel,
+            every=every,
+            expected_m=hits.range_m - self._rest_m[pixel],
+            jacobian=np.linalg.solve(motions.T, J.T).T,
+        )
 
 
-def slide(
-    pressed: PressedMembrane,
-    sight: Sight,
-    contact: ContactPoints,
-    T_B_O: np.ndarray,
-    directions: Directions,
-    known: np.ndarray,
-) -> Slide:
-    """One Gauss–Newton step in the open directions, with derivatives over wide steps.
+def _weights(residual_m: np.ndarray) -> np.ndarray:
+    """1/σ² of pixels by their residuals (b,), less where they are outliers."""
+    if not len(residual_m):
+        return residual_m
+    sigma = max(float(np.median(np.abs(residual_m))) / _MAD, _LEAST_SIGMA_M)
+    outlying = (residual_m / (_OUTLYING * sigma)) ** 2
+    weights: np.ndarray = 1.0 / (sigma * (1.0 + outlying)) ** 2
+    return weights
 
-    The other directions are solved for too, and left: the model's own error, which is mostly along
-    the membrane's normal, is theirs to take up.
 
-    Parameters
-    ----------
-    pressed : PressedMembrane
-    sight : Sight
-    contact : ContactPoints
-    T_B_O : (4, 4) array
-        Pose that is best in the determined directions.
-    directions : Directions
-    known : (6, 6) array
-        Information there is already, with its best at `T_B_O`.
-    """
-    wide = _WIDE * pressed.mesh.edge_length
-    width = np.where(directions.determined, _NARROW_M, wide)
-    motions = directions.motions
-    forth = (width * motions).T
-    back = -forth[~directions.determined]
-    poses = [moved(T_B_O, step, contact.center) for step in (*forth, *back)]
-    ranges = sight.model(pressed.press(np.stack([T_B_O, *poses]), contact))
-    behind = np.repeat(ranges[:1], 6, axis=0)
-    behind[~directions.determined] = ranges[7:]
-    J = (behind - ranges[1:7]).T / (width * (1.0 + ~directions.determined))
-    residual = sight.residual_m - ranges[0]
-    # Over wide steps the misfit falls by the mean of the residuals at both ends.
-    ends = sight.residual_m - 0.5 * (ranges[1:7] + behind)
-    outlying = residual**2 * sight.weight / _OUTLYING**2
-    weight = _TRUST * sight.weight / (1.0 + outlying) ** 2
-    free = ~directions.determined
-    H = (J.T * weight) @ J
-    g = np.where(free, np.einsum("bk,b,kb->k", J, weight, ends), J.T @ (weight * residual))
-    H[np.diag_indices(6)] += 1.0 / _MODEL_DEVIATION_M**2 * directions.determined
-    # Schur complement of the determined directions.
-    gain = np.linalg.solve(H[~free][:, ~free], H[~free][:, free]).T
-    H, g = H[free][:, free] - gain @ H[~free][:, free], g[free] - gain @ g[~free]
-    open_motions = motions[:, free]
-    step = -np.linalg.solve(H + open_motions.T @ known @ open_motions, g)
-    step = np.clip(step, -wide, wide)  # beyond, the derivative is another one
-    inverse = np.linalg.pinv(open_motions)
-    return Slide(open_motions @ step, inverse.T @ H @ inverse)
+def _near(points: np.ndarray, center: np.ndarray, reach_m: float) -> np.ndarray:
+    return np.asarray(np.linalg.norm(points - center, axis=1) < reach_m)

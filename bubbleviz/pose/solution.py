@@ -10,14 +10,15 @@ import numpy as np
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.membrane.refine import refine
 from bubbleviz.pose.contact import ContactPoints
 from bubbleviz.pose.filter import SEARCH_DEVIATION, Motion
-from bubbleviz.pose.motion import moved
+from bubbleviz.pose.motion import motion_between, moved
 from bubbleviz.pose.pressed import PressedMembrane
 from bubbleviz.pose.registration import Fit, Prior, Registration
-from bubbleviz.pose.sliding import Viewer, slide
+from bubbleviz.pose.sliding import Sliding
 from bubbleviz.pose.uncertainty import directions
-from bubbleviz.result import Estimate, Pose, Stage
+from bubbleviz.result import Pose, Stage
 
 FOUND_FITNESS = 0.7
 """Share of the patch that must lie on an object that nobody said was there."""
@@ -28,6 +29,12 @@ _FAR_M = 5e-3
 
 _TRACKING, _CONVERGING, _LOOKING = 3, 12, 6
 """Iterations of each stage while tracking, from a start, and to compare starts."""
+
+_SLIDES = 3
+"""Steps in the directions that contact leaves open, at most."""
+
+_FINE_NODES = 2_500
+"""Nodes that follow the outline of an object; a mesh with fewer is refined."""
 
 
 @dataclass(frozen=True)
@@ -85,29 +92,23 @@ class Solver:
         self._registration, self._estimator = registration, estimator
 
     @cached_property
-    def _pressed(self) -> PressedMembrane:
+    def _sliding(self) -> Sliding:
         """The membrane under the object; built when a face first lies flat."""
         own = self._estimator
-        return PressedMembrane(own.mesh, own.gas, own.scales, self._registration.model)
-
-    @cached_property
-    def _viewer(self) -> Viewer:
-        return Viewer(self._estimator.observer)
+        mesh = refine(own.mesh) if len(own.mesh.nodes) < _FINE_NODES else own.mesh
+        gas = own.gas.behind(mesh)
+        pressed = PressedMembrane(mesh, gas, own.scales, self._registration.model)
+        return Sliding(own.observer, pressed)
 
     def solve(
         self,
         frame: Frame,
-        estimate: Estimate,
         contact: ContactPoints,
         predicted: Motion,
         *,
         settled: bool,
-        slides: bool = True,
     ) -> Solution:
-        """Both stages from a prediction, which `settled` says is close.
-
-        `slides` says whether the whole depth image is asked where a flat face has slid to.
-        """
+        """Both stages from a prediction, which `settled` says is close."""
         iterations = _TRACKING if settled else _CONVERGING
         prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
@@ -120,8 +121,8 @@ class Solver:
         )
         between = time.perf_counter()
         second = self._registration.stage_two(contact, first.T_B_O, prior, iterations=iterations)
-        if slides:
-            second = self._slid(frame, estimate, contact, second, prior)
+        if self._registration.model.creases is not None:
+            second = self._slid(frame, contact, second, prior, settled)
         motion = predicted.corrected(second.T_B_O, second.surface + second.outline)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
         return Solution(first, second, times, motion)
@@ -129,7 +130,6 @@ class Solver:
     def best(
         self,
         frame: Frame,
-        estimate: Estimate,
         contact: ContactPoints,
         starts: np.ndarray,
         finalists: int,
@@ -146,7 +146,6 @@ class Solver:
         found = [
             self.solve(
                 frame,
-                estimate,
                 contact,
                 Motion.at_rest(looks[k], SEARCH_DEVIATION, contact.center),
                 settled=False,
@@ -157,14 +156,21 @@ class Solver:
         return min(good, key=lambda solution: solution.pose.cost, default=None)
 
     def _slid(
-        self, frame: Frame, estimate: Estimate, contact: ContactPoints, fit: Fit, prior: Prior
+        self, frame: Frame, contact: ContactPoints, fit: Fit, prior: Prior, settled: bool
     ) -> Fit:
         """The fit, moved in the directions that contact normals leave open."""
         found = directions(fit.surface, contact.radius_m)
-        if self._registration.model.creases is None or found.determined.all():
+        if found.determined.all():
             return fit
-        sight = self._viewer.look(frame.depth_m, estimate, contact)
-        known = fit.surface + fit.outline + prior.information
-        step = slide(self._pressed, sight, contact, fit.T_B_O, found, known)
-        T = moved(fit.T_B_O, step.motion, contact.center)
+        T = fit.T_B_O
+        if settled:  # where it is on its face is for the depth image to say, not the blurred patch
+            way = np.linalg.solve(found.motions, motion_between(prior.T_B_O, T, contact.center))
+            T = moved(prior.T_B_O, found.motions @ (way * found.determined), contact.center)
+        for _ in range(_SLIDES):
+            pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
+            known = fit.surface + prior.information
+            step = self._sliding.step(frame.depth_m, contact, T, found, known, pull)
+            T = moved(T, step.motion, contact.center)
+            if step.ended:
+                break
         return self._registration.slid(contact, fit, T, step.information)

@@ -69,7 +69,6 @@ class PoseTracker:
         self._good_s = self._last_s = 0.0
         self._good_center = np.zeros(3)
         self._tried = 0
-        self._slides = False
         self._waiting, self._waiting_at = np.zeros((0, 4, 4)), np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
@@ -85,15 +84,11 @@ class PoseTracker:
         solution = None
         if predicted is not None:
             settled = self._tried == 0 and self._good is not None
-            # What it says of sliding is much the same in the next frame: every other one is asked.
-            self._slides = not (settled and self._slides)
-            solution = self._solver.solve(
-                frame, estimate, contact, predicted, settled=settled, slides=self._slides
-            )
+            solution = self._solver.solve(frame, contact, predicted, settled=settled)
             if not self._believable(solution, frame, contact):
                 solution = None
         if solution is None and (self._good is not None or self._start is None):
-            solution = self._searched(frame, estimate, contact)
+            solution = self._searched(frame, contact)
         if solution is None:
             return self._without(frame, "lost")
         return self._accepted(frame, contact, solution)
@@ -119,9 +114,7 @@ class PoseTracker:
         slack = 3.0 * START_DEVIATION[[0, 3]]
         return bool(np.all(way < FASTEST * abs(frame.time_s - self._good_s) + slack))
 
-    def _searched(
-        self, frame: Frame, estimate: Estimate, contact: ContactPoints
-    ) -> Solution | None:
+    def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
         """The best of a few starts; other ones in the next frame."""
         if self._good is not None and self._tried <= 1:
             kept = self._good.copy()
@@ -131,7 +124,7 @@ class PoseTracker:
             chosen = self._next_starts(contact)
         self._tried += 1
         finalists = 1 if self._good is not None else _FINALISTS_AT_FIRST
-        return self._solver.best(frame, estimate, contact, chosen, finalists)
+        return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
         """Coarse starts that were not tried yet: more at first, when nothing is known."""

@@ -6,7 +6,12 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.noise import DepthNoise
-from bubbleviz.frames.synthetic import SyntheticSource, default_press
+from bubbleviz.frames.synthetic import (
+    SyntheticSource,
+    default_press,
+    sharpened,
+    simulation_mesh,
+)
 from bubbleviz.membrane.build import build_mesh
 from bubbleviz.objects import load_object
 from bubbleviz.sensor import load_sensor
@@ -144,3 +149,15 @@ def test_object_on_the_rim_is_refused(sensor):
     pose[0, :3, 3] = 0.075, 0.0, -0.005
     with pytest.raises(InputError, match="rim"):
         SyntheticSource(sensor, load_object("sphere"), pose)[0]
+
+
+def test_the_mesh_is_finer_only_where_edges_press(sensor):
+    mesh, T = simulation_mesh(sensor), poses(0.012)
+    sharp = sharpened(mesh, load_object("cylinder"), T)
+    assert len(mesh.nodes) < len(sharp.nodes) < 3 * len(mesh.nodes)
+    small = sharp.facet_areas < 0.1 * mesh.facet_areas.min()
+    places = sharp.nodes[sharp.triangles[small]].mean(axis=1)
+    reach = np.abs(load_object("cylinder").vertices[:, :2]).max() + 2.0 * mesh.edge_length
+    assert np.abs(places[:, :2] - T[0, :2, 3]).max() < reach
+    far = sharpened(mesh, load_object("cylinder"), poses(-0.02))
+    assert len(far.nodes) == len(mesh.nodes)

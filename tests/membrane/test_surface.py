@@ -4,9 +4,11 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from bubbleviz.membrane.build import build_mesh
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 from bubbleviz.membrane.refine import refine
 from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.sensor import load_sensor
@@ -92,3 +94,18 @@ def test_refined_mesh_keeps_area_volume_and_rim():
     assert fine.cap_volume() == pytest.approx(mesh.cap_volume(), rel=1e-12)
     assert fine.rim.sum() == 2 * mesh.rim.sum()
     assert np.abs(fine.nodes[fine.rim, 2]).max() == 0.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), share=st.floats(0.0, 0.6))
+def test_refining_some_triangles_keeps_the_surface_whole(seed, share):
+    mesh = mesh_cap(CAPS["oval"], 200)
+    chosen = np.random.default_rng(seed).random(len(mesh.triangles)) < share
+    fine = refine(mesh, chosen)
+    assert np.allclose(fine.facet_areas.sum(), mesh.facet_areas.sum(), rtol=1e-12)
+    assert np.allclose(fine.cap_volume(), mesh.cap_volume(), rtol=1e-12)
+    assert len(fine.triangles) >= len(mesh.triangles) + 3 * chosen.sum()
+    across = triangles_across(fine.triangles)
+    sides = np.stack([np.roll(fine.triangles, -1, axis=1), np.roll(fine.triangles, -2, axis=1)], -1)
+    assert fine.rim[sides[across < 0]].all()  # no hanging node: every open side is on the rim
+    assert len(np.unique(fine.triangles)) == len(fine.nodes)

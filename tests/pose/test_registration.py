@@ -28,6 +28,7 @@ def contact_of(points, normals, free=None):
         free_areas_m2=np.full(len(free), 1e-6),
         center=center,
         radius_m=float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=1)))),
+        rest_center=center,
     )
 
 
