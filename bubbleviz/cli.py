@@ -173,7 +173,7 @@ def info(recording: Path, as_json: bool) -> None:
 @click.option("--sensor", required=True, help="Sensor file or preset.")
 @click.option("--object", "object_name", required=True, help="Object mesh or preset.")
 @click.option("--pose", help='T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
-@click.option("--path", "path_file", type=click.Path(path_type=Path), help="CSV of poses.")
+@click.option("--path", "path_file", type=click.Path(path_type=Path), help="CSV of poses instead.")
 @click.option("--frames", type=click.IntRange(1), default=1, help="Frames at --pose.")
 @click.option("--rate", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames a second.")
 @click.option("--noise-sigma", type=float, default=0.0, help="σ of range, m.")
@@ -201,9 +201,9 @@ def simulate(
     truth: Path | None,
 ) -> None:
     """Record a rigid object pressed into a simulated sensor."""
-    where = pose or path_file
-    if where is None or (pose and path_file):
-        raise click.UsageError("give either --pose or --path")
+    where = path_file or pose
+    if where is None:
+        raise click.UsageError("give --pose, or --path for a pose in every frame")
     if noise_sigma and noise_relative:
         raise click.UsageError("give either --noise-sigma or --noise-relative")
     from bubbleviz.frames.noise import DepthNoise

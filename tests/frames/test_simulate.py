@@ -38,7 +38,8 @@ def test_path_of_poses_gives_frames_and_their_truth(sensor_file, tmp_path):
         "0,0.0,0,0,0.060,0,0,0,1\n1,0.1,0,0,0.045,0,0,0,1\n2,0.25,0,0,0.040,0,0,1,0\n"
     )
     truth = tmp_path / "truth.npz"
-    done = run(sensor_file, tmp_path, "--object", "sphere", "--path", poses, "--truth", truth)
+    both = ("--pose", "0 0 1 0 0 0 1", "--path", poses)  # the path counts
+    done = run(sensor_file, tmp_path, "--object", "sphere", *both, "--truth", truth)
     assert done.exit_code == 0, done.output
     recording = Recording(tmp_path / "out.mcap")
     data = np.load(truth)
