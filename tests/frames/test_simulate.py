@@ -78,7 +78,7 @@ def test_noise_is_reproduced_by_its_seed(sensor_file, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--object", "sphere"), "--pose or --path"),
+        (("--object", "sphere"), "--pose, or --path"),
         (("--object", "sphere", "--pose", "0 0 40 0 0 0 1"), "millimetres"),
         (("--object", "sphere", "--pose", "0 0 0.04"), "seven numbers"),
         (("--object", "sphere", "--pose", "0 0 0.04 0 0 0 2"), "unit length"),
