@@ -83,40 +83,44 @@ class _Below:
 
 @dataclass(frozen=True)
 class _Responses:
-    """What forces on some nodes do to each other's displacement.
+    """What forces on the nodes below an object do to the membrane around it.
 
     Attributes
     ----------
-    nodes : (k,) int array
     number : (n,) int array
-        Place of each node among them, −1 for others.
-    M : (k, k) array
-        Displacement under a unit force into the bubble.
+        Place of each node among those that may carry forces, −1 for others.
+    own : (l, l) array
+        Displacement of these under a unit force inward on each.
+    around : (k,) int array
+        The nodes around the contact.
+    M : (k, l) array
+        Their displacement.
     """
 
-    nodes: np.ndarray
     number: np.ndarray
+    own: np.ndarray
+    around: np.ndarray
     M: np.ndarray
 
     def between(self, below: _Below) -> np.ndarray:
-        """The same (c, c) for forces on points, slightly softened."""
+        """Displacement (c, c) of points under forces on each other, slightly softened."""
         corners, weights = self.number[below.corners], below.weights
-        half = np.einsum("ca,caj->cj", weights, self.M[corners])
+        half = np.einsum("ca,caj->cj", weights, self.own[corners])
         C = np.einsum("ca,jca->jc", weights, half[:, corners])
         diagonal = np.arange(len(C))
         C[diagonal, diagonal] *= 1.0 + _SOFT
         return C
 
     def loads(self, below: _Below, forces: np.ndarray) -> np.ndarray:
-        """Forces (c,) on points, on the nodes (k,) below them."""
+        """Forces (c,) on points, on the nodes (l,) below them."""
         shares = (below.weights * forces[:, None]).ravel()
         corners = self.number[below.corners].ravel()
-        return np.bincount(corners, shares, minlength=len(self.nodes))
+        return np.bincount(corners, shares, minlength=len(self.own))
 
     def displacements(self, loads: np.ndarray) -> np.ndarray:
-        """Displacements (n, s) of these nodes under loads (k, s), 0 for others."""
+        """Displacements (n, s) around the contact under loads (l, s), 0 elsewhere."""
         u = np.zeros((len(self.number), loads.shape[1]))
-        u[self.nodes] = -self.M @ loads
+        u[self.around] = -self.M @ loads
         return u
 
 
@@ -170,7 +174,8 @@ class PressedMembrane:
         self._neighbours = triangles_across(mesh.triangles)
         self._row = np.full(len(mesh.nodes), -1)
         self._compliance = np.zeros((0, len(mesh.nodes)), np.float32)
-        self._responses = _Responses(np.zeros(0, int), self._row.copy(), np.zeros((0, 0)))
+        nobody, none = np.zeros(0, int), np.zeros((0, 0))
+        self._responses = _Responses(self._row.copy(), none, nobody, none)
         self._triangle = np.full(len(self._points), -1)
         self._touching = np.zeros(len(self._points), bool)
 
@@ -201,7 +206,7 @@ class PressedMembrane:
         normals = np.einsum("ca,cak->ck", held.weights, self.mesh.normals[held.corners])
         heights = rows(normals, press.points, center) @ motions
         forces = -cho_solve(press.factor, heights, check_finite=False)
-        loads = np.empty((len(press.responses.nodes), motions.shape[1]))
+        loads = np.empty((len(press.responses.own), motions.shape[1]))
         for k, force in enumerate(forces.T):
             loads[:, k] = press.responses.loads(held, force)
         return press.responses.displacements(loads)
@@ -213,7 +218,7 @@ class PressedMembrane:
         count = len(press.points)
         start = press.held.of(np.tile(np.arange(count), len(motions)))
         below = self._below(points.reshape(-1, 3), start)
-        loads = np.empty((len(press.responses.nodes), len(motions)))
+        loads = np.empty((len(press.responses.own), len(motions)))
         for k in range(len(motions)):
             there = below.of(slice(k * count, (k + 1) * count))
             factor = cho_factor(press.responses.between(there), check_finite=False)
@@ -239,21 +244,34 @@ class PressedMembrane:
         return near[kept], below.of(kept)
 
     def _around(self, below: _Below, contact: ContactPoints) -> _Responses:
-        """Responses of the nodes that a camera sees around the contact, and of those below it."""
+        """Responses to forces below the object, of all nodes that a camera sees around it."""
         away = np.linalg.norm(self.mesh.nodes - contact.rest_center, axis=1)
         reach = contact.extent_m + AROUND_M + 2.0 * self.mesh.edge_length
-        needed = away < reach
-        needed[below.corners] = True
-        if np.any(self._responses.number[needed] < 0):
-            needed |= away < reach + _MARGIN_EDGES * self.mesh.edge_length
-            nodes = np.flatnonzero(needed)
-            number = np.full(len(self.mesh.nodes), -1)
-            number[nodes] = np.arange(len(nodes))
-            self._responses = _Responses(nodes, number, self._compliances(nodes))
+        carrying = np.zeros(len(self.mesh.nodes), bool)
+        carrying[below.corners] = True
+        carrying = self._grown(carrying)  # points move on to the next triangle
+        known, seen = self._responses, np.zeros(len(self.mesh.nodes), bool)
+        seen[known.around] = True
+        if np.all(known.number[carrying] >= 0) and np.all(seen[away < reach]):
+            return known
+        carrying = self._grown(carrying)
+        wide = carrying | (away < reach + _MARGIN_EDGES * self.mesh.edge_length)
+        loaded, around = np.flatnonzero(carrying), np.flatnonzero(wide)
+        rows = self._compliances(loaded)
+        number = np.full(len(self.mesh.nodes), -1)
+        number[loaded] = np.arange(len(loaded))
+        own, M = rows[:, loaded].astype(np.float64), rows[:, around].T.astype(np.float64)
+        self._responses = _Responses(number, own, around, M)
         return self._responses
 
+    def _grown(self, nodes: np.ndarray) -> np.ndarray:
+        """Some nodes (n,) bool and all that share a triangle with them."""
+        grown = nodes.copy()
+        grown[self.mesh.triangles[nodes[self.mesh.triangles].any(axis=1)]] = True
+        return grown
+
     def _compliances(self, nodes: np.ndarray) -> np.ndarray:
-        """Displacements (k, k) of nodes under a unit force inward on each of them; 0 on the rim."""
+        """Displacements (l, n) under a unit force inward on each of some nodes; 0 on the rim."""
         new = nodes[self._row[nodes] < 0]
         if len(self._compliance) + len(new) > _MOST_ROWS:
             self._row[:] = -1
@@ -268,7 +286,7 @@ class PressedMembrane:
         found[:, free] = self._equilibrium.response(loads).T
         self._row[new] = len(self._compliance) + np.arange(len(new))
         self._compliance = np.concatenate([self._compliance, found])
-        return self._compliance[np.ix_(self._row[nodes], nodes)].astype(np.float64)
+        return self._compliance[self._row[nodes]]
 
     def _closest(self, points: np.ndarray) -> np.ndarray:
         """Triangle (k,) of the membrane at rest that is closest to each point (k, 3)."""
