@@ -103,19 +103,21 @@ def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) 
 
 
 def _seek(session: WindowSession, frame: int) -> float:
-    """Seek and wait until the frame is drawn, ms."""
-    controller, view = session.controller, session.window.view
-    drawn: list[float] = []
+    """Seek and wait as the application does, in its event loop, until the frame is drawn, ms."""
+    from PySide6.QtCore import QEventLoop
+
+    controller, view, loop = session.controller, session.window.view, QEventLoop()
 
     def note() -> None:
         result = controller.result
-        if result is not None and result.frame.index == frame and not drawn:
+        if result is not None and result.frame.index == frame:
             drawn.append(time.perf_counter())
+            loop.quit()
 
+    drawn: list[float] = []
     link = view.rendered.connect(note)
     start = time.perf_counter()
     session.state.seek(frame)
-    while not drawn:
-        session.application.processEvents()
+    loop.exec()
     view.rendered.disconnect(link)
     return 1e3 * (drawn[0] - start)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from numpy.linalg import LinAlgError
+from scipy.linalg.lapack import dposv
 
 _FULL_EXCHANGES = 3
 
@@ -21,7 +22,7 @@ class Quadratic(Protocol):
 
 
 class DenseQuadratic:
-    """A matrix (c, c) that is all there.
+    """A symmetric matrix (c, c) that is all there.
 
     Parameters
     ----------
@@ -33,12 +34,15 @@ class DenseQuadratic:
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
         used = np.flatnonzero(x)
-        return self._H[:, used] @ x[used]
+        return x[used] @ self._H[used]  # rows of a symmetric matrix lie together in memory
 
     def solve(self, inside: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the rows and columns `inside` by Cholesky."""
-        part = self._H[np.ix_(inside, inside)]
-        return cho_solve(cho_factor(part, overwrite_a=True, check_finite=False), rhs)
+        """Solve with the rows and columns `inside` by Cholesky: LAPACK itself, for small parts."""
+        part = self._H[inside[:, None], inside]
+        _, x, failed = dposv(part.T, rhs, overwrite_a=True)
+        if failed:
+            raise LinAlgError("not positive definite")
+        return np.asarray(x)
 
 
 def nonnegative_qp(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy import sparse
 
@@ -27,10 +29,15 @@ class ReducedHessian:
         self._gas = equilibrium.gas_response(M)
         self._pull = M.T @ bulge_pull - 0.5 * (equilibrium.bulge @ bulge_pull) * self._gas
 
+    @cached_property
+    def _estimated(self) -> np.ndarray:
+        """The Hessian where the gas pressure is estimated too, (n, n)."""
+        mixed = np.outer(self._pull, self._gas)
+        mixed += mixed.T
+        return np.subtract(self._measured, mixed, out=mixed)
+
     def block(self, nodes: np.ndarray, gas_measured: bool, scale: float = 1.0) -> DenseQuadratic:
         """`scale` times the rows and columns of the given nodes (k,)."""
-        H = self._measured[np.ix_(nodes, nodes)]
-        if not gas_measured:
-            mixed = np.outer(self._pull[nodes], self._gas[nodes])
-            H -= mixed + mixed.T
-        return DenseQuadratic(scale * H)
+        H = (self._measured if gas_measured else self._estimated)[nodes[:, None], nodes]
+        H *= scale
+        return DenseQuadratic(H)
