@@ -1,9 +1,12 @@
-"""Parts of other packages that they load at import but that we may never use: loaded when used."""
+"""Importing much in little time: what may never be used is loaded when it is used."""
 
 from __future__ import annotations
 
+import gc
 import importlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
@@ -24,16 +27,15 @@ def import_without(package: str, part: str) -> None:
     """Import a package, one of its modules only when something of that is asked for.
 
     `import open3d` loads a web server for `open3d.visualization`, which is two thirds of its time;
-    pyvista loads `matplotlib.pyplot` for one function. Does nothing when the package is loaded.
+    pyvista loads `matplotlib.pyplot` for one function. Does nothing when the part is loaded.
 
     Parameters
     ----------
     package, part : str
         Of `package.part`.
     """
-    if package in sys.modules:
+    if (name := f"{package}.{part}") in sys.modules:
         return
-    name = f"{package}.{part}"
     deferred = _Deferred(name)
     deferred.__spec__ = ModuleSpec(name, None)
     sys.modules[name] = deferred
@@ -44,3 +46,45 @@ def import_without(package: str, part: str) -> None:
         raise
     if not hasattr(module, part):
         setattr(module, part, deferred)
+
+
+@contextmanager
+def made_later(module: str, cls: str) -> Iterator[None]:
+    """Import others that import a class by name, only to make one some day: it is loaded then.
+
+    pyvista would load what draws Matplotlib's figures, for a chart nobody asks for. Does nothing
+    when the module is loaded.
+
+    Parameters
+    ----------
+    module, cls : str
+        Of `module.cls`.
+    """
+    if module in sys.modules:
+        yield
+        return
+
+    def make(*args: Any, **kwargs: Any) -> Any:
+        return getattr(importlib.import_module(module), cls)(*args, **kwargs)
+
+    meanwhile = ModuleType(module)
+    setattr(meanwhile, cls, make)
+    sys.modules[module] = meanwhile
+    try:
+        yield
+    finally:
+        del sys.modules[module]  # whoever imports it from now on gets the real one
+
+
+@contextmanager
+def everything_stays() -> Iterator[None]:
+    """Import many modules without looking for garbage: all they make stays until the end.
+
+    Python would look again and again at all that is loaded, a quarter of the time of the imports.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bubbleviz.deferred import import_without
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
+from ui.imports import import_the_window
 
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
@@ -49,7 +49,7 @@ class WindowSession:
         keep_in: Path | None = None,
         live: SessionPreset | None = None,
     ) -> None:
-        import_without("matplotlib", "pyplot")
+        import_the_window()
         from ui.controller import Controller
         from ui.main_window import MainWindow
         from ui.state import SessionState
