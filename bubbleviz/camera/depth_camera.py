@@ -52,8 +52,9 @@ class DepthCamera:
     @cached_property
     def range_per_depth(self) -> np.ndarray:
         """Range along the ray per z-depth, ≥ 1, shape (H, W), float32."""
-        slopes = self.intrinsics.slopes()
-        return np.sqrt(1.0 + np.sum(slopes**2, axis=-1)).astype(np.float32)
+        along_axis = self.directions @ self.T_B_C[:3, 2]
+        shape = (self.intrinsics.height, self.intrinsics.width)
+        return (1.0 / along_axis).reshape(shape).astype(np.float32)
 
     def range_image(self, depth_m: np.ndarray) -> np.ndarray:
         """Range in m of a z-depth image (H, W)."""
