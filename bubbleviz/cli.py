@@ -14,7 +14,7 @@ import bubbleviz
 from bubbleviz.batch.command import batch
 from bubbleviz.bench import bench
 from bubbleviz.calibration.command import identify
-from bubbleviz.defaults import SYNTHETIC_SENSOR
+from bubbleviz.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.export.command import export
 from bubbleviz.live.command import publish, record, watch
@@ -85,7 +85,9 @@ def main(context: click.Context, fresh: bool) -> int:
 
 
 @main.command("open")
-@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@click.argument(
+    "recording", metavar="[REC | X.bubbleviz]", required=False, type=click.Path(path_type=Path)
+)
 @click.option("--source", help="A live source: synthetic:, replay:REC, zenoh:, realsense:")
 @click.option("--session", help="Live sensors together: a session preset or TOML file.")
 @click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
@@ -103,13 +105,17 @@ def open_recording(
     screenshot: Path | None,
     fresh: bool,
 ) -> int:
-    """Show a recording or a live source in the window."""
+    """Show a recording, a saved session or a live source in the window."""
     if sum(given is not None for given in (recording, source, session)) != 1:
         raise click.UsageError("give one of REC, --source and --session")
     if recording is None:
         if frame is not None or screenshot is not None:
             raise click.UsageError("--frame and --screenshot are for recordings")
         return _open_live(source, session, sensor, scene, fresh=fresh)
+    if recording.suffix.lower() == SESSION_SUFFIX:
+        if any(given is not None for given in (sensor, frame, screenshot)):
+            raise click.UsageError("--sensor, --frame and --screenshot are for recordings")
+        return _open_saved(recording, scene, fresh=fresh)
     from bubbleviz.matching import checked_sensor
     from ui.presets import load_scene
 
@@ -128,6 +134,16 @@ def open_recording(
     app.screenshot(chosen, recording, frame or 0, screenshot, preset)
     click.echo(f"wrote {screenshot}")
     return 0
+
+
+def _open_saved(saved: Path, scene: str | None, *, fresh: bool) -> int:
+    """The window as it was when somebody saved a session."""
+    from bubbleviz.sensor import load_sensor
+    from ui.app import run_window
+    from ui.presets import load_scene
+
+    preset = None if scene is None else load_scene(scene)
+    return run_window(load_sensor(SYNTHETIC_SENSOR), scene=preset, fresh=fresh, saved=saved)
 
 
 def _open_live(

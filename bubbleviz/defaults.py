@@ -2,3 +2,5 @@
 
 SYNTHETIC_SENSOR = "pico_flexx_75mm"
 """Preset of the built-in live sensor, and of studies."""
+SESSION_SUFFIX = ".bubbleviz"
+"""Of files that hold a session of the window."""

@@ -45,6 +45,15 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     return T
 
 
+def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
+    """x, y, z in m and the unit quaternion xyzw of a transform (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z = (float(v) for v in T[:3, 3])
+    qx, qy, qz, qw = (float(q) for q in Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+    return x, y, z, qx, qy, qz, qw
+
+
 def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Poses (F, 4, 4) and, where the file has them, times (F,) in s.
 

@@ -30,6 +30,7 @@ def run_window(
     *,
     fresh: bool = True,
     live: SessionPreset | None = None,
+    saved: Path | None = None,
 ) -> int:
     """Show the window until it is closed.
 
@@ -49,6 +50,8 @@ def run_window(
         Leave the user's last session alone; else come back to it, and keep this one.
     live : SessionPreset, optional
         Live sensors in place of a recording.
+    saved : Path, optional
+        Session file to restore in place of a recording.
 
     Returns
     -------
@@ -58,17 +61,18 @@ def run_window(
     Raises
     ------
     InputError
-        The recording cannot be opened or does not fit the sensor; no window appears.
+        The recording cannot be opened or does not fit the sensor, or the session cannot be read;
+        no window appears.
     """
     if has_display():
         keep_in = None if fresh else _user_file()
-        with window_session(sensor, recording, frame, scene, keep_in, live) as session:
+        with window_session(sensor, recording, frame, scene, keep_in, live, saved) as session:
             signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
             return session.application.exec()
     with (
         private_display(1280, 800),
-        window_session(sensor, recording, frame, scene, live=live) as session,
+        window_session(sensor, recording, frame, scene, live=live, saved=saved) as session,
     ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)
         for path in _offscreen(session):

@@ -12,6 +12,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
+from bubbleviz.defaults import SESSION_SUFFIX
 from bubbleviz.meshread import SUFFIXES
 from bubbleviz.result import Result
 from ui import theme
@@ -46,7 +47,7 @@ from ui.pointing import Pointing
 from ui.presets import ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
-from ui.session_file import SUFFIX, name_of
+from ui.session_file import name_of
 from ui.session_keeper import SessionKeeper
 from ui.shortcuts import Shortcuts
 from ui.shortcuts_dialog import ShortcutsDialog
@@ -127,7 +128,7 @@ class MainWindow(QMainWindow):
         elif path.suffix.lower() in SUFFIXES:
             self.pose_dock.show()
             self.pose.use_file(path)
-        elif path.suffix.lower() == SUFFIX:
+        elif path.suffix.lower() == SESSION_SUFFIX:
             self.keeper.open(path)
         else:
             self.controller.open_recording(path)
@@ -279,7 +280,9 @@ class MainWindow(QMainWindow):
     def _open_dropped(self, paths: list[Path]) -> None:
         """Open the first of the files; a recording and a sensor file are opened together."""
         sensors = [path for path in paths if path.suffix.lower() == ".toml"]
-        recordings = [path for path in paths if path.suffix.lower() not in (".toml", SUFFIX)]
+        recordings = [
+            path for path in paths if path.suffix.lower() not in (".toml", SESSION_SUFFIX)
+        ]
         if sensors and recordings:
             self.controller.open_recording(recordings[0], sensors[0])
         else:

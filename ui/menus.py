@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, cast
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 
+from bubbleviz.defaults import SESSION_SUFFIX
 from ui.panels.playback import next_speed
 from ui.panels.view_tools import VIEWS
 from ui.presets import load_scene, scene_names
-from ui.session_file import SUFFIX
 from ui.shortcuts import UNLISTED
-from ui.state import ThemeName
+from ui.state import LOOPBACK, ThemeName
 from ui.units import SYSTEMS
 
 if TYPE_CHECKING:
     from ui.main_window import MainWindow
 
-SESSIONS = f"Sessions (*{SUFFIX});;All files (*)"
+SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
 
 
@@ -228,15 +228,15 @@ class Menus:
             self._window.state.seek(facts.frames - 1)
 
     def _publish_at(self) -> None:
-        publishing = self._window.desk.publishing
+        state = self._window.state
         endpoint, chosen = QInputDialog.getText(
             self._window,
             "Publish results",
             "Listen at (127.0.0.1: this computer only; an address of it: others, too)",
-            text=publishing.endpoint,
+            text=state.choices.publish_at,
         )
         if chosen:
-            publishing.choose_endpoint(endpoint)
+            state.choose(publish_at=endpoint.strip() or LOOPBACK)
 
     def _open_recording(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self._window, "Open recording", "", RECORDINGS)
@@ -262,11 +262,11 @@ class Menus:
 
     def _save_session(self) -> None:
         name, _ = QFileDialog.getSaveFileName(
-            self._window, "Save session as", f"session{SUFFIX}", SESSIONS
+            self._window, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS
         )
         if name:
             path = Path(name)
-            self._window.keeper.save_as(path if path.suffix else path.with_suffix(SUFFIX))
+            self._window.keeper.save_as(path if path.suffix else path.with_suffix(SESSION_SUFFIX))
 
     def _screenshot(self) -> None:
         name, _ = QFileDialog.getSaveFileName(

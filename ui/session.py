@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bubbleviz.live.session_file import SessionPreset
     from ui.presets import ScenePreset
     from ui.requests import Failed, Opened
+    from ui.session_file import SavedSession
 
 PATIENCE_S = 60.0
 """How long a picture may take before something is called broken."""
@@ -32,12 +33,14 @@ SWITCH_S = 5e-4
 class WindowSession:
     """The application, one window on a recording or the synthetic press, and its event loop.
 
-    With `keep_in`, the user's last session is read from that file, and this one kept in it.
+    With `keep_in`, the user's last session is read from that file, and this one kept in it; with
+    `saved`, the session of that file is restored.
 
     Raises
     ------
     InputError
-        The recording cannot be opened, does not fit the sensor, or has no such frame.
+        The session cannot be read, or the recording cannot be opened, does not fit the sensor, or
+        has no such frame.
     """
 
     def __init__(
@@ -48,7 +51,9 @@ class WindowSession:
         scene: ScenePreset | None = None,
         keep_in: Path | None = None,
         live: SessionPreset | None = None,
+        saved: Path | None = None,
     ) -> None:
+        given = None if saved is None else _read(saved)  # before there is a window
         import_the_window()
         from ui.controller import Controller
         from ui.main_window import MainWindow
@@ -64,8 +69,10 @@ class WindowSession:
         self._answers: list[Opened | Failed] = []
         self.controller.opened.connect(self._note)
         self.controller.failed.connect(self._note)
-        known = recording is not None or live is not None
+        known = any(each is not None for each in (recording, live, saved))
         restored = keep_in is not None and self._restore(keep_in, recording, known=known)
+        if saved is not None and given is not None:
+            restored = self._came_back(self.window.keeper.restore(given, saved))
         if scene is not None:
             self.window.use_scene(scene)
         if live is not None:
@@ -129,8 +136,6 @@ class WindowSession:
         Where it is `known` what to open, that is opened in its place; what cannot be opened any
         more is a message in the window.
         """
-        from ui.requests import Opened
-
         keeper = self.window.keeper
         saved = keeper.keep_in(file)
         keeper.use(saved)
@@ -139,10 +144,15 @@ class WindowSession:
             keeper.expect(saved, recording)
         if known:
             return False
-        if not keeper.open_source(saved):
-            return False
-        self.wait_for(lambda: bool(self._answers), "opening")
-        return isinstance(self._answers[0], Opened)
+        return self._came_back(keeper.open_source(saved))
+
+    def _came_back(self, asked: bool) -> bool:
+        """Whether a session's source, where one was asked for, is open now."""
+        from ui.requests import Opened
+
+        if asked:
+            self.wait_for(lambda: bool(self._answers), "opening")
+        return asked and isinstance(self._answers[0], Opened)
 
     def wait_for(self, done: Callable[[], bool], what: str) -> None:
         """Run the event loop until something is done."""
@@ -181,9 +191,10 @@ def window_session(
     scene: ScenePreset | None = None,
     keep_in: Path | None = None,
     live: SessionPreset | None = None,
+    saved: Path | None = None,
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and gone at the end."""
-    session = WindowSession(sensor, recording, frame, scene, keep_in, live)
+    session = WindowSession(sensor, recording, frame, scene, keep_in, live, saved)
     try:
         yield session
     finally:
@@ -194,6 +205,12 @@ def window_session(
             session.window.close()
         session.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
         session.application.processEvents()
+
+
+def _read(saved: Path) -> SavedSession:
+    from ui.session_file import read_session
+
+    return read_session(saved)
 
 
 def application() -> QApplication:

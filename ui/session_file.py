@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,14 +11,18 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.solver import SOLVER_NAMES
+from bubbleviz.inverse.solver import SOLVER_NAMES, SOLVERS
+from bubbleviz.live.session_file import SessionPreset
+from bubbleviz.meshread import SUFFIXES
 from bubbleviz.sensor import Sensor, presets_folder
 from ui.needs import CONSUMERS, PLOTS
+from ui.session_live import with_paths
 from ui.state import LAYERS, SPEEDS, Choices
 
-SUFFIX = ".bubbleviz"
 SYNTHETIC = "synthetic:"
 MOST_RECENT = 10
+OWN_CHOICES = ("theme", "record_folder", "publish_at")
+"""Choices that are the user's and of this computer; they neither come nor go with a session."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
 _CHOICES = TypeAdapter(Choices)
@@ -41,6 +46,8 @@ class SavedSession(BaseModel):
     ----------
     source : str or None
         A recording's path or `synthetic:`; None when a source cannot be opened by name.
+    live : SessionPreset or None
+        Live sensors that were connected.
     sensor : str or None
         Sensor file or preset.
     frame : int
@@ -60,6 +67,7 @@ class SavedSession(BaseModel):
 
     schema_version: Literal[1] = 1
     source: str | None = None
+    live: SessionPreset | None = None
     sensor: str | None = None
     frame: int = Field(default=0, ge=0)
     play_range: tuple[int, int] | None = None
@@ -110,6 +118,7 @@ def usable_choices(fields: dict[str, Any]) -> Choices:
             continue
     choices = Choices(**usable)
     known = choices.solver in (None, *SOLVER_NAMES)
+    comparable = all(each.solver in (None, *SOLVERS) for each in choices.compared)
     return replace(
         choices,
         layers=choices.layers & frozenset(LAYERS),
@@ -117,6 +126,7 @@ def usable_choices(fields: dict[str, Any]) -> Choices:
         plots=choices.plots & frozenset(PLOTS),
         speed=choices.speed if choices.speed in SPEEDS else 1.0,
         solver=choices.solver if known else None,
+        compared=choices.compared if comparable else Choices.compared,
     )
 
 
@@ -131,20 +141,69 @@ def name_of(sensor: Sensor) -> str | None:
 
 
 def for_colleague(saved: SavedSession, file: Path) -> SavedSession:
-    """Session whose paths start at its file's folder, so that both can be sent together."""
+    """Session whose paths start at its file's folder, so that all can be sent together.
+
+    What is the user's own, keys and colours of the window for one, is left out.
+    """
     folder = file.absolute().parent
 
-    def relative(name: str | None) -> str | None:
-        if name is None or not Path(name).is_absolute():
+    def relative(name: str) -> str:
+        if not Path(name).is_absolute():
             return name
         try:
             return Path(os.path.relpath(name, folder)).as_posix()
         except ValueError:  # another drive
             return name
 
+    theirs = _renamed(saved, relative)
+    choices = {k: v for k, v in theirs.choices.items() if k not in OWN_CHOICES}
+    return theirs.model_copy(update={"choices": choices, "shortcuts": {}})
+
+
+def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
+    """The same session with other names for every file."""
+    choices = dict(saved.choices)
+    if isinstance(choices.get("pose_object"), str):
+        choices["pose_object"] = rename(choices["pose_object"])
     return saved.model_copy(
-        update={"source": relative(saved.source), "sensor": relative(saved.sensor)}
+        update={
+            "source": None if saved.source is None else rename(saved.source),
+            "sensor": None if saved.sensor is None else rename(saved.sensor),
+            "live": None if saved.live is None else with_paths(saved.live, rename),
+            "choices": choices,
+        }
     )
+
+
+def located(saved: SavedSession, file: Path | None) -> SavedSession:
+    """Session whose files are named by where they are; those that are not there keep their name.
+
+    Parameters
+    ----------
+    saved : SavedSession
+    file : Path or None
+        Where it was read from; files are looked for beside it.
+    """
+    return _renamed(saved, lambda name: absolute(name, file))
+
+
+def absolute(name: str, file: Path | None = None) -> str:
+    """Absolute path of a file of a session; what is no file, or is not there, as it is named."""
+    path = found(name, file)
+    return name if path is None else str(path.absolute())
+
+
+def missing(saved: SavedSession) -> dict[str, str]:
+    """Files a located session names that are not there, by the field they belong to."""
+    named = {"recording": saved.source, "sensor": saved.sensor}
+    if saved.source == SYNTHETIC:
+        del named["recording"]
+    if saved.sensor is not None and not saved.sensor.endswith(".toml"):
+        del named["sensor"]  # a preset
+    obj = saved.choices.get("pose_object")
+    if isinstance(obj, str) and Path(obj).suffix.lower() in SUFFIXES:
+        named["object"] = obj
+    return {what: name for what, name in named.items() if name and not Path(name).exists()}
 
 
 def found(name: str, file: Path | None) -> Path | None:

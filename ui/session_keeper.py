@@ -13,21 +13,28 @@ from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, QTime
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
+from bubbleviz.live.session_file import SessionPreset
 from bubbleviz.sensor import Sensor, load_sensor
+from ui.live.frames import LiveOpener
 from ui.requests import Failed, Opened, OpenRequest
 from ui.session_file import (
     MOST_RECENT,
+    OWN_CHOICES,
     SYNTHETIC,
     SavedCamera,
     SavedSession,
     UserFile,
+    absolute,
     for_colleague,
-    found,
+    located,
+    missing,
     name_of,
     plain_choices,
     read_session,
     read_user_file,
 )
+from ui.session_live import with_paths, with_sensor
+from ui.session_sensor import forget_others, is_beside, kept_beside
 from ui.sources import RecordingOpener, recording, sensor_for, synthetic
 from ui.state import Event, SourceChanged
 
@@ -36,6 +43,8 @@ if TYPE_CHECKING:
 
 EVERY_MS = 3000
 """How much of a session a crash may cost."""
+OF_SOURCE = ("source", "live", "sensor", "frame", "play_range", "markers", "camera")
+"""Fields of a session that are kept as they were while its source is not there."""
 
 
 def user_file() -> Path:
@@ -65,8 +74,12 @@ class SessionKeeper(QObject):
         self.recent: tuple[str, ...] = ()
         self.hinted = False
         self._opened: Opened | None = None
-        self._pending: tuple[SavedSession, str] | None = None  # and the source it is for
-        self._problem = ""
+        self._pending: SavedSession | None = None
+        self._absent: SavedSession | None = None  # something else is open in its place
+        self._to_connect: SessionPreset | None = None
+        self._problems: list[str] = []
+        self._origin = ""
+        self._copied: tuple[Sensor, Path, Path] | None = None
         self._file: Path | None = None
         self._written: UserFile | None = None
         self._timer = QTimer(self)
@@ -100,9 +113,9 @@ class SessionKeeper(QObject):
         """Write the user's file where something has changed, whole or not at all."""
         if self._file is None or self._opened is None:
             return
-        user = UserFile(session=self.snapshot(), recent=self.recent, hinted=self.hinted)
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        user = UserFile(session=self.snapshot(self._file), recent=self.recent, hinted=self.hinted)
         if user != self._written:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
             write_whole(self._file, user)
             self._written = user
 
@@ -111,16 +124,26 @@ class SessionKeeper(QObject):
         self._timer.stop()
         with suppress(InputError, OSError):  # a full disk must not keep the window open
             self.save()
+            if self._file is not None and self._written is not None:
+                sensor = self._written.session.sensor
+                forget_others(self._file, None if sensor is None else Path(sensor))
 
     # -- sessions -----------------------------------------------------------------------------
 
-    def snapshot(self) -> SavedSession:
-        """Session as it is now."""
+    def snapshot(self, file: Path | None = None) -> SavedSession:
+        """Session as it is now; a sensor that is in no file of the user's is kept beside `file`.
+
+        Raises
+        ------
+        InputError
+            That sensor cannot be kept.
+        """
         window, state = self._window, self._window.state
-        source, sensor = self._names()
+        sensor = self._sensor_name(file)
         moved = window.scene.moved_by_user
-        return SavedSession(
-            source=source,
+        now = SavedSession(
+            source=self._source_name(),
+            live=self._live(sensor),
             sensor=sensor,
             frame=state.frame,
             play_range=state.play_range,
@@ -131,13 +154,17 @@ class SessionKeeper(QObject):
             layout=_text(window.saveState()),
             shortcuts=window.shortcuts.changed,
         )
+        absent = self._absent
+        if absent is None:
+            return now
+        kept = {name: getattr(absent, name) for name in OF_SOURCE}
+        obj = now.choices["pose_object"] or absent.choices.get("pose_object")
+        return now.model_copy(update={**kept, "choices": {**now.choices, "pose_object": obj}})
 
     def save_as(self, path: Path) -> None:
-        """Write the session for a colleague; keys and colours of the window stay the user's."""
-        saved = for_colleague(self.snapshot(), path)
-        choices = {k: v for k, v in saved.choices.items() if k != "theme"}
+        """Write the session for a colleague; what is the user's own stays here."""
         try:
-            write_whole(path, saved.model_copy(update={"choices": choices, "shortcuts": {}}))
+            write_whole(path, for_colleague(self.snapshot(path), path))
         except InputError as error:
             self._window.message.say(str(error))
         else:
@@ -150,53 +177,57 @@ class SessionKeeper(QObject):
         except InputError as error:
             self._window.message.say(str(error))
             return
-        self._remember(str(path.absolute()))
-        saved = saved.model_copy(
-            update={"choices": {"theme": self._window.state.choices.theme, **saved.choices}}
-        )
-        self.use(saved)
-        self.open_source(saved, path)
+        self.restore(saved, path)
 
-    def use(self, saved: SavedSession) -> None:
+    def restore(self, saved: SavedSession, path: Path) -> bool:
+        """Restore a session that was read from a file; whether its source is being opened."""
+        self._remember(str(path.absolute()))
+        present = plain_choices(self._window.state.choices)
+        own = {name: present[name] for name in OWN_CHOICES}
+        saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
+        self.use(saved, path)
+        return self.open_source(saved, path)
+
+    def use(self, saved: SavedSession, file: Path | None = None) -> None:
         """Take choices and layout of a session."""
-        window, choices = self._window, saved.chosen
+        window, saved = self._window, located(saved, file)
+        choices, gone = saved.chosen, missing(saved).get("object")
+        self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
+        if gone is not None:
+            choices = replace(choices, pose_object=None)
+            self._problems.append(f"object {gone} is not there")
         with window.settings.unrecorded():
             window.state.choose(**vars(choices))
-        if saved.geometry:
-            window.restoreGeometry(_bytes(saved.geometry))
-        if saved.layout:
-            window.restoreState(_bytes(saved.layout))
-        window.status.setVisible("status" in choices.panels)
+            if saved.geometry:
+                window.restoreGeometry(_bytes(saved.geometry))
+            if saved.layout:
+                window.restoreState(_bytes(saved.layout))
+            window.status.setVisible("status" in choices.panels)
 
     def open_source(self, saved: SavedSession, file: Path | None = None) -> bool:
         """Ask for the source of a session, to come back to the same frame of it.
 
+        What is not there, or not yet, is a message; it is asked for again at the next start,
+        unless the user opens something else meanwhile.
+
         Returns
         -------
         bool
-            Whether there is one to open.
+            Whether it is being opened.
         """
-        sensor, problems = self._sensor(saved, file), list[str]()
-        if saved.sensor is not None and sensor is None:
-            problems.append(f"sensor {saved.sensor} is not there")
+        saved = located(saved, file)
+        gone = missing(saved)
+        self._problems += [f"{k} {name} is not there" for k, name in gone.items() if k != "object"]
         opener: Callable[[Sensor], FrameSource] | None = None
-        path = None
         if saved.source == SYNTHETIC:
             opener = synthetic
-        elif saved.source is not None:
-            path = found(saved.source, file)
-            opener = recording(path) if path is not None else None
-            if path is None:
-                problems.append(f"recording {saved.source} is not there")
-        if problems:
-            origin = f"{file}: " if file is not None else "Last session: "
-            self._problem = f"{origin}{' and '.join(problems)}; the rest is restored."
+        elif saved.source is not None and "recording" not in gone:
+            opener = recording(Path(saved.source))
+        self._pending = saved
         if opener is None:
-            if self._opened is not None:  # else something will be opened in its place
-                self._tell_problem()
+            self._go_without(saved)
             return False
-        path_found = str(path.absolute()) if path is not None else SYNTHETIC
-        self._pending = saved, path_found
+        sensor = None if "sensor" in gone else saved.sensor
         self._window.controller.open(
             saved.source or "",
             opener,
@@ -210,7 +241,7 @@ class SessionKeeper(QObject):
     def expect(self, saved: SavedSession, path: Path) -> None:
         """Take range, markers and view of a session if this is its recording."""
         if saved.source is not None and Path(saved.source) == path.absolute():
-            self._pending = saved, str(path.absolute())
+            self._pending = saved
 
     def reload(self) -> None:
         """Open recording and sensor anew from their files."""
@@ -241,29 +272,57 @@ class SessionKeeper(QObject):
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _names(self) -> tuple[str | None, str | None]:
-        """Source and sensor by name, as far as they have one."""
-        if self._opened is None:
-            return None, None
-        opener, source = self._opened.request.open_source, None
+    def _source_name(self) -> str | None:
+        """The source that is open, as far as it has a name."""
+        opener = None if self._opened is None else self._opened.request.open_source
         if isinstance(opener, RecordingOpener):
-            source = str(opener.path.absolute())
-        elif opener is synthetic:
-            source = SYNTHETIC
-        return source, name_of(self._opened.sensor)
+            return str(opener.path.absolute())
+        return SYNTHETIC if opener is synthetic else None
 
-    def _sensor(self, saved: SavedSession, file: Path | None) -> str | Path | None:
-        """What to load the sensor from; None where it is not there."""
-        if saved.sensor is None:
+    def _sensor_name(self, file: Path | None) -> str | None:
+        """The sensor in use: a preset, a file of the user's, or its copy beside `file`."""
+        if self._opened is None:
             return None
-        path = found(saved.sensor, file)
-        if path is not None:
-            return path
-        is_file = saved.sensor.endswith(".toml")
-        return None if is_file else saved.sensor
+        sensor = self._opened.sensor
+        if file is None or not self._is_unsaved(sensor):
+            return name_of(sensor)
+        if self._copied is None or self._copied[0] is not sensor or self._copied[1] != file:
+            self._copied = sensor, file, kept_beside(sensor, file)
+        return str(self._copied[2])
+
+    def _is_unsaved(self, sensor: Sensor) -> bool:
+        """Whether a sensor is in no file that the user knows of."""
+        beside = self._file is not None and is_beside(sensor, self._file)
+        return not sensor.file or beside or self._window.gamma0.holds(sensor)
+
+    def _live(self, sensor: str | None) -> SessionPreset | None:
+        """Live sensors that are connected and shown, the chosen one with its present sensor."""
+        desk = self._window.desk
+        if desk.run is None or not self._is_live:
+            return None
+        live = with_paths(desk.run.preset, absolute)
+        return live if sensor is None else with_sensor(live, desk.chosen, sensor)
+
+    @property
+    def _is_live(self) -> bool:
+        opener = None if self._opened is None else self._opened.request.open_source
+        return isinstance(opener, LiveOpener)
+
+    def _is_open(self, saved: SavedSession) -> bool:
+        return saved.live is not None if self._is_live else saved.source == self._source_name()
+
+    def _go_without(self, saved: SavedSession) -> None:
+        """Wait for what a session's source lacks beside what is open, or will be in its place."""
+        if self._opened is None:
+            has_one = saved.source is not None or saved.live is not None
+            self._absent, self._to_connect = saved if has_one else None, saved.live
+        else:
+            self._tell_problems()
+            if saved.live is not None:
+                self._window.desk.connect_to(saved.live)
 
     def _sensor_opener(
-        self, opener: Callable[[Sensor], object], name: str | Path | None
+        self, opener: Callable[[Sensor], object], name: str | None
     ) -> Callable[[], Sensor]:
         if name is not None:
             return lambda: load_sensor(name)
@@ -274,32 +333,46 @@ class SessionKeeper(QObject):
         return lambda: present
 
     def _on_opened(self, opened: Opened) -> None:
-        self._opened = opened
+        before, self._opened = self._opened, opened
         opener, sensor = opened.request.open_source, name_of(opened.sensor)
-        if sensor is not None and Path(sensor).is_absolute():
+        if before is not None and before.request.open_source is not opener:
+            self._absent = None  # the user has opened something else, or what was absent came
+        if (
+            sensor is not None
+            and Path(sensor).is_absolute()
+            and not self._is_unsaved(opened.sensor)
+        ):
             self._remember(sensor)
         if isinstance(opener, RecordingOpener):
             self._remember(str(opener.path.absolute()))
 
     def _on_failed(self, failed: Failed) -> None:
-        if isinstance(failed.request, OpenRequest):
-            if self._pending is not None and self._opened is None:
-                self._problem = f"Last session: {failed.message}; the rest is restored."
+        if isinstance(failed.request, OpenRequest) and self._pending is not None:
+            if self._opened is None:
+                self._problems = [failed.message]
+                self._absent = self._pending
             self._pending = None
 
     def _on_event(self, event: Event) -> None:
         """Once the source is open: what belongs to it."""
         if not isinstance(event, SourceChanged):
             return
-        self._tell_problem()
-        pending, self._pending = self._pending, None
-        if pending is None or pending[1] != self._names()[0]:
+        self._tell_problems()
+        pending, live = self._pending, self._to_connect
+        self._to_connect = None
+        if live is not None:
+            self._window.desk.connect_to(live)
             return
-        saved = pending[0]
+        self._pending = None
+        if pending is not None and self._is_open(pending):
+            self._take_what_belongs(pending, event.facts.frames)
+
+    def _take_what_belongs(self, saved: SavedSession, frames: int) -> None:
+        """Take range, markers and point of view."""
         with self._window.settings.unrecorded():
             state = self._window.state
             state.choose_range(saved.play_range)
-            state.choose_markers(tuple(k for k in saved.markers if k < event.facts.frames))
+            state.choose_markers(tuple(k for k in saved.markers if k < frames))
         if saved.camera is not None:
             camera = self._window.view.camera
             for name in ("position", "focal_point", "up", "view_angle"):
@@ -309,10 +382,11 @@ class SessionKeeper(QObject):
     def _on_hint_read(self) -> None:
         self.hinted = True
 
-    def _tell_problem(self) -> None:
-        if self._problem:
-            self._window.message.say(self._problem)
-            self._problem = ""
+    def _tell_problems(self) -> None:
+        if self._problems:
+            text = " and ".join(self._problems)
+            self._window.message.say(f"{self._origin}{text}; the rest is restored.")
+            self._problems = []
 
     def _remember(self, path: str) -> None:
         recent = (path, *(other for other in self.recent if other != path))[:MOST_RECENT]

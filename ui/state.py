@@ -29,6 +29,35 @@ SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Playback speeds to choose from."""
 PATCH_CHOICES = frozenset({"kappa", "least_area_m2"})
 """Choices that make another patch of the same contact pressure."""
+POSE_CHOICES = frozenset({"pose_object", "pose_unit"})
+"""Choices that make it another object."""
+PRE_ROLL_S = 2.0
+LOOPBACK = "tcp/127.0.0.1:7448"
+"""Where results are published unless told otherwise: this computer only."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting of the estimator to compare; None is bubbleviz's default.
+
+    Attributes
+    ----------
+    solver : str or None
+    pressure_scale : float or None
+        Contact pressure expected, in gauge pressures.
+    recasts : int or None
+        How often rays are cast again in a frame.
+    nodes : int or None
+        Of the mesh; None: the sensor's.
+    block : int or None
+        Side of the squares of pixels that are averaged.
+    """
+
+    solver: str | None = None
+    pressure_scale: float | None = None
+    recasts: int | None = None
+    nodes: int | None = None
+    block: int | None = None
 
 
 @dataclass(frozen=True)
@@ -76,10 +105,26 @@ class Choices:
         The other side is drawn.
     pressure_max_pa, residual_max_m : float or None
         Upper ends of the colour ranges; None: the largest value seen, rounded up.
+    pose_object : str or None
+        Object to look for: preset or mesh file; None for none.
+    pose_unit : {"m", "mm"} or None
+        Of the mesh file; None: by its name.
+    pose_start : tuple of 7 float or None
+        T_B_O the search begins at, x y z in m and qx qy qz qw; None: all around.
     pose_track : bool
         Follow the object that is chosen in every frame.
     pose_stage : int
         Stage whose pose the object is drawn at; 2 for both.
+    compared : (Setting, Setting)
+        What is measured side by side.
+    picture_size : (int, int)
+        Width and height of pictures of the 3-D view, pixels.
+    pre_roll_s : float
+        How much of what came before the record button is recorded, too.
+    record_folder : str or None
+        Where recordings go; None: where the program was started.
+    publish_at : str
+        Where results are published once that is asked for.
     length_unit, pressure_unit, force_unit, duration_unit : str
         What numbers are shown in, see `units.SYSTEMS`.
     theme : {"system", "dark", "light"}
@@ -108,8 +153,16 @@ class Choices:
     section_flipped: bool = False
     pressure_max_pa: float | None = None
     residual_max_m: float | None = None
+    pose_object: str | None = None
+    pose_unit: Literal["m", "mm"] | None = None
+    pose_start: tuple[float, float, float, float, float, float, float] | None = None
     pose_track: bool = False
     pose_stage: int = 2
+    compared: tuple[Setting, Setting] = (Setting(), Setting(recasts=0))
+    picture_size: tuple[int, int] = (1920, 1080)
+    pre_roll_s: float = PRE_ROLL_S
+    record_folder: str | None = None
+    publish_at: str = LOOPBACK
     length_unit: Literal["mm", "m"] = "mm"
     pressure_unit: Literal["kPa", "Pa", "psi"] = "kPa"
     force_unit: Literal["N", "mN"] = "N"

@@ -120,7 +120,7 @@ class Bench(Driver):
 
     def record(self) -> None:
         """Press the record button and wait until it writes."""
-        self.desk.recording.choose_folder(self.folder)
+        self.desk.choose_folder(self.folder)
         self.window.live.record.button.click()
         self.wait(lambda: self.status().messages > 5)
 

@@ -20,6 +20,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from ui.panels.gamma0.panel import Gamma0Panel
 from ui.panels.gamma0.strip import RangeStrip
 from ui.presets import load_scene
+from ui.sources import recording
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -275,6 +276,36 @@ def test_use_it_opens_the_new_sensor_and_undo_the_old_one(bench: Bench, sensor: 
     assert panel.calibration.answer is answer  # the same source: nothing is lost
     bench.undo()
     bench.driver.wait(lambda: controller.sensor is sensor)
+
+
+def test_the_new_sensor_is_sent_with_the_session(
+    drive: Drive, sensor: Sensor, tmp_path: Path
+) -> None:
+    """Identified and used, but saved nowhere: its files are gone when the window is."""
+    source, mine = RestingSource(sensor), tmp_path / "mine"
+    mine.mkdir()
+    with RecordingWriter(mine / "rest.mcap") as writer:
+        for k in range(len(source)):
+            writer.write(source[k])
+    bench = Bench(drive(recording(mine / "rest.mcap")))
+    bench.identify()
+    window = bench.driver.window
+    bench.click(bench.panel.steps.button(len(bench.panel.pages) - 1))
+    bench.click(bench.panel.report.use_it)
+    bench.driver.wait(lambda: window.controller.sensor is not sensor)
+    used = window.controller.sensor
+    assert not any(str(used.folder) in path for path in window.keeper.recent)
+    window.keeper.save_as(mine / "look.bubbleviz")
+    window.close()
+    assert not used.folder.exists()
+    mine.rename(tmp_path / "theirs")
+    other = drive()
+    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
+    other.wait(lambda: other.state.facts.frames == len(source))
+    other.settle()
+    theirs = other.window.controller.sensor
+    assert theirs.pneumatics == used.pneumatics and theirs.calibration == used.calibration
+    assert other.pipeline.pixels is not None and not other.window.message.isVisible()
 
 
 def test_saved_preset_loads_and_is_never_overwritten(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
@@ -18,11 +19,11 @@ from ui.live.pair import Pair
 from ui.live.publishing import Publishing
 from ui.live.recording import Recording
 from ui.requests import Failed, Opened, OpenRequest
-from ui.state import Event, MarkersChanged
+from ui.state import ChoicesChanged, Event, MarkersChanged
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""
-PRE_ROLL_S = 2.0
+RECORDING_CHOICES = frozenset({"pre_roll_s", "record_folder", "publish_at"})
 
 
 class LiveDesk(QObject):
@@ -53,7 +54,6 @@ class LiveDesk(QObject):
         self.recording, self.publishing = Recording(self._background), Publishing()
         self.connection: Connection | None = None
         self.run: LiveRun | None = None
-        self._pre_roll_s = PRE_ROLL_S
         self._marked: frozenset[int] = frozenset()
         self._timer = QTimer(self)
         self._timer.setInterval(LOOK_MS)
@@ -82,18 +82,20 @@ class LiveDesk(QObject):
     @property
     def pre_roll_s(self) -> float:
         """Seconds before the button is pressed that are recorded, too."""
-        return self._pre_roll_s
+        return self._controller.state.choices.pre_roll_s
 
     def set_pre_roll(self, seconds: float) -> None:
         """Keep that much for the next recording."""
-        self._pre_roll_s = seconds
-        if self.run is not None:
-            self.run.session.recorder.pre_roll_s = seconds
+        self._controller.state.choose(pre_roll_s=seconds)
+
+    def choose_folder(self, folder: str | Path) -> None:
+        """Put the next recordings there."""
+        self._controller.state.choose(record_folder=str(folder))
 
     def connect_to(self, preset: SessionPreset) -> None:
         """Bring a session up; what is open stays until it sends frames."""
         self.cancel()
-        self.connection = connection = Connection(preset, self._pre_roll_s)
+        self.connection = connection = Connection(preset, self.pre_roll_s)
         connection.ready.connect(self._on_ready)
         connection.failed.connect(self._on_not_connected)
         connection.start()
@@ -187,7 +189,7 @@ class LiveDesk(QObject):
         self.disconnect_all()
         self.run = run
         self._pair.prepare(run)
-        self.set_pre_roll(self._pre_roll_s)
+        self._use_choices()
         self._timer.start()
         live = run.session.sensors[0]
         self._controller.open(
@@ -228,8 +230,19 @@ class LiveDesk(QObject):
             if facts is None or self.run is None or facts.title != self.run.frames[0].name:
                 self.disconnect_all()
 
+    def _use_choices(self) -> None:
+        """Record and publish as the user chose."""
+        choices = self._controller.state.choices
+        self.recording.folder = Path(choices.record_folder or Path.cwd())
+        self.publishing.endpoint = choices.publish_at
+        if self.run is not None:
+            self.run.session.recorder.pre_roll_s = choices.pre_roll_s
+
     def _on_event(self, event: Event) -> None:
-        if isinstance(event, MarkersChanged):
+        if isinstance(event, ChoicesChanged):
+            if event.names & RECORDING_CHOICES:
+                self._use_choices()
+        elif isinstance(event, MarkersChanged):
             for frame in sorted(set(event.frames) - self._marked):
                 self._mark(frame)
             self._marked = frozenset(event.frames)

@@ -14,12 +14,10 @@ from bubbleviz.live.message import RawMessage
 from ui.live.background import Background
 from ui.live.connection import LiveRun
 from ui.live.outlet import Outlet
+from ui.state import LOOPBACK
 
 if TYPE_CHECKING:
     from bubbleviz.live.zenoh_publisher import ZenohPublisher
-
-LOOPBACK = "tcp/127.0.0.1:7448"
-"""Where results are published unless told otherwise: this computer only."""
 
 
 class Publishing(QObject):
@@ -33,6 +31,7 @@ class Publishing(QObject):
         A sentence for the user.
     on : bool
     endpoint : str
+        Where to listen the next time.
     """
 
     changed = Signal()
@@ -47,10 +46,6 @@ class Publishing(QObject):
         self._forget: list[Callable[[], None]] = []
         self._lock = Lock()
         self._background = Background("publishing")
-
-    def choose_endpoint(self, endpoint: str) -> None:
-        """Listen there the next time."""
-        self.endpoint = endpoint.strip() or LOOPBACK
 
     def start(self, run: LiveRun) -> None:
         """Listen at the endpoint and publish what is solved from now on."""

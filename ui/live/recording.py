@@ -57,10 +57,6 @@ class Recording(QObject):
         self._began = 0.0
         self._background = background
 
-    def choose_folder(self, folder: str | Path) -> None:
-        """Put the next recordings there."""
-        self.folder = Path(folder)
-
     def start(self, recorder: Recorder, path: Path | None = None) -> None:
         """Begin a new file, by default one in the folder that is named by the time."""
         if self.busy:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from PySide6.QtCore import QObject, Signal
+from PySide6.QtCore import QObject, QSignalBlocker, Signal
 from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QComboBox,
@@ -17,13 +17,20 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.inverse.estimator import MAX_NODES, PRESSURE_SCALE, EstimatorOptions
-from bubbleviz.inverse.solver import SOLVERS
+from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
+from bubbleviz.inverse.solver import DEFAULT, SOLVERS
 from bubbleviz.study.side_by_side import Measured
 from ui.controller import Controller
 from ui.panels.keys import keep_keys
 from ui.requests import Compared
-from ui.state import ChoicesChanged, Event, FrameChanged, SessionState, SourceChanged
+from ui.state import (
+    ChoicesChanged,
+    Event,
+    FrameChanged,
+    SessionState,
+    Setting,
+    SourceChanged,
+)
 from ui.units import NOTHING, Units
 
 NODES = (100, 5_000, 100)
@@ -43,7 +50,7 @@ ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
 """What is measured, by its title and its text."""
 
 
-class Setting(QObject):
+class Column(QObject):
     """Controls of one setting, and a column of what it makes of the frame.
 
     Attributes
@@ -59,11 +66,9 @@ class Setting(QObject):
         self.solver.addItems(list(SOLVERS))
         self.pressure_scale = QDoubleSpinBox()
         self.pressure_scale.setRange(0.1, 100.0)
-        self.pressure_scale.setValue(PRESSURE_SCALE)
         self.pressure_scale.setSingleStep(0.5)
         self.recasts = QSpinBox()
         self.recasts.setRange(0, 5)
-        self.recasts.setValue(EstimatorOptions().relinearisations)
         self.nodes = QSpinBox()
         self.nodes.setRange(0, min(NODES[1], MAX_NODES))
         self.nodes.setSingleStep(NODES[2])
@@ -73,12 +78,35 @@ class Setting(QObject):
         self.block.setSpecialValueText("automatic")
         self.block.setSuffix(" px")
         self.values = {name: QLabel(NOTHING) for name in ROWS}
-        for box in (self.pressure_scale, self.recasts, self.nodes, self.block):
+        self._boxes = (self.pressure_scale, self.recasts, self.nodes, self.block)
+        for box in self._boxes:
             box.setKeyboardTracking(False)
             box.valueChanged.connect(self._on_changed)
         self.solver.currentIndexChanged.connect(self._on_changed)
         for label in self.values.values():
             label.setObjectName("value")
+
+    def show_setting(self, setting: Setting) -> None:
+        """Show what is chosen."""
+        usual = EstimatorOptions()
+        blockers = [QSignalBlocker(box) for box in (self.solver, *self._boxes)]
+        self.solver.setCurrentText(setting.solver or DEFAULT)
+        scale, recasts = setting.pressure_scale, setting.recasts
+        self.pressure_scale.setValue(usual.pressure_scale if scale is None else scale)
+        self.recasts.setValue(usual.relinearisations if recasts is None else recasts)
+        self.nodes.setValue(setting.nodes or 0)
+        self.block.setValue(setting.block or 0)
+        del blockers
+
+    def setting(self) -> Setting:
+        """What is chosen here."""
+        return Setting(
+            solver=self.solver.currentText(),
+            pressure_scale=self.pressure_scale.value(),
+            recasts=self.recasts.value(),
+            nodes=self.nodes.value() or None,
+            block=self.block.value() or None,
+        )
 
     def options(self) -> EstimatorOptions:
         """The setting as the estimator takes it."""
@@ -115,11 +143,11 @@ class ComparePanel(QWidget):
         self.setObjectName("compare")
         self._state, self._controller = state, controller
         self._answer: Compared | None = None
-        self.a, self.b = Setting(self), Setting(self)
-        self.b.recasts.setValue(0)
+        self.a, self.b = Column(self), Column(self)
         self._lay_out()
-        for setting in (self.a, self.b):
-            setting.changed.connect(self._ask)
+        self._show_settings()
+        for column in (self.a, self.b):
+            column.changed.connect(self._choose)
         controller.compared.connect(self._on_compared)
         keep_keys(self)
         state.subscribe(self._on_event)
@@ -144,15 +172,15 @@ class ComparePanel(QWidget):
         }
         for row, (title, (name, tip)) in enumerate(controls.items(), start=1):
             grid.addWidget(QLabel(title), row, 0)
-            for place, setting in enumerate((self.a, self.b), start=1):
-                control = getattr(setting, name)
+            for place, each in enumerate((self.a, self.b), start=1):
+                control = getattr(each, name)
                 control.setToolTip(tip)
                 control.setMinimumWidth(92)
                 grid.addWidget(control, row, place)
         for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):
             grid.addWidget(QLabel(title), row, 0)
-            for place, setting in enumerate((self.a, self.b), start=1):
-                grid.addWidget(setting.values[name], row, place)
+            for place, each in enumerate((self.a, self.b), start=1):
+                grid.addWidget(each.values[name], row, place)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
         column.addLayout(grid)
@@ -177,7 +205,16 @@ class ComparePanel(QWidget):
         if isinstance(event, FrameChanged | SourceChanged):
             self._ask()
         elif isinstance(event, ChoicesChanged):
-            self._ask() if "kappa" in event.names else self._show()
+            if "compared" in event.names:
+                self._show_settings()
+            self._ask() if event.names & {"kappa", "compared"} else self._show()
+
+    def _choose(self) -> None:
+        self._state.choose(compared=(self.a.setting(), self.b.setting()))
+
+    def _show_settings(self) -> None:
+        for column, setting in zip((self.a, self.b), self._state.choices.compared, strict=True):
+            column.show_setting(setting)
 
     def _ask(self) -> None:
         if self.isVisible() and self._state.facts is not None:
@@ -190,5 +227,5 @@ class ComparePanel(QWidget):
 
     def _show(self) -> None:
         measured = self._answer.measured if self._answer is not None else (None, None)
-        for setting, one in zip((self.a, self.b), measured, strict=True):
-            setting.show_measured(one, self._state.units)
+        for column, one in zip((self.a, self.b), measured, strict=True):
+            column.show_measured(one, self._state.units)

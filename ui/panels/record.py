@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QFileDialog,
@@ -56,11 +56,12 @@ class RecordControls(QWidget):
         self.folder.clicked.connect(self._choose_folder)
         self.note.returnPressed.connect(self._save_note)
         self.note.editingFinished.connect(self.note.hide)
-        self._show_folder()
+        self._show_choices()
 
     def show_now(self) -> None:
         """Write how the recording is going."""
         state, busy = self._desk.recording.state(), self._desk.recording.busy
+        self._show_choices()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
         self.button.setToolTip("End the recording (Ctrl+R)" if busy else "Record (Ctrl+R)")
@@ -86,14 +87,17 @@ class RecordControls(QWidget):
         self.note.clearFocus()
 
     def _choose_folder(self) -> None:
-        recording = self._desk.recording
-        name = QFileDialog.getExistingDirectory(self, "Record into", str(recording.folder))
+        present = str(self._desk.recording.folder)
+        name = QFileDialog.getExistingDirectory(self, "Record into", present)
         if name:
-            recording.choose_folder(name)
-            self._show_folder()
+            self._desk.choose_folder(name)
+            self._show_choices()
 
-    def _show_folder(self) -> None:
+    def _show_choices(self) -> None:
         self.folder.setToolTip(f"Recordings go to {self._desk.recording.folder}")
+        if self.pre_roll.value() != self._desk.pre_roll_s:  # else what is being typed stays
+            with QSignalBlocker(self.pre_roll):
+                self.pre_roll.setValue(self._desk.pre_roll_s)
 
 
 def progress(state: RecordingState) -> str:

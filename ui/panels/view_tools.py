@@ -115,7 +115,7 @@ class ViewTools(QWidget):
         self.section.setToolTip("Cut the membrane open across an axis of the bubble frame B")
         self.section_at.setToolTip("Where the cutting plane is")
         self.flipped.setToolTip("Show what is on the other side of the plane")
-        self.width_box, self.height_box = _pixels(1920), _pixels(1080)
+        self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")
         self.turn = self._button("Spin")
@@ -157,6 +157,8 @@ class ViewTools(QWidget):
             lambda step: state.choose(section_at_m=self._reach_m * step / SECTION_STEPS)
         )
         self.flipped.toggled.connect(lambda on: state.choose(section_flipped=on))
+        for box in (self.width_box, self.height_box):
+            box.valueChanged.connect(lambda _: state.choose(picture_size=self._picture_size()))
         self.turn.toggled.connect(self.turntable.set_turning)
         self.save.clicked.connect(self._choose_file)
         self._view.clicked.connect(self._on_clicked)
@@ -227,13 +229,18 @@ class ViewTools(QWidget):
 
     def _show_choices(self) -> None:
         choices, length = self._state.choices, self._state.units.length
-        controls = (self.colour_map, self.exaggeration, self.section, self.section_at, self.flipped)
+        controls = (self.colour_map, self.exaggeration, self.section, self.section_at,
+                    self.flipped, self.width_box, self.height_box)  # fmt: skip
         blockers = [QSignalBlocker(control) for control in controls]
         self.colour_map.setCurrentText(choices.colour_map)
         self.exaggeration.setValue(choices.exaggeration)
         self.section.setCurrentIndex(self.section.findData(choices.section_axis))
         self.section_at.setValue(round(SECTION_STEPS * choices.section_at_m / self._reach_m))
         self.flipped.setChecked(choices.section_flipped)
+        for box, pixels in zip(
+            (self.width_box, self.height_box), choices.picture_size, strict=True
+        ):
+            box.setValue(pixels)
         del blockers
         self.section_text.setText(f"at {length.text(choices.section_at_m)}")
         for control in (self.section_at, self.flipped):
@@ -241,9 +248,12 @@ class ViewTools(QWidget):
 
     # -- pictures -----------------------------------------------------------------------------
 
+    def _picture_size(self) -> tuple[int, int]:
+        return self.width_box.value(), self.height_box.value()
+
     def save_picture(self, path: Path) -> None:
         """Write the 3-D view at the chosen size."""
-        pixels = still(self._view, self.width_box.value(), self.height_box.value())
+        pixels = still(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         if not image.save(str(path)):
@@ -264,10 +274,10 @@ class ViewTools(QWidget):
         return button
 
 
-def _pixels(value: int) -> QSpinBox:
+def _pixels() -> QSpinBox:
     box = QSpinBox()
     box.setRange(16, LARGEST_PIXELS)
-    box.setValue(value)
+    box.setKeyboardTracking(False)
     box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
     box.setToolTip("Pixels")
     return box

@@ -126,6 +126,10 @@ class Gamma0Panel(QWidget):
         open_sensor = self.calibration.controller.use_sensor
         self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
 
+    def holds(self, sensor: Sensor) -> bool:
+        """Whether a sensor was identified here and its files are gone when this closes."""
+        return any(sensor.folder == Path(folder.name) for folder in self._folders)
+
     def close_all(self) -> None:
         """Stop the threads, let go of the plots, remove what was written for the time being."""
         for plot in self.findChildren(QGraphicsView):

@@ -25,7 +25,7 @@ from bubbleviz.meshread import SUFFIXES
 from bubbleviz.sensor import presets_folder
 from ui.panels.keys import keep_keys
 from ui.panels.pose.start import StartBoxes
-from ui.state import ChoicesChanged, Event, SessionState
+from ui.state import POSE_CHOICES, ChoicesChanged, Event, SessionState
 from ui.units import SYSTEMS
 
 if TYPE_CHECKING:
@@ -102,8 +102,7 @@ class PosePanel(QWidget):
 
     def use_file(self, path: Path) -> None:
         """Look for the object of a mesh file, in the unit that is chosen."""
-        self._offer(str(path), path.name)
-        self.session.choose(str(path), self.unit.currentData())
+        self.session.choose(str(path.absolute()))
 
     def close_plots(self) -> None:
         """Let go of the plots before the window is gone."""
@@ -162,8 +161,9 @@ class PosePanel(QWidget):
     def _connect(self) -> None:
         session, state = self.session, self._state
         self.object.activated.connect(lambda _: self._on_object())
+        self.unit.activated.connect(lambda _: state.choose(pose_unit=self.unit.currentData()))
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
-        self.start.edited.connect(self._on_start)
+        self.start.edited.connect(session.set_start)
         self.move_it.toggled.connect(self.gizmo)
         self.here.clicked.connect(lambda: self._start_here())
         self.once.clicked.connect(lambda: session.fit_once())
@@ -177,12 +177,6 @@ class PosePanel(QWidget):
 
     def use_start(self, T_B_O: np.ndarray) -> None:
         """Begin at a pose (4, 4)."""
-        self.start.show_pose(T_B_O)
-        self._on_start(T_B_O)
-
-    def _on_start(self, T_B_O: np.ndarray) -> None:
-        with QSignalBlocker(self.search):
-            self.search.setChecked(False)
         self.session.set_start(T_B_O)
 
     def _start_here(self) -> None:
@@ -193,7 +187,7 @@ class PosePanel(QWidget):
     def _on_object(self) -> None:
         name = self.object.currentData()
         if name != FROM_FILE:
-            self.session.choose(name, self.unit.currentData())
+            self.session.choose(name)
             return
         chosen, _ = QFileDialog.getOpenFileName(self, "Object", "", MESHES)
         if chosen:
@@ -201,13 +195,20 @@ class PosePanel(QWidget):
         else:
             self._show_object()
 
-    def _offer(self, name: str, title: str) -> None:
-        if self.object.findData(name) < 0:
-            self.object.insertItem(self.object.count() - 1, title, name)
-
     def _show_object(self) -> None:
-        with QSignalBlocker(self.object):
-            self.object.setCurrentIndex(max(0, self.object.findData(self.session.object_name)))
+        name = self.session.object_name
+        with QSignalBlocker(self.object), QSignalBlocker(self.unit):
+            if name is not None and self.object.findData(name) < 0:
+                self.object.insertItem(self.object.count() - 1, Path(name).name, name)
+            self.object.setCurrentIndex(self.object.findData(name))
+            self.unit.setCurrentIndex(self.unit.findData(self._state.choices.pose_unit))
+
+    def _show_start(self) -> None:
+        start = self.session.start
+        with QSignalBlocker(self.search):
+            self.search.setChecked(start is None)
+        if start is not None and not np.allclose(self.start.pose(), start, atol=1e-9):
+            self.start.show_pose(start)  # angles that were typed stay as typed
 
     def _export(self, form: str) -> None:
         name, _ = QFileDialog.getSaveFileName(self, "Export poses", f"poses.{form}")
@@ -224,8 +225,10 @@ class PosePanel(QWidget):
         if isinstance(event, ChoicesChanged):
             if event.names & SYSTEMS.keys():
                 self.start.fit_units()
-                if self.session.start is not None:
-                    self.start.show_pose(self.session.start)
+            if event.names & {"pose_start", *SYSTEMS}:
+                self._show_start()
+            if event.names & POSE_CHOICES:
+                self._show_object()
             self._on_changed()
 
     def _on_changed(self) -> None:

@@ -8,24 +8,25 @@ from typing import Literal
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
+from bubbleviz.errors import InputError
 from bubbleviz.objects import RigidObject
 from bubbleviz.pose.export import PoseRow, write_poses
+from bubbleviz.posefile import pose_matrix, pose_numbers
 from bubbleviz.result import Pose, Result
 from ui.controller import Controller
 from ui.requests import Failed, Followed, FollowRequest, Opened
+from ui.state import POSE_CHOICES, ChoicesChanged, Event, SourceChanged
 
 FileUnit = Literal["m", "mm"]
 
 
 class PoseSession(QObject):
-    """The object that is looked for.
+    """The object that is looked for: the one of `Choices`, so that undo and sessions know it.
 
     Attributes
     ----------
     changed : Signal
         Another object, start or pose, or a fit began or ended.
-    object_name : str or None
-        Preset or file; None for none.
     obj : RigidObject or None
         What the solver thread made of it.
     start : (4, 4) array or None
@@ -43,10 +44,9 @@ class PoseSession(QObject):
     def __init__(self, controller: Controller) -> None:
         super().__init__()
         self._controller, self._state = controller, controller.state
-        self.object_name: str | None = None
-        self.unit: FileUnit | None = None
         self.obj: RigidObject | None = None
         self.start: np.ndarray | None = None
+        self._loaded: tuple[str | None, FileUnit | None] = (None, None)
         self.pose: Pose | None = None
         self.busy = False
         self.rows: dict[int, PoseRow] = {}
@@ -54,20 +54,23 @@ class PoseSession(QObject):
         controller.followed.connect(self._on_followed)
         controller.failed.connect(self._on_failed)
         controller.shown.connect(self._on_shown)
+        self._state.subscribe(self._on_event)
 
-    def choose(self, name: str | None, unit: FileUnit | None = None) -> None:
-        """Look for another object, or for none."""
-        self.object_name, self.unit = name, unit
-        self.start = None
-        self._forget()
-        self._follow(fit=False)
+    @property
+    def object_name(self) -> str | None:
+        """Preset or file; None for none."""
+        return self._state.choices.pose_object
+
+    def choose(self, name: str | None) -> None:
+        """Look for another object, or for none; the same one is read again."""
+        before = self._state.choices
+        self._state.choose(pose_object=name, pose_start=None)
+        if self._state.choices is before:
+            self._look_for_it()
 
     def set_start(self, T_B_O: np.ndarray | None) -> None:
         """Begin at a pose (4, 4), or search."""
-        self.start = T_B_O
-        if self._state.choices.pose_track:
-            self._follow(fit=False)
-        self.changed.emit()
+        self._state.choose(pose_start=None if T_B_O is None else pose_numbers(T_B_O))
 
     def fit_once(self) -> None:
         """Fit the frame at the cursor from the start."""
@@ -104,17 +107,37 @@ class PoseSession(QObject):
         self.pose, self.rows = None, {}
         self.changed.emit()
 
+    def _look_for_it(self) -> None:
+        self._forget()
+        self._follow(fit=False)
+
     def _follow(self, *, fit: bool) -> None:
-        self._controller.follow(self.object_name, self.unit, self.start, fit=fit)
+        choices = self._state.choices
+        self._controller.follow(choices.pose_object, choices.pose_unit, self.start, fit=fit)
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
         self.pose, self.rows, self.busy = None, {}, False
-        if self.object_name is not None:
-            self._follow(fit=False)
         self.changed.emit()
 
-    _loaded: tuple[str | None, FileUnit | None] = (None, None)
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, SourceChanged):
+            if self.object_name is not None:
+                self._follow(fit=self._state.choices.pose_track)
+        elif isinstance(event, ChoicesChanged):
+            if "pose_start" in event.names:
+                self._take_start()
+            if event.names & POSE_CHOICES:
+                self._look_for_it()
+            elif "pose_start" in event.names:
+                self._follow(fit=False) if self._state.choices.pose_track else self.changed.emit()
+
+    def _take_start(self) -> None:
+        numbers = self._state.choices.pose_start
+        try:
+            self.start = None if numbers is None else pose_matrix(np.array(numbers))
+        except InputError:  # of a session that somebody has edited
+            self.start = None
 
     def _on_followed(self, followed: Followed) -> None:
         request = followed.request
@@ -126,10 +149,12 @@ class PoseSession(QObject):
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:
-        if isinstance(failed.request, FollowRequest):
+        """An object that cannot be used stays chosen, for undo and for the next source."""
+        request = failed.request
+        if isinstance(request, FollowRequest):
             self.busy = False
-            if failed.request.object_name is not None and failed.request.fit is None:
-                self.choose(None)
+            if request.object_name == self.object_name and request.fit is None:
+                self._controller.follow(None, None, None, fit=False)
             self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
