@@ -18,9 +18,9 @@ from bubbleviz.pose.motion import about, motion_between
 from bubbleviz.pose.pressed import AROUND_M, PressedMembrane
 from bubbleviz.pose.uncertainty import Directions
 
-_TRUST = 0.5
-"""Share of the pixels' information that is left: what the facets of the model get wrong lasts as
-long as the object is on the same facets, and is then about as large as the noise."""
+_TRUST = 0.3
+"""Share of the pixels' information that is left: what the facets of the model get wrong lasts until
+the object's edge is on others, and has twice the variance of the noise averaged over that time."""
 
 _OUTLYING = 4.0
 """Residual in σ from which a pixel is no witness."""
@@ -34,9 +34,9 @@ _LEAST_SIGMA_M = 5e-4
 _MAD = 0.6745
 """Median of |z| of a standard normal z."""
 
-_WIDE = 0.3
-"""Width of the steps of derivatives at the patch's edge, in edges of the mesh: its facets decide on
-narrower ones, and a pixel sees no more."""
+_WIDE = 0.6
+"""Width of the steps of derivatives to both sides, at the patch's edge, in edges of the mesh: both
+together go over a whole facet, so that it does not matter where on it the edge is."""
 
 _VALID, _FAR = 0.3, 0.6
 """Way of the patch's edge, in edges of the mesh, over which derivatives hold, and that one step may

@@ -189,13 +189,15 @@ def _screw_line(screw: Screw) -> str:
         [
             screw.rotation_error_rad_median,
             screw.rotation_error_rad_max,
+            screw.rotation_error_rad_late,
             screw.rotation_error_rad_end,
         ]
     )
     kind = f"screw{', 10 frames blank' if screw.blanked else ''}, seed {screw.seed}"
     return (
         f"{kind}: {status}; rotation off by {degrees[0]:.1f}° median, {degrees[1]:.1f}° at most, "
-        f"{degrees[2]:.1f}° at the end; {screw.median_total_ms:.1f} ms median"
+        f"{degrees[2]:.1f}° after the first second, {degrees[3]:.1f}° at the end; "
+        f"{screw.median_total_ms:.1f} ms median"
     )
 
 
