@@ -30,6 +30,25 @@ _FAR, _FAR_SHARE = 4.0, 1e-3
 
 
 @dataclass(frozen=True)
+class Measured:
+    """What the pixels in use say in one frame.
+
+    Attributes
+    ----------
+    residual_m : (k,) array
+        Measured minus reference range, m; 0 where there is no return.
+    precision : (k,) array
+        1/σ² at the noise of this frame, 1/m²; 0 where there is no return.
+    valid_pixels : int
+        Pixels that returned something.
+    """
+
+    residual_m: np.ndarray
+    precision: np.ndarray
+    valid_pixels: int
+
+
+@dataclass(frozen=True)
 class Observation:
     """Range residuals of one frame against the reference configuration.
 
@@ -192,11 +211,20 @@ class RangeObserver:
             Model of the block residuals; pixels far from it count less (Huber 1964), where there
             are more of them than noise has.
         """
+        return self.weigh(self.measure(depth_m), expected_m)
+
+    def measure(self, depth_m: np.ndarray) -> Measured:
+        """Residuals of the pixels in use, and how far each is trusted before a model is known."""
         residual = self.pixel_residuals(depth_m)
         valid = np.isfinite(residual)
         precision = np.where(valid, self._precision, np.float32(0.0))
         residual[~valid] = 0.0
         precision /= np.float32(self._noise_scale(precision, residual) ** 2)
+        return Measured(residual, precision, int(np.count_nonzero(valid)))
+
+    def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
+        """Block residuals of what was measured; `expected_m` as in `observe`."""
+        residual, precision = measured.residual_m, measured.precision
         if expected_m is not None:
             expected = expected_m.astype(np.float32)[self.block_of_pixel]
             robust = _huber_weights((residual - expected) ** 2 * precision)
@@ -207,7 +235,7 @@ class RangeObserver:
         moment = np.add.reduceat(trusted * residual, self._starts).astype(float)
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
         share = float(np.sum(total) / max(np.sum(precision, dtype=float), 1e-300))
-        return Observation(mean, self._weight(total), share, int(np.count_nonzero(valid)))
+        return Observation(mean, self._weight(total), share, measured.valid_pixels)
 
     def _noise_scale(self, precision: np.ndarray, residual: np.ndarray) -> float:
         """How many times noisier than expected this frame is, at least 1.

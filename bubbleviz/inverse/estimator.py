@@ -206,10 +206,11 @@ class Estimator:
         here = answer.displacement_m if answer else np.zeros(len(self.mesh.nodes))
         # From rest a dent is reached in steps; a seek ends where playing the recording would.
         casts, settled_m = (1, self._far_m) if answer else (_COLD, self._near_m)
+        measured = self.observer.measure(depth_m)
         for _ in range(1 + casts * self.options.relinearisations if recast else 2):
             linear = self._linearise(here if recast else np.zeros_like(here))
             expected = self.observer.predict(linear, here)
-            observation = self.observer.observe(depth_m, expected)
+            observation = self.observer.weigh(measured, expected)
             seen = observation.weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return observation, linear, None

@@ -38,11 +38,15 @@ class DenseQuadratic:
 
     def solve(self, inside: np.ndarray, rhs: np.ndarray) -> np.ndarray:
         """Solve with the rows and columns `inside` by Cholesky: LAPACK itself, for small parts."""
-        part = self._H[inside[:, None], inside]
-        _, x, failed = dposv(part.T, rhs, overwrite_a=True)
+        _, x, failed = dposv(part(self._H, inside).T, rhs, overwrite_a=True)
         if failed:
             raise LinAlgError("not positive definite")
         return np.asarray(x)
+
+
+def part(H: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Rows and columns `nodes` (k,) of a matrix (c, c): whole rows first, which is faster."""
+    return H.take(nodes, axis=0).take(nodes, axis=1)
 
 
 def nonnegative_qp(

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.pivoting import DenseQuadratic
+from bubbleviz.inverse.pivoting import DenseQuadratic, part
 from bubbleviz.inverse.problem import Equilibrium
 
 
@@ -38,6 +38,6 @@ class ReducedHessian:
 
     def block(self, nodes: np.ndarray, gas_measured: bool, scale: float = 1.0) -> DenseQuadratic:
         """`scale` times the rows and columns of the given nodes (k,)."""
-        H = (self._measured if gas_measured else self._estimated)[nodes[:, None], nodes]
+        H = part(self._measured if gas_measured else self._estimated, nodes)
         H *= scale
         return DenseQuadratic(H)
