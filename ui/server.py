@@ -180,7 +180,7 @@ class Server:
                 options=EstimatorOptions.named(request.solver),
             )
             pipeline.cloud_points = request.cloud_points
-            pipeline.process(frame, request.products)  # builds the solver: its time says nothing
+            pipeline.prepare(request.products)  # apart: its time says nothing about a frame
             result = _process(source, pipeline, frame, request.products)
         except BaseException:
             source.close()
