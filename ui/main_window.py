@@ -26,6 +26,7 @@ from ui.live.desk import LiveDesk
 from ui.live.freshness import Freshness
 from ui.live.pair import Pair
 from ui.menus import Menus
+from ui.open_panels import OpenPanels
 from ui.palette import CommandPalette
 from ui.panels.gamma0.panel import Gamma0Panel
 from ui.panels.images import ImagesPanel
@@ -44,7 +45,7 @@ from ui.panels.status import Rates, StatusBar
 from ui.panels.status_costs import CostsPopup
 from ui.panels.view_tools import ViewTools
 from ui.pointing import Pointing
-from ui.presets import ScenePreset
+from ui.presets import PANELS_THAT_ASK, ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
 from ui.scene.scene import Scene
 from ui.session_file import name_of
@@ -126,8 +127,9 @@ class MainWindow(QMainWindow):
         if path.suffix.lower() == ".toml":
             self.controller.open_sensor(path)
         elif path.suffix.lower() in SUFFIXES:
-            self.pose_dock.show()
-            self.pose.use_file(path)
+            with self.settings.one_step("object"):
+                self.pose_dock.show()
+                self.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.keeper.open(path)
         else:
@@ -153,9 +155,9 @@ class MainWindow(QMainWindow):
 
     def use_scene(self, preset: ScenePreset) -> None:
         """Show the layers and panels of a scene, from its point of view; the rest stays."""
-        for name, panel in self.panels.items():
-            panel.setVisible(name in preset.panels)
-        self.state.choose(**preset.choices())
+        with self.settings.one_step("scene"):
+            self.open_panels.show_only(frozenset(preset.panels))
+            self.state.choose(**preset.choices())
         self.scene.reset_view()
 
     def save_screenshot(self, path: Path) -> None:
@@ -240,6 +242,7 @@ class MainWindow(QMainWindow):
             "playback": self.playback_dock,
             "status": self.status,
         }
+        self.open_panels = OpenPanels(self.panels, self.state, self)
         self.setCorner(Qt.Corner.BottomRightCorner, right)
         self.resizeDocks([self.layers_dock], [270], Qt.Orientation.Horizontal)
 
@@ -257,15 +260,15 @@ class MainWindow(QMainWindow):
         self.controller.opening.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.cancel_opening)
         self.view.dropped_files.connect(self._open_dropped)
-        for dock, name in (
-            (self.kappa_dock, "kappa_panel"),
-            (self.threshold_dock, "threshold"),
-            (self.compare_dock, "compare"),
-            (self.plots_dock, "plots"),
-            (self.images_dock, "images"),
-            (self.pose_dock, "pose"),
-        ):
-            dock.visibilityChanged.connect(partial(self.state.choose_panel, name))
+        for name, asks_as in PANELS_THAT_ASK.items():
+            dock = self.panels[name]
+            if isinstance(dock, Dock):
+                dock.visibilityChanged.connect(partial(self.state.choose_panel, asks_as))
+        panels, keys = self.open_panels, self.shortcuts
+        panels.changed.connect(
+            self.settings.watch("open panels", lambda: panels.names, panels.show_only)
+        )
+        keys.edited.connect(self.settings.watch("keys", lambda: keys.changed, keys.use))
         self.pose.said.connect(self.message.say)
         self.desk.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)

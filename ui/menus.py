@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, get_args
 
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 from bubbleviz.defaults import SESSION_SUFFIX
 from ui.panels.playback import next_speed
 from ui.panels.view_tools import VIEWS
-from ui.presets import load_scene, scene_names
+from ui.presets import Panel, load_scene, scene_names
 from ui.shortcuts import UNLISTED
 from ui.state import LOOPBACK, ThemeName
 from ui.units import SYSTEMS
@@ -138,21 +138,13 @@ class Menus:
         self._theme(menu.addMenu("&Theme"))
         self._units(menu.addMenu("&Units"))
         menu.addSeparator()
-        for name in (
-            "layers",
-            "kappa",
-            "threshold",
-            "compare",
-            "tools",
-            "pose",
-            "calibration",
-            "plots",
-            "images",
-            "playback",
-        ):
-            dock = cast(QDockWidget, window.panels[name])
-            menu.addAction(dock.toggleViewAction())
-        status = self._add(menu, "Status bar", self._toggle_status)
+        for name in get_args(Panel):
+            panel = window.panels[name]
+            if isinstance(panel, QDockWidget):
+                menu.addAction(panel.toggleViewAction())
+        status = self._add(
+            menu, "Status bar", lambda: window.status.setVisible(window.status.isHidden())
+        )
         status.setCheckable(True)
         menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
 
@@ -202,11 +194,6 @@ class Menus:
         action.triggered.connect(lambda: do())
         menu.addAction(action)
         return action
-
-    def _toggle_status(self) -> None:
-        visible = self._window.status.isHidden()
-        self._window.status.setVisible(visible)
-        self._window.state.choose_panel("status", visible)
 
     def _change_speed(self, direction: int) -> None:
         state = self._window.state

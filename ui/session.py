@@ -139,7 +139,8 @@ class WindowSession:
         keeper = self.window.keeper
         saved = keeper.keep_in(file)
         keeper.use(saved)
-        self.window.shortcuts.use(saved.shortcuts)
+        with self.window.settings.unrecorded():
+            self.window.shortcuts.use(saved.shortcuts)
         if recording is not None:
             keeper.expect(saved, recording)
         if known:

@@ -87,7 +87,9 @@ class Shortcuts(QObject):
         self.edited.emit()
 
     def use(self, changed: Mapping[str, str]) -> None:
-        """Take keys from a session; what is taken meanwhile stays as it is."""
+        """Take keys from a session, the default ones for the rest; what is taken stays as it is."""
+        for name, action in self.actions.items():
+            action.setShortcuts(self._defaults[name])
         for name in changed.keys() & self.actions.keys():
             self.actions[name].setShortcuts([])  # first room for all, then each in its place
         for name, text in changed.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from PySide6.QtCore import Qt
@@ -24,13 +25,16 @@ T = TypeVar("T")
 GESTURE_S = 0.7
 """Changes of one number that follow each other faster are one step, as with a held mouse button."""
 LAYOUT = frozenset({"panels"})
-"""Choices that follow from what is open; windows are closed and opened, not undone."""
+"""Choices that follow from what is open, which is a step by itself."""
 WORDS = {
     "kappa": "κ",
     "every_frame": "every frame",
     "pressure_max_pa": "pressure range",
     "residual_max_m": "residual range",
     "view_from": "scene",
+    "pose_object": "object",
+    "pose_start": "start of the object",
+    "compared": "compared settings",
 }
 
 _MERGEABLE = 1  # what Qt asks by before it offers two commands to `mergeWith`
@@ -82,8 +86,18 @@ class Change(QUndoCommand, Generic[T]):
         self.apply(self.new)
 
 
+@dataclass
+class _Watched(Generic[T]):
+    """Something that can be changed, and its value when it was looked at last."""
+
+    text: str
+    value: Callable[[], T]
+    apply: Callable[[T], None]
+    last: T
+
+
 class SettingsHistory:
-    """Puts every setting the user changes on the stack: choices, played range, markers.
+    """Puts every setting the user changes on the stack: choices, played range, markers, and more.
 
     Parameters
     ----------
@@ -95,8 +109,47 @@ class SettingsHistory:
         self._state, self._stack = state, stack
         self._quiet = False
         self._gesture, self._changed_s = 0, 0.0
-        self._take_all()
+        self._choices = state.choices
+        self._watched: list[_Watched[Any]] = []
+        self._on_range = self.watch("range", lambda: state.play_range, state.choose_range)
+        self._on_markers = self.watch("marker", lambda: state.markers, state.choose_markers)
         state.subscribe(self._on_event)
+
+    def watch(
+        self, text: str, value: Callable[[], T], apply: Callable[[T], None]
+    ) -> Callable[[], None]:
+        """Put changes of something else on the stack, too.
+
+        Parameters
+        ----------
+        text : str
+            What the Edit menu calls it.
+        value : callable
+            Its present value.
+        apply : callable
+            Makes a value the present one.
+
+        Returns
+        -------
+        callable
+            To be called when it may have changed.
+        """
+        each = _Watched(text, value, apply, value())
+        self._watched.append(each)
+        return lambda: self._look_at(each)
+
+    @contextmanager
+    def one_step(self, text: str) -> Iterator[None]:
+        """Changes in here are undone together."""
+        self._stack.beginMacro(text)
+        try:
+            yield
+        finally:
+            self._stack.endMacro()
+            step = self._stack.command(self._stack.index() - 1)
+            if not step.childCount():
+                step.setObsolete(True)  # nothing changed: no step
+                self._stack.undo()
 
     @contextmanager
     def unrecorded(self) -> Iterator[None]:
@@ -109,19 +162,25 @@ class SettingsHistory:
             self._take_all()
 
     def _take_all(self) -> None:
-        state = self._state
-        self._choices = state.choices
-        self._range, self._markers = state.play_range, state.markers
+        self._choices = self._state.choices
+        for each in self._watched:
+            each.last = each.value()
+
+    def _look_at(self, each: _Watched[Any]) -> None:
+        old, each.last = each.last, each.value()
+        if not self._quiet and each.last != old:
+            self._push(each.text, each.apply, old, each.last)
 
     def _on_event(self, event: Event) -> None:
-        if not self._quiet:
-            if isinstance(event, ChoicesChanged):
+        if isinstance(event, ChoicesChanged):
+            if not self._quiet:
                 self._on_choices(event.names - LAYOUT)
-            elif isinstance(event, RangeChanged):
-                self._push("range", self._state.choose_range, self._range, event.frames)
-            elif isinstance(event, MarkersChanged):
-                self._push("marker", self._state.choose_markers, self._markers, event.frames)
-        if isinstance(event, ChoicesChanged | RangeChanged | MarkersChanged | SourceChanged):
+            self._choices = self._state.choices
+        elif isinstance(event, RangeChanged):
+            self._on_range()
+        elif isinstance(event, MarkersChanged):
+            self._on_markers()
+        elif isinstance(event, SourceChanged):
             self._take_all()
 
     def _on_choices(self, names: frozenset[str]) -> None:
@@ -130,8 +189,7 @@ class SettingsHistory:
         old = {name: getattr(self._choices, name) for name in names}
         new = {name: getattr(self._state.choices, name) for name in names}
         text = "scene" if "view_from" in names else next(iter(sorted(names)))
-        numbers = [v for v in (*old.values(), *new.values()) if not isinstance(v, bool)]
-        drags = len(names) == 1 and any(isinstance(v, float) for v in numbers)
+        drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
         gesture = (names, self._present_gesture()) if drags else None
         self._push(WORDS.get(text, text).replace("_", " "), self._choose, old, new, gesture)
 
@@ -153,3 +211,10 @@ class SettingsHistory:
                 apply(value)
 
         self._stack.push(Change(text, quietly, old, new, gesture))
+
+
+def _is_dragged(value: object) -> bool:
+    """A number, or some of them: what sliders, arrows and the mouse change little by little."""
+    if isinstance(value, tuple):
+        return all(isinstance(each, int | float) for each in value)
+    return isinstance(value, float)

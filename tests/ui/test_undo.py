@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
 
 from conftest import Driver
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtWidgets import QStyle, QStyleOptionSlider, QWidget
+from PySide6.QtGui import QKeySequence
+from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
 
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.objects import load_object
+from bubbleviz.study.objects import ply_bytes
 from ui.presets import load_scene
-from ui.state import Choices
+from ui.state import Choices, Setting
+from ui.undo import LAYOUT
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -40,10 +47,34 @@ CHANGES = {
     "pressure_max_pa": 3000.0,
     "residual_max_m": 2e-3,
     "theme": "light",
+    "least_area_m2": 2e-5,
+    "images": frozenset({"depth"}),
+    "view_from": (0.0, -1.0, 1.0),
+    "zoom": 2.0,
+    "colour_map": "viridis",
+    "exaggeration": 3.0,
+    "section_axis": "x",
+    "section_at_m": 0.01,
+    "section_flipped": True,
+    "pose_object": "cylinder",
+    "pose_unit": "mm",
+    "pose_start": (0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0),
+    "pose_track": True,
+    "pose_stage": 1,
+    "compared": (Setting(nodes=300), Setting(solver="osqp")),
+    "picture_size": (800, 600),
+    "pre_roll_s": 5.0,
+    "record_folder": "/somewhere",
+    "publish_at": "tcp/127.0.0.1:7450",
+    "length_unit": "m",
+    "pressure_unit": "psi",
+    "force_unit": "mN",
+    "duration_unit": "s",
 }
 
 
 def test_every_choice_is_undone_and_done_again(drive: Drive) -> None:
+    assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Choices)}
     driver = drive(frame=3)
     seen = [driver.state.choices]
     for name, value in CHANGES.items():
@@ -95,9 +126,110 @@ def test_a_scene_is_one_step(drive: Drive) -> None:
     driver.window.use_scene(load_scene("residual"))
     assert driver.state.choices.layers != Choices().layers
     assert driver.window.undo_stack.index() == 1
+    assert driver.window.threshold_dock.isHidden() and driver.window.layers_dock.isVisible()
+    driver.window.use_scene(load_scene("review"))
+    assert driver.window.plots_dock.isVisible()
+    driver.window.use_scene(load_scene("review"))  # nothing changes: no step
+    assert driver.window.undo_stack.index() == 2
+    undo(driver)
+    assert driver.window.plots_dock.isHidden()
     undo(driver)
     assert driver.state.choices.layers == Choices().layers
     assert driver.state.choices.view_from == Choices().view_from
+
+
+def opened(driver: Driver) -> set[str]:
+    """Panels that are open, as seen: docks by their titles in the View menu, ticked or not."""
+    menu = next(a.menu() for a in driver.window.menuBar().actions() if a.text() == "&View")
+    menu.aboutToShow.emit()
+    return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
+
+
+def test_opening_and_closing_of_panels_is_undone(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window = driver.window
+    names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
+             "Plots", "Images", "Playback", "Status bar"]  # fmt: skip
+    at_first = opened(driver)
+    assert at_first == {"Layers", "Contact patch", "Playback", "Status bar"}
+    seen = [at_first]
+    for name in names:
+        window.shortcuts.actions[f"View › {name}"].trigger()
+        seen.append(opened(driver))
+        assert seen[-1] ^ seen[-2] == {name}
+    assert window.undo_stack.index() == len(names)
+    assert "status" not in driver.state.choices.panels
+    for before in reversed(seen[:-1]):
+        undo(driver)
+        assert opened(driver) == before
+    assert "status" in driver.state.choices.panels and window.status.isVisible()
+    for after in seen[1:]:
+        redo(driver)
+        assert opened(driver) == after
+    assert window.undo_stack.index() == len(names)
+
+
+def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window = driver.window
+    window.shortcuts.actions["View › Threshold"].trigger()
+    window.kappa_dock.raise_()
+    driver.wait(lambda: "threshold" not in driver.state.choices.panels)
+    assert window.undo_stack.index() == 1 and window.undo_stack.undoText() == "open panels"
+    cross = window.layers_dock.findChild(QAbstractButton, "qt_dockwidget_closebutton")
+    driver.bot.mouseClick(cross, LEFT)
+    assert window.layers_dock.isHidden() and window.undo_stack.index() == 2
+    undo(driver)
+    assert window.layers_dock.isVisible()
+    window.hide()
+    window.show()
+    assert window.undo_stack.index() == 1 and window.undo_stack.canRedo()
+
+
+def test_keys_are_undone(drive: Drive) -> None:
+    driver = drive(frame=3)
+    shortcuts = driver.window.shortcuts
+    shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
+    shortcuts.reset_all()
+    undo(driver)
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+    undo(driver)
+    assert shortcuts.keys("View › Reset view") == "R"
+    redo(driver)
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+
+
+def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Path) -> None:
+    driver = drive(frame=6)
+    for name in ("cylinder", "frustum"):
+        (tmp_path / f"{name}.ply").write_bytes(ply_bytes(load_object(name)))
+        driver.window.open_file(tmp_path / f"{name}.ply")
+        driver.wait(lambda name=name: driver.window.pose.session.obj is not None
+                    and driver.window.pose.session.obj.name == name)  # fmt: skip
+    assert driver.window.undo_stack.index() == 2
+    undo(driver)
+    driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
+    driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
+    undo(driver)
+    driver.wait(lambda: driver.window.pose.session.obj is None)
+    assert driver.window.pose_dock.isHidden()
+    redo(driver)
+    driver.wait(lambda: driver.window.pose.session.obj is not None)
+
+
+def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
+    driver = drive(frame=6)
+    driver.window.compare_dock.show()
+    panel = driver.window.compare
+    panel.b.nodes.setFocus()
+    panel.b.nodes.selectAll()
+    driver.bot.keyClicks(panel.b.nodes, "300")
+    driver.bot.keyClick(panel.b.nodes, Qt.Key.Key_Return)
+    driver.wait(lambda: panel.b.options().nodes == 300)
+    undo(driver, panel.b.nodes)
+    assert panel.b.nodes.value() == 0 and panel.b.options().nodes is None
+    assert panel.b.options() == EstimatorOptions("active-set", relinearisations=0)
+    assert panel.a.options() == EstimatorOptions("active-set")  # the defaults are the estimator's
 
 
 def test_range_and_markers(drive: Drive) -> None:

@@ -1,0 +1,48 @@
+"""Which panels are open: what a person opens and closes, not which tab is in front."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from PySide6.QtCore import QEvent, QObject, Signal
+from PySide6.QtWidgets import QWidget
+
+from ui.state import SessionState
+
+STATUS = "status"
+
+
+class OpenPanels(QObject):
+    """Panels of the window by their names in scene presets.
+
+    Attributes
+    ----------
+    changed : Signal
+        A panel was opened or closed.
+    """
+
+    changed = Signal()
+
+    def __init__(self, panels: Mapping[str, QWidget], state: SessionState, parent: QObject) -> None:
+        super().__init__(parent)
+        self._panels, self._state = panels, state
+        for panel in panels.values():
+            panel.installEventFilter(self)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Those that are open."""
+        return frozenset(name for name, panel in self._panels.items() if not panel.isHidden())
+
+    def show_only(self, names: frozenset[str]) -> None:
+        """Open these and close the others."""
+        for name, panel in self._panels.items():
+            panel.setVisible(name in names)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Notice that somebody has opened or closed one; hiding the window closes none."""
+        if event.type() in (QEvent.Type.ShowToParent, QEvent.Type.HideToParent):
+            if watched is self._panels[STATUS]:  # a dock tells when it is behind another, too
+                self._state.choose_panel(STATUS, STATUS in self.names)
+            self.changed.emit()
+        return False
