@@ -18,6 +18,7 @@ from bubbleviz.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.export.command import export
 from bubbleviz.live.command import publish, record, watch
+from bubbleviz.preset_files import preset_names
 from bubbleviz.study.command import study
 
 # The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
@@ -91,7 +92,12 @@ def main(context: click.Context, fresh: bool) -> int:
 @click.option("--source", help="A live source: synthetic:, replay:REC, zenoh:, realsense:")
 @click.option("--session", help="Live sensors together: a session preset or TOML file.")
 @click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
-@click.option("--scene", help="Scene preset: press, cloud, residual, dual_nut.")
+@click.option("--scene", help=f"Scene preset: {', '.join(preset_names('scenes'))}.")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    help="TRUTH.npz of a simulated REC; by default the one beside it of the same name.",
+)
 @click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
 @click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
@@ -101,6 +107,7 @@ def open_recording(
     session: str | None,
     sensor: str | None,
     scene: str | None,
+    truth: Path | None,
     frame: int | None,
     screenshot: Path | None,
     fresh: bool,
@@ -109,12 +116,12 @@ def open_recording(
     if sum(given is not None for given in (recording, source, session)) != 1:
         raise click.UsageError("give one of REC, --source and --session")
     if recording is None:
-        if frame is not None or screenshot is not None:
-            raise click.UsageError("--frame and --screenshot are for recordings")
+        if any(given is not None for given in (truth, frame, screenshot)):
+            raise click.UsageError("--truth, --frame and --screenshot are for recordings")
         return _open_live(source, session, sensor, scene, fresh=fresh)
     if recording.suffix.lower() == SESSION_SUFFIX:
-        if any(given is not None for given in (sensor, frame, screenshot)):
-            raise click.UsageError("--sensor, --frame and --screenshot are for recordings")
+        if any(given is not None for given in (sensor, truth, frame, screenshot)):
+            raise click.UsageError("--sensor, --truth, --frame and --screenshot are for recordings")
         return _open_saved(recording, scene, fresh=fresh)
     from bubbleviz.matching import checked_sensor
     from ui.presets import load_scene
@@ -130,8 +137,8 @@ def open_recording(
     from ui import app
 
     if screenshot is None:
-        return app.run_window(chosen, recording, frame, preset, fresh=fresh)
-    app.screenshot(chosen, recording, frame or 0, screenshot, preset)
+        return app.run_window(chosen, recording, frame, preset, fresh=fresh, truth=truth)
+    app.screenshot(chosen, recording, frame or 0, screenshot, preset, truth=truth)
     click.echo(f"wrote {screenshot}")
     return 0
 

@@ -2,5 +2,7 @@
 
 SYNTHETIC_SENSOR = "pico_flexx_75mm"
 """Preset of the built-in live sensor, and of studies."""
+TRUTH_SUFFIX = ".npz"
+"""Of files that hold the truth behind a simulated recording."""
 SESSION_SUFFIX = ".bubbleviz"
 """Of files that hold a session of the window."""

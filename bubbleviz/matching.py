@@ -7,7 +7,8 @@ from pathlib import Path, PurePosixPath
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.topics import CAMERA_INFO, of_type
-from bubbleviz.sensor import Sensor, load_sensor, presets_folder
+from bubbleviz.preset_files import preset_names
+from bubbleviz.sensor import Sensor, load_sensor
 
 
 def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) -> None:
@@ -45,7 +46,7 @@ def preset_for(recording: Recording) -> str:
     InputError
         None has, or several have.
     """
-    names = sorted(path.stem for path in presets_folder("sensors").glob("*.toml"))
+    names = preset_names("sensors")
     sizes = {name: _camera_size(load_sensor(name)) for name in names}
     fitting = [name for name in names if sizes[name] == recording.size]
     if len(fitting) == 1:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.meshread import SUFFIXES, read_triangles
-from bubbleviz.sensor import presets_folder
+from bubbleviz.preset_files import presets_folder
 
 LARGEST_M = 1.0
 SMALLEST_M = 5e-4

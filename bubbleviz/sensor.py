@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bubbleviz.errors import InputError
+from bubbleviz.preset_files import presets_folder
 from bubbleviz.tomlfile import checked, named_file, read_toml
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
@@ -131,12 +131,6 @@ class Sensor(_Section):
     def resolve(self, file: str) -> Path:
         """Path of a file named in the sensor file."""
         return self.folder / file
-
-
-def presets_folder(kind: str) -> Path:
-    """Folder of the shipped presets of a kind: `sensors`, `objects` or `scenes`."""
-    installed = Path(str(resources.files("bubbleviz"))) / "presets" / kind
-    return installed if installed.is_dir() else Path(__file__).parents[1] / "presets" / kind
 
 
 def load_sensor(name: str | Path) -> Sensor:

@@ -151,8 +151,10 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
     asked: list[tuple[str, tuple[object, ...]]] = []
 
     def record(name: str, answer: object) -> object:
-        def asking(sensor: Sensor, *rest: object, fresh: bool = False) -> object:
-            words = ("fresh",) if fresh else ()
+        def asking(
+            sensor: Sensor, *rest: object, fresh: bool = False, truth: Path | None = None
+        ) -> object:
+            words = (*(("fresh",) if fresh else ()), *((truth,) if truth is not None else ()))
             asked.append((name, (sensor.name, *rest, *words)))
             return answer
 
@@ -217,6 +219,16 @@ def test_open_hands_the_scene_to_the_window_and_the_picture(
     done = CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
     assert done.exit_code == 0
     assert [arguments[-1] for _, arguments in windows] == 2 * [load_scene("cloud")]
+
+
+def test_open_hands_the_truth_to_the_window_and_the_picture(
+    windows: Asked, pico_recording: Path, tmp_path: Path
+) -> None:
+    truth = tmp_path / "truth.npz"
+    words = ["open", str(pico_recording), "--truth", str(truth)]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
+    assert [arguments[-1] for _, arguments in windows] == 2 * [truth]
 
 
 def test_screenshot_onto_an_existing_file_is_refused_at_once(

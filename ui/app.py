@@ -31,6 +31,7 @@ def run_window(
     fresh: bool = True,
     live: SessionPreset | None = None,
     saved: Path | None = None,
+    truth: Path | None = None,
 ) -> int:
     """Show the window until it is closed.
 
@@ -52,6 +53,8 @@ def run_window(
         Live sensors in place of a recording.
     saved : Path, optional
         Session file to restore in place of a recording.
+    truth : Path, optional
+        TRUTH.npz of a recording that was simulated.
 
     Returns
     -------
@@ -66,13 +69,15 @@ def run_window(
     """
     if has_display():
         keep_in = None if fresh else _user_file()
-        with window_session(sensor, recording, frame, scene, keep_in, live, saved) as session:
+        with window_session(
+            sensor, recording, frame, scene, keep_in, live, saved, truth
+        ) as session:
             signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
             return session.application.exec()
     with (
         private_display(1280, 800),
-        window_session(sensor, recording, frame, scene, live=live, saved=saved) as session,
+        window_session(sensor, recording, frame, scene, None, live, saved, truth) as session,
     ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)
         for path in _offscreen(session):
@@ -87,6 +92,7 @@ def screenshot(
     out: Path,
     scene: ScenePreset | None = None,
     size: tuple[int, int] = (1280, 800),
+    truth: Path | None = None,
 ) -> None:
     """Write a picture of the whole window at one frame.
 
@@ -98,7 +104,10 @@ def screenshot(
     """
     if out.exists():
         raise InputError(f"{out}: exists already; choose another name or remove it")
-    with screen_for_pictures(*size), window_session(sensor, recording, frame, scene) as session:
+    with (
+        screen_for_pictures(*size),
+        window_session(sensor, recording, frame, scene, truth=truth) as session,
+    ):
         session.window.resize(*size)
         session.window.show()
         session.settle()

@@ -25,7 +25,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.topics import IMAGE, POINT_CLOUD
 from bubbleviz.live.session_file import SessionPreset, load_session
 from bubbleviz.live.source import OfferedTopic
-from bubbleviz.sensor import load_sensor, presets_folder
+from bubbleviz.preset_files import preset_names, presets_folder
+from bubbleviz.sensor import load_sensor
 from ui.live.connection import single
 from ui.live.desk import LiveDesk
 from ui.live.discovery import Discovery
@@ -221,7 +222,7 @@ class ConnectDialog(QDialog):
 
 def _sensors(present: str | None) -> list[str]:
     """Sensor files to choose from, the present one first."""
-    names = sorted(path.stem for path in presets_folder("sensors").glob("*.toml"))
+    names = preset_names("sensors")
     return list(dict.fromkeys([*([present] if present else []), *names]))
 
 
@@ -230,5 +231,5 @@ def _offered_places(kind: str) -> list[str]:
         objects = sorted(path.stem for path in presets_folder("objects").glob("*.ply"))
         return ["", *objects, "nut-left", "nut-right"]
     if kind == TOGETHER:
-        return sorted(path.stem for path in presets_folder("sessions").glob("*.toml"))
+        return preset_names("sessions")
     return [""]

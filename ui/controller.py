@@ -68,6 +68,8 @@ class Controller(QObject):
 
     Attributes
     ----------
+    said : Signal
+        A sentence for the user.
     opened : Signal
         An `Opened`: another source or sensor is open.
     shown : Signal
@@ -92,6 +94,7 @@ class Controller(QObject):
         Frames playback passed by because they were over before they could be asked for.
     """
 
+    said = Signal(str)
     opened = Signal(object)
     shown = Signal(object)
     failed = Signal(object)
@@ -183,16 +186,28 @@ class Controller(QObject):
 
     _waiting: OpenRequest | None = None
 
-    def open_recording(self, path: Path, sensor_file: Path | None = None) -> None:
+    def open_recording(
+        self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
+    ) -> None:
         """Open a recording with a sensor, with the present one, or with the preset that fits."""
         from bubbleviz.sensor import load_sensor
         from ui.sources import recording, sensor_for
 
         sensor = self.sensor
         if sensor_file is not None:
-            self.open(path.name, recording(path), lambda: load_sensor(sensor_file))
+            self.open(path.name, recording(path, truth), lambda: load_sensor(sensor_file))
         elif sensor is not None:
-            self.open(path.name, recording(path), lambda: sensor_for(path, sensor))
+            self.open(path.name, recording(path, truth), lambda: sensor_for(path, sensor))
+
+    def open_truth(self, path: Path) -> None:
+        """Have the recording that is open, one of a simulation, known by its TRUTH.npz."""
+        from ui.sources import RecordingOpener
+
+        opener, sensor = self._open_source, self.sensor
+        if isinstance(opener, RecordingOpener) and sensor is not None:
+            self._open_source_again(path.name, replace(opener, truth=path), lambda: sensor)
+        else:
+            self.said.emit(f"{path}: open the recording of that simulation first")
 
     def open_sensor(self, path: Path) -> None:
         """Use another sensor with the present source."""
@@ -206,10 +221,20 @@ class Controller(QObject):
 
     def _open_again(self, what: str, open_sensor: Callable[[], Sensor]) -> None:
         """Open the present source anew, at the present frame."""
-        if self._open_source is not None and self.state.facts is not None:
+        if self._open_source is not None:
+            self._open_source_again(what, self._open_source, open_sensor)
+
+    def _open_source_again(
+        self,
+        what: str,
+        open_source: Callable[[Sensor], FrameSource],
+        open_sensor: Callable[[], Sensor],
+    ) -> None:
+        """Open another form of the present source, at the present frame."""
+        if self.state.facts is not None:
             self.open(
                 what,
-                self._open_source,
+                open_source,
                 open_sensor,
                 frame=self.state.frame,
                 playing=self.state.playing,

@@ -12,7 +12,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
-from bubbleviz.defaults import SESSION_SUFFIX
+from bubbleviz.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
 from bubbleviz.meshread import SUFFIXES
 from bubbleviz.result import Result
 from ui import theme
@@ -123,7 +123,7 @@ class MainWindow(QMainWindow):
         self._connect()
 
     def open_file(self, path: Path) -> None:
-        """Open a sensor file (.toml), an object's mesh, a session, or else a recording."""
+        """Open a sensor, an object's mesh, a session, a simulation's truth, or else a recording."""
         if path.suffix.lower() == ".toml":
             self.controller.open_sensor(path)
         elif path.suffix.lower() in SUFFIXES:
@@ -132,6 +132,8 @@ class MainWindow(QMainWindow):
                 self.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.keeper.open(path)
+        elif path.suffix.lower() == TRUTH_SUFFIX:
+            self.controller.open_truth(path)
         else:
             self.controller.open_recording(path)
 
@@ -257,6 +259,7 @@ class MainWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
+        self.controller.said.connect(self.message.say)
         self.controller.opening.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.cancel_opening)
         self.view.dropped_files.connect(self._open_dropped)
@@ -281,13 +284,13 @@ class MainWindow(QMainWindow):
         self.state.subscribe(self._on_event)
 
     def _open_dropped(self, paths: list[Path]) -> None:
-        """Open the first of the files; a recording and a sensor file are opened together."""
-        sensors = [path for path in paths if path.suffix.lower() == ".toml"]
-        recordings = [
-            path for path in paths if path.suffix.lower() not in (".toml", SESSION_SUFFIX)
-        ]
-        if sensors and recordings:
-            self.controller.open_recording(recordings[0], sensors[0])
+        """Open the first of the files; a recording, with its sensor file and truth."""
+        by_suffix = {path.suffix.lower(): path for path in reversed(paths)}
+        others = {".toml", SESSION_SUFFIX, TRUTH_SUFFIX, *SUFFIXES}
+        recordings = [path for path in paths if path.suffix.lower() not in others]
+        sensor, truth = by_suffix.get(".toml"), by_suffix.get(TRUTH_SUFFIX)
+        if recordings and (sensor is not None or truth is not None):
+            self.controller.open_recording(recordings[0], sensor, truth)
         else:
             self.open_file(paths[0])
 

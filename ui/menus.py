@@ -11,9 +11,10 @@ from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 
 from bubbleviz.defaults import SESSION_SUFFIX
+from bubbleviz.preset_files import preset_names
 from ui.panels.playback import next_speed
 from ui.panels.view_tools import VIEWS
-from ui.presets import Panel, load_scene, scene_names
+from ui.presets import Panel, load_scene
 from ui.shortcuts import UNLISTED
 from ui.state import LOOPBACK, ThemeName
 from ui.units import SYSTEMS
@@ -42,6 +43,7 @@ class Menus:
         self._add(menu, "&Open recording…", self._open_recording, QKeySequence.StandardKey.Open)
         self._add(menu, "Open recording &folder…", self._open_folder, "Ctrl+Shift+O")
         self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
+        self._add(menu, "Open &truth of a simulation…", self._open_truth)
         self._recent(menu.addMenu("Open &recent"))
         self._add(menu, "Re&load", self._window.keeper.reload, "F5")
         menu.addSeparator()
@@ -132,7 +134,7 @@ class Menus:
             self._add(menu, title, partial(window.tools.use_tool, tool))
         self._add(menu, "Reset p&ose", window.pose.session.reset, "X")
         scenes = menu.addMenu("&Scene")
-        for name in scene_names():
+        for name in preset_names("scenes"):
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
         self._theme(menu.addMenu("&Theme"))
@@ -241,6 +243,13 @@ class Menus:
         )
         if name:
             self._window.controller.open_sensor(Path(name))
+
+    def _open_truth(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(
+            self._window, "Open truth", "", "Truth of a simulation (*.npz);;All files (*)"
+        )
+        if name:
+            self._window.controller.open_truth(Path(name))
 
     def _open_session(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self._window, "Open session", "", SESSIONS)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from bubbleviz.errors import InputError
-from bubbleviz.sensor import presets_folder
+from bubbleviz.preset_files import preset_names, presets_folder
 from bubbleviz.tomlfile import checked, read_toml
 from ui.state import CloudColour
 
@@ -116,11 +116,6 @@ class ScenePreset(_Strict):
         }
 
 
-def scene_names() -> list[str]:
-    """Names of the shipped scenes."""
-    return sorted(path.stem for path in presets_folder("scenes").glob("*.toml"))
-
-
 def load_scene(name: str) -> ScenePreset:
     """Scene preset of a name.
 
@@ -129,9 +124,10 @@ def load_scene(name: str) -> ScenePreset:
     InputError
         There is none of that name, or its file breaks the schema.
     """
-    if name not in scene_names():
+    names = preset_names("scenes")
+    if name not in names:
         raise InputError(
-            f'--scene "{name}": no such scene preset; choose one of {", ".join(scene_names())}'
+            f'--scene "{name}": no such scene preset; choose one of {", ".join(names)}'
         )
     return read_scene(presets_folder("scenes") / f"{name}.toml")
 

@@ -34,7 +34,8 @@ class WindowSession:
     """The application, one window on a recording or the synthetic press, and its event loop.
 
     With `keep_in`, the user's last session is read from that file, and this one kept in it; with
-    `saved`, the session of that file is restored.
+    `saved`, the session of that file is restored. `truth` is what is true of the recording, where
+    it is of a simulation and no file of its name beside it says so.
 
     Raises
     ------
@@ -52,6 +53,7 @@ class WindowSession:
         keep_in: Path | None = None,
         live: SessionPreset | None = None,
         saved: Path | None = None,
+        truth: Path | None = None,
     ) -> None:
         given = None if saved is None else _read(saved)  # before there is a window
         import_the_window()
@@ -78,7 +80,7 @@ class WindowSession:
         if live is not None:
             self._connect(live)
         elif not restored:
-            self._open(sensor, recording, frame)
+            self._open(sensor, recording, frame, truth)
         if frame is not None and state.facts is not None and frame != state.frame:
             self.window.close()
             raise InputError(
@@ -92,7 +94,9 @@ class WindowSession:
     def _note(self, answer: Opened | Failed) -> None:
         self._answers.append(answer)
 
-    def _open(self, sensor: Sensor, recording: Path | None, frame: int | None) -> None:
+    def _open(
+        self, sensor: Sensor, recording: Path | None, frame: int | None, truth: Path | None
+    ) -> None:
         from ui.requests import Failed
         from ui.sources import recording as recording_opener
         from ui.sources import synthetic
@@ -100,7 +104,7 @@ class WindowSession:
         self._answers.clear()
         self.controller.open(
             str(recording) if recording else "synthetic press",
-            recording_opener(recording) if recording else synthetic,
+            recording_opener(recording, truth) if recording else synthetic,
             lambda: sensor,
             frame=frame or 0,
             playing=frame is None,
@@ -193,9 +197,10 @@ def window_session(
     keep_in: Path | None = None,
     live: SessionPreset | None = None,
     saved: Path | None = None,
+    truth: Path | None = None,
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and gone at the end."""
-    session = WindowSession(sensor, recording, frame, scene, keep_in, live, saved)
+    session = WindowSession(sensor, recording, frame, scene, keep_in, live, saved, truth)
     try:
         yield session
     finally:

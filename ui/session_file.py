@@ -14,7 +14,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.inverse.solver import SOLVER_NAMES, SOLVERS
 from bubbleviz.live.session_file import SessionPreset
 from bubbleviz.meshread import SUFFIXES
-from bubbleviz.sensor import Sensor, presets_folder
+from bubbleviz.preset_files import presets_folder
+from bubbleviz.sensor import Sensor
 from ui.needs import CONSUMERS, PLOTS
 from ui.session_live import with_paths
 from ui.state import LAYERS, SPEEDS, Choices
@@ -46,6 +47,8 @@ class SavedSession(BaseModel):
     ----------
     source : str or None
         A recording's path or `synthetic:`; None when a source cannot be opened by name.
+    truth : str or None
+        TRUTH.npz of that recording, where the user has named one.
     live : SessionPreset or None
         Live sensors that were connected.
     sensor : str or None
@@ -67,6 +70,7 @@ class SavedSession(BaseModel):
 
     schema_version: Literal[1] = 1
     source: str | None = None
+    truth: str | None = None
     live: SessionPreset | None = None
     sensor: str | None = None
     frame: int = Field(default=0, ge=0)
@@ -168,6 +172,7 @@ def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
     return saved.model_copy(
         update={
             "source": None if saved.source is None else rename(saved.source),
+            "truth": None if saved.truth is None else rename(saved.truth),
             "sensor": None if saved.sensor is None else rename(saved.sensor),
             "live": None if saved.live is None else with_paths(saved.live, rename),
             "choices": choices,
@@ -195,7 +200,7 @@ def absolute(name: str, file: Path | None = None) -> str:
 
 def missing(saved: SavedSession) -> dict[str, str]:
     """Files a located session names that are not there, by the field they belong to."""
-    named = {"recording": saved.source, "sensor": saved.sensor}
+    named = {"recording": saved.source, "truth": saved.truth, "sensor": saved.sensor}
     if saved.source == SYNTHETIC:
         del named["recording"]
     if saved.sensor is not None and not saved.sensor.endswith(".toml"):

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 EVERY_MS = 3000
 """How much of a session a crash may cost."""
-OF_SOURCE = ("source", "live", "sensor", "frame", "play_range", "markers", "camera")
+OF_SOURCE = ("source", "truth", "live", "sensor", "frame", "play_range", "markers", "camera")
 """Fields of a session that are kept as they were while its source is not there."""
 
 
@@ -143,6 +143,7 @@ class SessionKeeper(QObject):
         moved = window.scene.moved_by_user
         now = SavedSession(
             source=self._source_name(),
+            truth=self._truth_name(),
             live=self._live(sensor),
             sensor=sensor,
             frame=state.frame,
@@ -222,7 +223,8 @@ class SessionKeeper(QObject):
         if saved.source == SYNTHETIC:
             opener = synthetic
         elif saved.source is not None and "recording" not in gone:
-            opener = recording(Path(saved.source))
+            truth = None if saved.truth is None or "truth" in gone else Path(saved.truth)
+            opener = recording(Path(saved.source), truth)
         self._pending = saved
         if opener is None:
             self._go_without(saved)
@@ -278,6 +280,11 @@ class SessionKeeper(QObject):
         if isinstance(opener, RecordingOpener):
             return str(opener.path.absolute())
         return SYNTHETIC if opener is synthetic else None
+
+    def _truth_name(self) -> str | None:
+        opener = None if self._opened is None else self._opened.request.open_source
+        truth = opener.truth if isinstance(opener, RecordingOpener) else None
+        return None if truth is None else str(truth.absolute())
 
     def _sensor_name(self, file: Path | None) -> str | None:
         """The sensor in use: a preset, a file of the user's, or its copy beside `file`."""

@@ -21,30 +21,34 @@ class RecordingOpener:
     """Opens a recording for a sensor; two are never equal, as each stands for one opening."""
 
     path: Path
+    truth: Path | None = None
 
     def __call__(self, sensor: Sensor) -> FrameSource:
-        """Open it.
+        """Open it, with the truth behind it where it is of a simulation and that is known.
 
         Raises
         ------
         InputError
-            It cannot be opened or does not fit the sensor.
+            It cannot be opened, does not fit the sensor, or the truth is not its own.
         """
         from bubbleviz.frames.recording import Recording
+        from bubbleviz.frames.truth_file import KnownRecording, known_beside
         from bubbleviz.matching import check_fits
 
         opened = Recording(self.path)
         try:
             check_fits(opened, sensor, sensor.name)
+            if self.truth is not None:
+                return KnownRecording(opened, self.truth)
+            return known_beside(opened)
         except InputError:
             opened.close()
             raise
-        return opened
 
 
-def recording(path: Path) -> Callable[[Sensor], FrameSource]:
-    """Opener of a recording."""
-    return RecordingOpener(path)
+def recording(path: Path, truth: Path | None = None) -> Callable[[Sensor], FrameSource]:
+    """Opener of a recording, and of its TRUTH.npz where that is not beside it under its name."""
+    return RecordingOpener(path, truth)
 
 
 def sensor_for(path: Path, present: Sensor) -> Sensor:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.sensor import presets_folder
+from bubbleviz.preset_files import presets_folder
 from bubbleviz.tomlfile import checked, named_file, read_toml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -5,7 +5,7 @@ import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.objects import load_object, object_mesh
-from bubbleviz.sensor import presets_folder
+from bubbleviz.preset_files import presets_folder
 from bubbleviz.study.objects import GENERATORS, ply_bytes
 
 NAMES = [generator.__name__ for generator in GENERATORS]

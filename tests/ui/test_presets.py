@@ -6,13 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from conftest import Driver
 from fakes import DentSource
 
+from bubbleviz.cli import main
 from bubbleviz.errors import InputError
+from bubbleviz.preset_files import preset_names
 from ui.needs import products
 from ui.panels.layers import CLOUD_POINTS
-from ui.presets import load_scene, read_scene, scene_names
+from ui.presets import load_scene, read_scene
 from ui.state import Choices
 
 Drive = Callable[..., Driver]
@@ -29,7 +32,9 @@ RUNS = {
 
 
 def test_every_shipped_scene_is_known_here() -> None:
-    assert scene_names() == sorted(RUNS)
+    assert preset_names("scenes") == sorted(RUNS)
+    said = " ".join(CliRunner().invoke(main, ["open", "--help"]).stdout.split())
+    assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
 
 
 @pytest.mark.parametrize("name", sorted(RUNS))

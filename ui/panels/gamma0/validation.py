@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.calibration.validation import KnownPress, Validation
 from bubbleviz.calibration.workbench import Step
-from bubbleviz.sensor import presets_folder
+from bubbleviz.preset_files import presets_folder
 from ui.calibration.answer import Answer
 from ui.calibration.session import Calibration
 from ui.panels.gamma0.images import ImageView

@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.errors import InputError
 from bubbleviz.meshread import SUFFIXES
-from bubbleviz.sensor import presets_folder
+from bubbleviz.preset_files import presets_folder
 from ui.panels.keys import keep_keys
 from ui.panels.pose.start import StartBoxes
 from ui.state import POSE_CHOICES, ChoicesChanged, Event, SessionState
