@@ -15,6 +15,7 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 from ui.app import screen_for_pictures
+from ui.requests import Failed
 from ui.session import WindowSession, window_session
 
 FIRST = "first picture at"
@@ -103,7 +104,13 @@ def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) 
 
 
 def _seek(session: WindowSession, frame: int) -> float:
-    """Seek and wait as the application does, in its event loop, until the frame is drawn, ms."""
+    """Seek and wait as the application does, in its event loop, until the frame is drawn, ms.
+
+    Raises
+    ------
+    InputError
+        The frame cannot be shown.
+    """
     from PySide6.QtCore import QEventLoop
 
     controller, view, loop = session.controller, session.window.view, QEventLoop()
@@ -114,10 +121,17 @@ def _seek(session: WindowSession, frame: int) -> float:
             drawn.append(time.perf_counter())
             loop.quit()
 
-    drawn: list[float] = []
-    link = view.rendered.connect(note)
+    def give_up(failed: Failed) -> None:
+        problems.append(failed.message)
+        loop.quit()
+
+    drawn, problems = list[float](), list[str]()
+    seen, failed = view.rendered.connect(note), controller.failed.connect(give_up)
     start = time.perf_counter()
     session.state.seek(frame)
     loop.exec()
-    view.rendered.disconnect(link)
+    view.rendered.disconnect(seen)
+    controller.failed.disconnect(failed)
+    if problems:
+        raise InputError(problems[0])
     return 1e3 * (drawn[0] - start)

@@ -40,6 +40,12 @@ def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
     assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
 
 
+def test_pivoting_says_where_a_matrix_is_not_definite():
+    x, _, converged = nonnegative_qp(DenseQuadratic(-np.eye(3)), -np.ones(3), np.ones(3, bool))
+    assert not converged
+    assert not x.any()
+
+
 def test_normal_equations_equal_the_sparse_product():
     observer = RangeObserver(CAMERA, MESH, 0.01, block=4)
     rng = np.random.default_rng(0)
