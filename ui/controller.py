@@ -141,6 +141,11 @@ class Controller(QObject):
         return self.skipped + self.worker.dropped
 
     @property
+    def open_source(self) -> Callable[[Sensor], FrameSource] | None:
+        """Opener of what is open; None before the first."""
+        return self._open_source
+
+    @property
     def solved_session(self) -> int:
         """Generation of the session that is open; 0 before the first."""
         return self._session

@@ -21,6 +21,8 @@ from ui.connect_dialog import ConnectDialog
 from ui.controller import Controller
 from ui.costs import Costs
 from ui.dock import Dock, scrolled
+from ui.export.dialog import ExportDialog
+from ui.export.exporting import Exporting
 from ui.hover import Hover
 from ui.live.desk import LiveDesk
 from ui.live.freshness import Freshness
@@ -115,6 +117,8 @@ class MainWindow(QMainWindow):
         self.desk = LiveDesk(controller, self.pair)
         self.live = LiveBar(self.desk, state.units)
         self.freshness = Freshness(controller, self.view)
+        self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
+        self._export: ExportDialog | None = None
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
@@ -151,6 +155,14 @@ class MainWindow(QMainWindow):
         sensor = self.controller.sensor
         ConnectDialog(self, self.desk, None if sensor is None else name_of(sensor)).open()
 
+    def show_export(self) -> None:
+        """Export frames as files."""
+        if self._export is None:
+            self._export = ExportDialog(self, self.state, self.exporting)
+        self._export.show_all()
+        self._export.show()
+        self._export.raise_()
+
     def show_shortcuts(self) -> None:
         """Show the keys of every action."""
         ShortcutsDialog(self, self.shortcuts).open()
@@ -178,6 +190,7 @@ class MainWindow(QMainWindow):
         self._rates.stop()
         self.state.unsubscribe_all()
         self.gamma0.close_all()
+        self.exporting.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()
         self.pose.close_plots()
@@ -274,6 +287,7 @@ class MainWindow(QMainWindow):
         keys.edited.connect(self.settings.watch("keys", lambda: keys.changed, keys.use))
         self.pose.said.connect(self.message.say)
         self.desk.said.connect(self.message.say)
+        self.exporting.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)
         self.status.asked.connect(self.show_costs)
         self.tools.failed.connect(self.message.say)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,15 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
     poses = {}
     for line, row in enumerate(rows, 2):
         try:
-            poses[int(row["frame"])] = _columns(row)
+            poses[int(row["frame"])] = pose_columns(row)
         except (TypeError, ValueError) as error:
             raise InputError(f"{path}: line {line}: {error}; correct it") from None
     return poses
 
 
-def _columns(row: dict[str, str]) -> dict[str, Any]:
+def pose_columns(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns of one frame from the fields of a line of POSES.csv; what is empty is not known."""
     names = (*COLUMNS, *(name for name in _QUALITY if name in row))
-    numbers = {f"pose_{name}": float(row[name] or "nan") for name in names}
+    known = {name: row[name] for name in names if row[name] not in (None, "")}
+    numbers = {f"pose_{name}": float(known.get(name, "nan")) for name in names}
     return {"pose_status": row["status"], **numbers}
