@@ -5,20 +5,18 @@ from __future__ import annotations
 import gc
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from fakes import small_sensor
 from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
+from window_driver import Driver
 
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.frames.synthetic import default_press
-from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from ui.controller import Controller
 from ui.main_window import MainWindow
@@ -27,51 +25,6 @@ from ui.sources import MadeOnce
 from ui.state import SessionState
 from ui.view import View
 from ui.worker import Worker
-
-PATIENCE_MS = 30_000
-
-
-@dataclass
-class Driver:
-    """A window and what a test does with it besides clicking."""
-
-    bot: QtBot
-    window: MainWindow
-
-    @property
-    def state(self) -> SessionState:
-        return self.window.state
-
-    @property
-    def pipeline(self) -> Pipeline:
-        session = self.window.controller.worker._server._session
-        assert session is not None
-        return session.pipeline
-
-    def wait(self, done: Callable[[], Any]) -> None:
-        self.bot.waitUntil(done, timeout=PATIENCE_MS)
-
-    def settle(self) -> None:
-        """Wait until the frame at the cursor is shown and painted."""
-        result = lambda: self.window.controller.result  # noqa: E731
-        self.wait(lambda: result() is not None and result().frame.index == self.state.frame)
-        count = self.window.view.render_count
-        self.window.view.refresh()
-        self.wait(lambda: self.window.view.render_count > count)
-
-    def seek(self, frame: int) -> None:
-        self.state.seek(frame)
-        self.settle()
-
-    def warm_pixels(self) -> np.ndarray:
-        """Row and column of the pixels in the colours of contact pressure, (k, 2)."""
-        return warm(self.window.view.pixels())
-
-
-def warm(pixels: np.ndarray) -> np.ndarray:
-    """Row and column of strong orange and red, left of the colour bars."""
-    red, green, blue = (pixels[:, : int(0.85 * pixels.shape[1]), k].astype(int) for k in range(3))
-    return np.argwhere((red > 130) & (red > 2 * blue) & (red > green + 30))
 
 
 @pytest.fixture(scope="session")

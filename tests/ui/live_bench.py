@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from conftest import Driver
 from fakes import small_sensor
 from mcap.reader import make_reader
+from window_driver import Driver
 
 from bubbleviz.live.session_file import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml

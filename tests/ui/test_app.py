@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import Driver, warm
 from PySide6.QtGui import QImage
+from window_driver import Driver, warm
 
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import load_sensor

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from conftest import Driver
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
+from window_driver import Driver
 
 from bubbleviz.pipeline import stages
 from ui.costs import STAGES, who_asks

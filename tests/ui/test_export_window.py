@@ -10,13 +10,13 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from conftest import Driver, warm
 from fakes import FIRST_CONTACT, FRAMES, DentSource
 from live_bench import Bench as LiveBench
 from live_bench import sensor_file
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QFileDialog, QLabel
+from window_driver import Driver, warm
 
 from ui.export.dialog import ExportDialog
 from ui.live.connection import single

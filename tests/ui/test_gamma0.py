@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Driver
 from fakes import small_sensor
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QFileDialog, QWidget
 from resting import REST, TENSION, RestingSource
+from window_driver import Driver
 
 from bubbleviz.calibration.workbench import Step
 from bubbleviz.frames.recording import Recording

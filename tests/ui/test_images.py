@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import Driver
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication, QWidget
+from window_driver import Driver
 
 from bubbleviz.camera.probe import Probe
 from ui.panels.images import ImagesPanel, best_columns

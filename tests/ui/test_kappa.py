@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import Driver
 from PySide6.QtCore import QPointF, Qt
 from PySide6.QtWidgets import QApplication, QLabel
+from window_driver import Driver
 
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.frames.synthetic import truth_of

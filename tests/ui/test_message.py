@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from threading import Event
 
-from conftest import Driver
 from fakes import DentSource
 from PySide6.QtCore import Qt
+from window_driver import Driver
 
 from bubbleviz.sensor import Sensor
 from ui.session_file import read_user_file

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from conftest import Driver
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
+from window_driver import Driver
 
 from ui.fuzzy import ranked, score
 from ui.palette import CommandPalette

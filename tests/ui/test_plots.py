@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Driver
 from fakes import FIRST_CONTACT, DentSource
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QColor, QImage, QPalette
 from PySide6.QtWidgets import QApplication
+from window_driver import Driver
 
 from bubbleviz.camera.view import MembraneView
 from bubbleviz.frames.frame import Frame

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Driver
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QFileDialog, QWidget
+from window_driver import Driver
 
 from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.frames.synthetic import SyntheticSource

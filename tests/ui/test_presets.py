@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from conftest import Driver
 from fakes import DentSource
+from window_driver import Driver
 
 from bubbleviz.cli import main
 from bubbleviz.errors import InputError

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Driver
 from fakes import small_sensor
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
+from window_driver import Driver
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.writer import RecordingWriter

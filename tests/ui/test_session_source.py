@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Driver
 from fakes import DentSource, small_sensor
 from live_bench import sensor_file
 from PySide6.QtCore import Qt
+from window_driver import Driver
 
 from bubbleviz.frames.writer import RecordingWriter
 from bubbleviz.objects import load_object

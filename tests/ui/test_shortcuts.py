@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-from conftest import Driver
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QTableWidget
+from window_driver import Driver
 
 from ui.shortcuts_dialog import ShortcutsDialog
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import Driver
 from fakes import FIRST_CONTACT, FRAMES, DentSource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
+from window_driver import Driver
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.numbers import Numbers

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from conftest import Driver
 from PySide6.QtWidgets import (
     QAbstractButton,
     QAbstractSlider,
@@ -13,6 +12,7 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
+from window_driver import Driver
 
 from ui.panels.status import TIPS
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
-from conftest import Driver
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
+from window_driver import Driver
 
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.objects import load_object

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 
 import pytest
-from conftest import Driver
 from PySide6.QtWidgets import QApplication, QMenu
+from window_driver import Driver
 
 from ui.scene.ranges import rounded_up
 from ui.units import SYSTEMS, Units

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Driver
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
 from test_images import in_view, near
+from window_driver import Driver
 
 from ui.panels.view_tools import ViewTools
 from ui.scene.colours import rgb

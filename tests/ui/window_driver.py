@@ -1,0 +1,59 @@
+"""A window and what a test does with it; a module of its own, as every folder has a conftest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pytestqt.qtbot import QtBot
+
+from bubbleviz.pipeline import Pipeline
+from ui.main_window import MainWindow
+from ui.state import SessionState
+
+PATIENCE_MS = 30_000
+
+
+@dataclass
+class Driver:
+    """A window and what a test does with it besides clicking."""
+
+    bot: QtBot
+    window: MainWindow
+
+    @property
+    def state(self) -> SessionState:
+        return self.window.state
+
+    @property
+    def pipeline(self) -> Pipeline:
+        session = self.window.controller.worker._server._session
+        assert session is not None
+        return session.pipeline
+
+    def wait(self, done: Callable[[], Any]) -> None:
+        self.bot.waitUntil(done, timeout=PATIENCE_MS)
+
+    def settle(self) -> None:
+        """Wait until the frame at the cursor is shown and painted."""
+        result = lambda: self.window.controller.result  # noqa: E731
+        self.wait(lambda: result() is not None and result().frame.index == self.state.frame)
+        count = self.window.view.render_count
+        self.window.view.refresh()
+        self.wait(lambda: self.window.view.render_count > count)
+
+    def seek(self, frame: int) -> None:
+        self.state.seek(frame)
+        self.settle()
+
+    def warm_pixels(self) -> np.ndarray:
+        """Row and column of the pixels in the colours of contact pressure, (k, 2)."""
+        return warm(self.window.view.pixels())
+
+
+def warm(pixels: np.ndarray) -> np.ndarray:
+    """Row and column of strong orange and red, left of the colour bars."""
+    red, green, blue = (pixels[:, : int(0.85 * pixels.shape[1]), k].astype(int) for k in range(3))
+    return np.argwhere((red > 130) & (red > 2 * blue) & (red > green + 30))
