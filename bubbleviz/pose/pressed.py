@@ -111,6 +111,11 @@ class _Responses:
         C[diagonal, diagonal] *= 1.0 + _SOFT
         return C
 
+    def reach(self, below: _Below) -> np.ndarray:
+        """Which points (c,) are over nodes that may carry forces."""
+        over: np.ndarray = np.all(self.number[below.corners] >= 0, axis=1)
+        return over
+
     def loads(self, below: _Below, forces: np.ndarray) -> np.ndarray:
         """Forces (c,) on points, on the nodes (l,) below them."""
         shares = (below.weights * forces[:, None]).ravel()
@@ -221,6 +226,7 @@ class PressedMembrane:
         loads = np.empty((len(press.responses.own), len(motions)))
         for k in range(len(motions)):
             there = below.of(slice(k * count, (k + 1) * count))
+            there = there.of(press.responses.reach(there))
             factor = cho_factor(press.responses.between(there), check_finite=False)
             forces = -cho_solve(factor, there.height_m, check_finite=False)
             loads[:, k] = press.responses.loads(there, forces)

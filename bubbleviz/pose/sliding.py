@@ -115,6 +115,10 @@ class Sliding:
         self._rest_m = np.full(len(observer.pixel), np.nan)
         self._rest_m[at_rest.ray] = at_rest.range_m
         self._places = camera.center + self._rest_m[:, None] * self._directions
+        self.forget()
+
+    def forget(self) -> None:
+        """Look anew at the next frame."""
         self._outlook: Outlook | None = None
 
     def step(

@@ -100,6 +100,11 @@ class Solver:
         pressed = PressedMembrane(mesh, gas, own.scales, self._registration.model)
         return Sliding(own.observer, pressed)
 
+    def forget(self) -> None:
+        """Begin anew, with nothing kept of where the object was."""
+        if "_sliding" in vars(self):
+            self._sliding.forget()
+
     def solve(
         self,
         frame: Frame,

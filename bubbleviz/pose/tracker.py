@@ -63,6 +63,7 @@ class PoseTracker:
 
     def reset(self, start: np.ndarray | None = None) -> None:
         """Forget everything; begin at T_B_O (4, 4), or search when None."""
+        self._solver.forget()
         self._start = start
         self._motion: Motion | None = None
         self._good: np.ndarray | None = None

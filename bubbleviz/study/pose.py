@@ -10,6 +10,9 @@ from functools import partial
 import numpy as np
 
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.frames.noise import DepthNoise
+from bubbleviz.frames.synthetic import SyntheticSource, simulation_mesh
+from bubbleviz.objects import RigidObject
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.pose.contact import ContactPoints, contact_points
 from bubbleviz.pose.filter import START_DEVIATION, Motion
@@ -19,10 +22,10 @@ from bubbleviz.pose.registration import Prior, Registration
 from bubbleviz.pose.tracker import PoseTracker, precision_of
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz.study.pose_judge import PoseJudge
+from bubbleviz.study.pose_judge import PoseJudge, TrueContact
 from bubbleviz.study.pose_rivals import CloudRegistration, has_small_gicp
 from bubbleviz.study.presses import Press, made
-from bubbleviz.study.truths import TRUTH_NODES, Sighting, TruthBank
+from bubbleviz.study.truths import TRUTH_NODES
 
 OBJECTS = ("frustum", "two_legged_toy", "bridge", "cylinder")
 SHALLOWEST_M, DEEPEST_M = 0.008, 0.015
@@ -38,6 +41,9 @@ PATCH_REACH_M = 0.010
 
 WHOLE_CLOUD = "whole cloud"
 BOTH = "both stages"
+
+_FRAMES = 3
+"""Frames of a press: a blank one, so that nothing is left of the last, and two to settle."""
 
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "cloud"})
 
@@ -84,12 +90,12 @@ class PoseTrial:
 
     object_name: str
     depth_m: float
-    noise_relative: float
-    method: str
-    determined: int
-    start_m: float
-    start_rad: float
-    status: str
+    noise_relative: float = 0.0
+    method: str = ""
+    determined: int = 0
+    start_m: float = np.nan
+    start_rad: float = np.nan
+    status: str = "few_points"
     error_m: float = np.nan
     error_rad: float = np.nan
     whole_m: float = np.nan
@@ -111,21 +117,24 @@ def run_pose_study(
     sensor: Sensor, grid: PoseGrid, tick: Callable[[str], None] = lambda _: None
 ) -> PoseStudy:
     """Run a grid; `tick` is called with an object's name for each of its presses."""
-    bank = TruthBank(sensor, grid.seed, grid.truth_nodes)
-    pipeline = Pipeline(sensor)
+    mesh, pipeline = simulation_mesh(sensor, grid.truth_nodes), Pipeline(sensor)
     trials: list[PoseTrial] = []
     omitted: list[str] = []
     for name in grid.objects:
-        bench = _Bench(bank, pipeline, name)
+        bench = _Bench(pipeline, made(name))
         for k, press in enumerate(grid.presses(name)):
+            random = np.random.default_rng([grid.seed, k, *name.encode()])
+            held = np.repeat(press.pose(mesh, grid.seed)[None], _FRAMES, axis=0)
+            source = SyntheticSource(
+                sensor, bench.obj, held, seed=grid.seed, nodes=grid.truth_nodes, sharp=True
+            )
+            base = PoseTrial(name, press.depth_m)
             try:
-                sighting = bank.sighting(press)
+                for noise in grid.noises_relative:
+                    source.noise = DepthNoise(relative=noise)
+                    trials += bench.trials(source, replace(base, noise_relative=noise), random)
             except (InputError, SolveError) as error:
                 omitted.append(f"{name} {1e3 * press.depth_m:.1f} mm: {error}")
-            else:
-                random = np.random.default_rng([grid.seed, k, *name.encode()])
-                for noise in grid.noises_relative:
-                    trials += bench.trials(sighting, noise, random)
             tick(name)
     return PoseStudy(grid, trials, omitted)
 
@@ -133,42 +142,37 @@ def run_pose_study(
 class _Bench:
     """All methods on one object."""
 
-    def __init__(self, bank: TruthBank, pipeline: Pipeline, name: str) -> None:
-        self._bank, self._pipeline, self._obj = bank, pipeline, made(name)
-        model = ObjectModel(self._obj)
+    def __init__(self, pipeline: Pipeline, obj: RigidObject) -> None:
+        self._pipeline, self.obj = pipeline, obj
+        model = ObjectModel(obj)
         precision = precision_of(pipeline.estimator)
         self._registration = Registration(model, precision)
-        self._judge = PoseJudge(model, bank.mesh, precision)
+        self._judge = PoseJudge(model, precision)
         self._cloud = CloudRegistration(model, CLOUD_REACH_M)
         self._patch = CloudRegistration(model, PATCH_REACH_M)
 
     def trials(
-        self, sighting: Sighting, noise: float, random: np.random.Generator
+        self, source: SyntheticSource, base: PoseTrial, random: np.random.Generator
     ) -> list[PoseTrial]:
-        """Every method from the same start."""
-        blank, *frames = (self._bank.frame(sighting, noise, k) for k in range(3))
+        """Every method from the same start, on the last frame of a held press."""
+        blank, *frames = (source[k] for k in range(len(source)))
         self._pipeline.process(replace(blank, depth_m=blank.depth_m * np.nan), _PRODUCTS)
         results = [self._pipeline.process(frame, _PRODUCTS) for frame in frames]
         result = results[-1]
-        true_pose = sighting.press.pose(self._bank.mesh, self._bank.seed)
-        center, _, found = self._judge.contact(sighting.truth, true_pose)
+        true = self._judge.contact(source)
         off = _random_motion(random)
-        base = PoseTrial(
-            object_name=sighting.press.object_name,
-            depth_m=sighting.press.depth_m,
-            noise_relative=noise,
-            method="",
-            determined=int(found.determined.sum()),
+        base = replace(
+            base,
+            determined=int(true.directions.determined.sum()),
             start_m=float(np.linalg.norm(off[:3])),
             start_rad=float(np.linalg.norm(off[3:])),
-            status="few_points",
         )
         if result.estimate is None or result.patch is None:
             return []
         contact = contact_points(self._pipeline.mesh, result.estimate, result.patch)
-        start = moved(true_pose, off, center)
+        start = moved(true.T_B_O, off, true.center)
         return [
-            self._trial(replace(base, method=method), way, sighting, true_pose, result)
+            self._trial(replace(base, method=method), way, true, result)
             for method, way in self._ways(result, contact, start).items()
         ]
 
@@ -191,8 +195,7 @@ class _Bench:
         self,
         base: PoseTrial,
         way: Callable[[], np.ndarray | None],
-        sighting: Sighting,
-        true_pose: np.ndarray,
+        true: TrueContact,
         result: Result,
     ) -> PoseTrial:
         if base.method != WHOLE_CLOUD:
@@ -202,7 +205,7 @@ class _Bench:
         own_ms = 1e3 * (time.perf_counter() - began)
         if pose is None:
             return base
-        errors = self._judge.errors(pose, sighting.truth, true_pose)
+        errors = self._judge.errors(pose, true)
         before = ("cloud",) if base.method == WHOLE_CLOUD else ("estimate", "patch")
         return replace(
             base,
@@ -226,8 +229,8 @@ class _Bench:
 
     @property
     def _tracker(self) -> PoseTracker:
-        if self._pipeline.tracker is None or self._pipeline.tracker.model.obj is not self._obj:
-            self._pipeline.follow(self._obj)
+        if self._pipeline.tracker is None or self._pipeline.tracker.model.obj is not self.obj:
+            self._pipeline.follow(self.obj)
         tracker = self._pipeline.tracker
         assert tracker is not None
         return tracker

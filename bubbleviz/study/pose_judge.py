@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.frames.synthetic import Truth
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.frames.synthetic import SyntheticSource
 from bubbleviz.pose.model import ObjectModel
 from bubbleviz.pose.motion import motion_between, rows
 from bubbleviz.pose.registration import Precision
@@ -47,49 +46,66 @@ class PoseErrors:
         return bool(self.error_m <= SUCCESS_M and self.error_rad <= SUCCESS_RAD)
 
 
+@dataclass(frozen=True)
+class TrueContact:
+    """What truly touches, and which motions of the object that determines.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+        The true pose.
+    center : (3,) array
+        Of the true patch.
+    radius_m : float
+    directions : Directions
+    """
+
+    T_B_O: np.ndarray
+    center: np.ndarray
+    radius_m: float
+    directions: Directions
+
+
 class PoseJudge:
     """Judges poses of one object.
 
     Parameters
     ----------
     model : ObjectModel
-    mesh : MembraneMesh
-        Of the truths.
     precision : Precision
         Of the sensor, at its own noise.
     """
 
-    def __init__(self, model: ObjectModel, mesh: MembraneMesh, precision: Precision) -> None:
-        self._model, self._mesh, self._precision = model, mesh, precision
+    def __init__(self, model: ObjectModel, precision: Precision) -> None:
+        self._model, self._precision = model, precision
         self._symmetries = symmetries(model)
 
-    def contact(self, truth: Truth, T_B_O: np.ndarray) -> tuple[np.ndarray, float, Directions]:
-        """Centre (3,) and radius in m of the true patch, and what its normals determine."""
+    def contact(self, source: SyntheticSource) -> TrueContact:
+        """The true contact in the first frame of a simulation."""
+        mesh, truth, T = source.mesh, source.truth(0), source.poses[0]
         touching = np.flatnonzero(truth.contact_pressure_pa > 0.0)
-        points = self._mesh.deformed(truth.displacement_m)[touching]
-        areas = self._mesh.areas[touching]
+        points = mesh.deformed(truth.displacement_m)[touching]
+        areas = mesh.areas[touching]
         center = areas @ points / areas.sum()
         radius = float(np.sqrt(areas @ np.sum((points - center) ** 2, axis=1) / areas.sum()))
-        R = T_B_O[:3, :3]
-        normals = self._model.closest((points - T_B_O[:3, 3]) @ R).normal @ R.T
-        facing = np.einsum("ij,ij->i", normals, self._mesh.normals[touching]) < -_PARALLEL
+        normals = self._model.closest((points - T[:3, 3]) @ T[:3, :3]).normal @ T[:3, :3].T
+        facing = np.einsum("ij,ij->i", normals, mesh.normals[touching]) < -_PARALLEL
         J = rows(normals[facing], points[facing], center)
         surface = (J.T * (self._precision.per_area * areas[facing])) @ J
-        return center, radius, directions(surface, radius)
+        return TrueContact(T, center, max(radius, LEAST_RADIUS_M), directions(surface, radius))
 
-    def errors(self, T_B_O: np.ndarray, truth: Truth, true_pose: np.ndarray) -> PoseErrors:
+    def errors(self, T_B_O: np.ndarray, true: TrueContact) -> PoseErrors:
         """Errors of a pose (4, 4); those of the symmetric pose that is closest."""
-        center, radius, found = self.contact(truth, true_pose)
-        alike = [motion_between(true_pose, T_B_O @ same, center) for same in self._symmetries]
-        radius = max(radius, LEAST_RADIUS_M)
-        arm = np.array([1.0, 1.0, 1.0, radius, radius, radius])
+        alike = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self._symmetries]
+        arm = np.array([1.0, 1.0, 1.0, *3 * [true.radius_m]])
+        found = true.directions
         basis = (arm[:, None] * found.motions)[:, found.determined]
         scaled = np.array(alike) * arm
         known = scaled @ basis @ basis.T
         best = int(np.argmin(np.linalg.norm(known, axis=1) + 1e-6 * np.linalg.norm(scaled, axis=1)))
         return PoseErrors(
             error_m=float(np.linalg.norm(known[best, :3])),
-            error_rad=float(np.linalg.norm(known[best, 3:]) / radius),
+            error_rad=float(np.linalg.norm(known[best, 3:]) / true.radius_m),
             whole_m=float(np.linalg.norm(scaled[best, :3])),
-            whole_rad=float(np.linalg.norm(scaled[best, 3:]) / radius),
+            whole_rad=float(np.linalg.norm(scaled[best, 3:]) / true.radius_m),
         )

@@ -7,6 +7,7 @@ catches on its mesh: it is refined there.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,10 +88,12 @@ def screw_source(sensor: Sensor, nodes: int | None = None) -> SyntheticSource:
     return SyntheticSource(sensor, nut, poses, noise, nodes=nodes, sharp=True)
 
 
-def run_screws(sensor: Sensor, source: SyntheticSource) -> list[Screw]:
+def run_screws(
+    sensor: Sensor, source: SyntheticSource, seeds: Sequence[int] = SEEDS
+) -> list[Screw]:
     """All runs: with noise of every seed, and once more with the frames in the middle blank."""
-    runs = [run_screw(sensor, source, seed, blanked=False) for seed in SEEDS]
-    return [*runs, run_screw(sensor, source, SEEDS[0], blanked=True)]
+    runs = [run_screw(sensor, source, seed, blanked=False) for seed in seeds]
+    return [*runs, run_screw(sensor, source, seeds[0], blanked=True)]
 
 
 def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bool) -> Screw:

@@ -75,6 +75,15 @@ def test_sliding_is_pressing_anew_close_by(pipeline):
     assert np.linalg.norm(slid - anew) < 0.4 * change
 
 
+def test_what_slides_far_away_no_longer_touches(pipeline):
+    T = pose()
+    contact, _, _ = seen(pipeline, "cylinder", T)
+    membrane = pressed_of(pipeline, "cylinder")
+    press = membrane.press(T, contact)
+    far = np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.6, 0.0]])
+    assert np.isfinite(membrane.slid(press, far, contact.center)).all()
+
+
 def test_lifting_is_the_derivative_of_pressing(pipeline):
     T = pose()
     contact, _, _ = seen(pipeline, "cylinder", T)

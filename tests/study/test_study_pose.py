@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.frames.synthetic import SyntheticSource
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.model import ObjectModel
 from bubbleviz.pose.motion import moved
@@ -18,7 +19,6 @@ from bubbleviz.study.pose_judge import PoseJudge
 from bubbleviz.study.pose_rivals import CloudRegistration, has_small_gicp
 from bubbleviz.study.pose_screw import run_screw, screw_path, screw_source
 from bubbleviz.study.presses import Press, made
-from bubbleviz.study.truths import TruthBank
 
 GRID = PoseGrid(objects=("cross",), poses=2, noises_relative=(0.01,), truth_nodes=3_000, seed=5)
 
@@ -34,28 +34,27 @@ def study(sensor):
 
 
 def test_judge_of_a_flat_face(sensor):
-    bank = TruthBank(sensor, 5, 3_000)
-    press = Press("frustum", 0.012, False)
-    sighting = bank.sighting(press)
-    true_pose = press.pose(bank.mesh, 5)
-    precision = precision_of(Pipeline(sensor).estimator)
-    judge = PoseJudge(ObjectModel(made("frustum")), bank.mesh, precision)
-    center, _, found = judge.contact(sighting.truth, true_pose)
-    assert found.determined.sum() == 3
-    exact = judge.errors(true_pose, sighting.truth, true_pose)
+    pipeline = Pipeline(sensor)
+    true_pose = Press("frustum", 0.012, False).pose(pipeline.mesh, 5)
+    source = SyntheticSource(sensor, made("frustum"), true_pose[None], nodes=3_000)
+    judge = PoseJudge(ObjectModel(made("frustum")), precision_of(pipeline.estimator))
+    true = judge.contact(source)
+    center = true.center
+    assert true.directions.determined.sum() == 3
+    exact = judge.errors(true_pose, true)
     assert exact.whole_m < 1e-9
     assert exact.success
     # slid 10 mm on its face: no error that contact could see
     along = true_pose[:3, 0]
     slid = moved(true_pose, np.concatenate([0.01 * along, np.zeros(3)]), center)
-    errors = judge.errors(slid, sighting.truth, true_pose)
+    errors = judge.errors(slid, true)
     assert errors.error_m < 5e-4
     assert errors.whole_m == pytest.approx(0.01, rel=1e-3)
     # lifted by 4 mm, and turned by its own symmetry
     quarter = np.eye(4)
     quarter[:3, :3] = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()
     lifted = moved(true_pose, np.concatenate([4e-3 * true_pose[:3, 2], np.zeros(3)]), center)
-    errors = judge.errors(lifted @ quarter, sighting.truth, true_pose)
+    errors = judge.errors(lifted @ quarter, true)
     assert errors.error_m == pytest.approx(4e-3, rel=0.02)
     assert errors.whole_rad < 1e-3
     assert not errors.success
