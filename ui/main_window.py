@@ -129,7 +129,7 @@ class MainWindow(QMainWindow):
     def open_file(self, path: Path) -> None:
         """Open a sensor, an object's mesh, a session, a simulation's truth, or else a recording."""
         if path.suffix.lower() == ".toml":
-            self.controller.open_sensor(path)
+            self.controller.opening.sensor_file(path)
         elif path.suffix.lower() in SUFFIXES:
             with self.settings.one_step("object"):
                 self.pose_dock.show()
@@ -137,9 +137,9 @@ class MainWindow(QMainWindow):
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.keeper.open(path)
         elif path.suffix.lower() == TRUTH_SUFFIX:
-            self.controller.open_truth(path)
+            self.controller.opening.truth(path)
         else:
-            self.controller.open_recording(path)
+            self.controller.opening.recording(path)
 
     def show_costs(self) -> None:
         """Show what runs and what it costs."""
@@ -187,6 +187,7 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """Stop the timers and the solver thread, then let go of VTK."""
         self.keeper.close()
+        self.open_panels.close()
         self._rates.stop()
         self.state.unsubscribe_all()
         self.gamma0.close_all()
@@ -272,9 +273,9 @@ class MainWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
-        self.controller.said.connect(self.message.say)
-        self.controller.opening.connect(self.busy.wait_for)
-        self.busy.cancel.clicked.connect(self.controller.cancel_opening)
+        self.controller.opening.said.connect(self.message.say)
+        self.controller.opening.changed.connect(self.busy.wait_for)
+        self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.view.dropped_files.connect(self._open_dropped)
         for name, asks_as in PANELS_THAT_ASK.items():
             dock = self.panels[name]
@@ -304,7 +305,7 @@ class MainWindow(QMainWindow):
         recordings = [path for path in paths if path.suffix.lower() not in others]
         sensor, truth = by_suffix.get(".toml"), by_suffix.get(TRUTH_SUFFIX)
         if recordings and (sensor is not None or truth is not None):
-            self.controller.open_recording(recordings[0], sensor, truth)
+            self.controller.opening.recording(recordings[0], sensor, truth)
         else:
             self.open_file(paths[0])
 

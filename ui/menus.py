@@ -231,26 +231,26 @@ class Menus:
     def _open_recording(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self._window, "Open recording", "", RECORDINGS)
         if name:
-            self._window.controller.open_recording(Path(name))
+            self._window.controller.opening.recording(Path(name))
 
     def _open_folder(self) -> None:
         name = QFileDialog.getExistingDirectory(self._window, "Open recording folder")
         if name:
-            self._window.controller.open_recording(Path(name))
+            self._window.controller.opening.recording(Path(name))
 
     def _open_sensor(self) -> None:
         name, _ = QFileDialog.getOpenFileName(
             self._window, "Open sensor", "", "Sensor files (*.toml);;All files (*)"
         )
         if name:
-            self._window.controller.open_sensor(Path(name))
+            self._window.controller.opening.sensor_file(Path(name))
 
     def _open_truth(self) -> None:
         name, _ = QFileDialog.getOpenFileName(
             self._window, "Open truth", "", "Truth of a simulation (*.npz);;All files (*)"
         )
         if name:
-            self._window.controller.open_truth(Path(name))
+            self._window.controller.opening.truth(Path(name))
 
     def _open_session(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self._window, "Open session", "", SESSIONS)

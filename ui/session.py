@@ -102,7 +102,7 @@ class WindowSession:
         from ui.sources import synthetic
 
         self._answers.clear()
-        self.controller.open(
+        self.controller.opening.open(
             str(recording) if recording else "synthetic press",
             recording_opener(recording, truth) if recording else synthetic,
             lambda: sensor,

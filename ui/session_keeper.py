@@ -230,7 +230,7 @@ class SessionKeeper(QObject):
             self._go_without(saved)
             return False
         sensor = None if "sensor" in gone else saved.sensor
-        self._window.controller.open(
+        self._window.controller.opening.open(
             saved.source or "",
             opener,
             self._sensor_opener(opener, sensor),
@@ -256,7 +256,7 @@ class SessionKeeper(QObject):
         sensor = opened.sensor
         path = sensor.resolve(sensor.file)
         from_file = bool(sensor.file) and path.exists()
-        self._window.controller.open(
+        self._window.controller.opening.open(
             opened.request.what,
             opener,
             (lambda: load_sensor(path)) if from_file else (lambda: sensor),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -168,6 +168,26 @@ class Choices:
     force_unit: Literal["N", "mN"] = "N"
     duration_unit: Literal["ms", "s"] = "ms"
     theme: ThemeName = "system"
+
+
+class HasRule(Protocol):
+    """What says what makes a patch of a contact pressure: choices, and requests made of them."""
+
+    @property
+    def kappa(self) -> float | None:
+        """See `Choices`."""
+
+    @property
+    def least_area_m2(self) -> float:
+        """See `Choices`."""
+
+
+Rule = tuple[float | None, float]
+
+
+def rule_of(thing: HasRule) -> Rule:
+    """What makes a patch of a contact pressure."""
+    return thing.kappa, thing.least_area_m2
 
 
 @dataclass(frozen=True)

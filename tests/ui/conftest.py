@@ -54,7 +54,7 @@ def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable
         controller = Controller(SessionState(), Worker())
         window = MainWindow(controller.state, controller)
         windows.append(window)
-        controller.open(
+        controller.opening.open(
             "press", open_source, lambda: sensor, frame=frame, playing=playing, live=live
         )
         window.show()

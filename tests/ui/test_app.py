@@ -117,7 +117,7 @@ def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press: Pat
     assert driver.window.controller.sensor.camera.width == 640
     driver.wait(lambda: driver.window.controller.result.frame.depth_m.shape == (480, 640))
     preset = load_sensor("pico_flexx_75mm")
-    driver.window.controller.open("press", recording(punyo_press), lambda: preset)
+    driver.window.controller.opening.open("press", recording(punyo_press), lambda: preset)
     driver.wait(driver.window.message.isVisible)
     assert "640×480" in driver.window.message.label.text()
 

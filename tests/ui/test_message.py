@@ -36,7 +36,7 @@ def test_opening_that_takes_long_says_so_and_can_be_left(drive: Drive) -> None:
     window, opener = driver.window, SlowOpener()
     title = window.windowTitle()
     sensor = window.controller.sensor
-    window.controller.open("slow.mcap", opener, lambda: sensor)
+    window.controller.opening.open("slow.mcap", opener, lambda: sensor)
     driver.wait(window.busy.isVisible)
     assert "slow.mcap" in window.busy.label.text()
     driver.state.seek(6)
@@ -54,7 +54,7 @@ def test_opening_ends_the_bar(drive: Drive) -> None:
     driver = drive(frame=5)
     window, opener = driver.window, SlowOpener()
     sensor = window.controller.sensor
-    window.controller.open("slow.mcap", opener, lambda: sensor, playing=False)
+    window.controller.opening.open("slow.mcap", opener, lambda: sensor, playing=False)
     driver.wait(window.busy.isVisible)
     opener.go.set()
     driver.wait(lambda: driver.state.facts.title == "dent")
@@ -65,9 +65,9 @@ def test_another_file_is_opened_in_place_of_one_that_takes_long(drive: Drive) ->
     driver = drive(frame=5)
     window, opener = driver.window, SlowOpener()
     sensor = window.controller.sensor
-    window.controller.open("slow.mcap", opener, lambda: sensor)
+    window.controller.opening.open("slow.mcap", opener, lambda: sensor)
     driver.wait(opener.begun.is_set)
-    window.controller.open("dent", DentSource, lambda: sensor, frame=3, playing=False)
+    window.controller.opening.open("dent", DentSource, lambda: sensor, frame=3, playing=False)
     opener.go.set()
     driver.wait(lambda: driver.state.facts.title == "dent" and driver.state.frame == 3)
     assert opener.source is not None and opener.source.closed

@@ -54,7 +54,7 @@ def test_all_frames_are_analysed_in_the_background(drive: Drive) -> None:
     driver = drive()
     panel = opened(driver, "force", "area")
     steps: list[tuple[int, int]] = []
-    driver.window.controller.analysed.connect(lambda *step: steps.append(step))
+    driver.window.controller.analysis.progressed.connect(lambda *step: steps.append(step))
     driver.bot.mouseClick(panel.analyse, LEFT)
     driver.wait(lambda: steps and steps[-1][0] == steps[-1][1] > 0)
     history = driver.state.history

@@ -53,7 +53,7 @@ def files(tmp_path_factory: pytest.TempPathFactory, sensor: Sensor) -> Path:
 
 def settings(driver: Driver, files: Path) -> None:
     """Change something of every kind."""
-    driver.window.controller.open(
+    driver.window.controller.opening.open(
         "press", recording(files / "press.mcap"), lambda: load(files / "dome.toml"),
         frame=7, playing=False,
     )  # fmt: skip
@@ -174,7 +174,7 @@ def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> N
     window = driver.window
     copy = tmp_path / "again.mcap"
     shutil.copy(files / "press.mcap", copy)
-    window.controller.open(
+    window.controller.opening.open(
         "again", recording(copy), lambda: load(files / "dome.toml"), frame=5, playing=False
     )
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
@@ -306,7 +306,7 @@ def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
         controller = session.controller
         for frame in (1, 2, 3, 4):
             before = controller.solved_session
-            controller.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
+            controller.opening.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
             session.wait_for(lambda before=before: controller.solved_session > before, "opening")
         gc.collect()
         kept = sum(isinstance(thing, Opened) for thing in gc.get_objects())

@@ -56,7 +56,7 @@ def start(keep_in: Path | None = None, saved: Path | None = None) -> Iterator[Wi
 
 def open_press(driver: Driver, files: Path, sensor: Sensor | None = None) -> None:
     chosen = sensor or load_sensor(files / "dome.toml")
-    driver.window.controller.open(
+    driver.window.controller.opening.open(
         "press", recording(files / "press.mcap"), lambda: chosen, frame=8, playing=False
     )
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
@@ -115,7 +115,7 @@ def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
 def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: Path) -> None:
     config = tmp_path / "config" / "session.json"
     with start(config) as session:
-        session.window.controller.use_sensor(small_sensor("edited", nodes=150))
+        session.window.controller.opening.use_sensor(small_sensor("edited", nodes=150))
         session.wait_for(lambda: session.controller.sensor.name == "edited", "opening")
     kept = list(config.parent.glob("session_sensor_*"))
     assert len(kept) == 1
@@ -123,7 +123,7 @@ def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: P
         assert session.controller.sensor.name == "edited"
         assert session.controller.sensor.membrane.nodes == 150
         assert not session.window.message.isVisible() and not session.window.keeper.recent
-        session.window.controller.use_sensor(load_sensor(files / "dome.toml"))
+        session.window.controller.opening.use_sensor(load_sensor(files / "dome.toml"))
         session.wait_for(lambda: session.controller.sensor.name == "small dome", "opening")
     assert not list(config.parent.glob("session_sensor_*"))  # nobody needs it any more
 

@@ -215,7 +215,7 @@ def test_new_data_keeps_the_camera_and_the_choices(drive: Drive) -> None:
     driver.state.choose(kappa=2.5, membrane_opacity=0.5)
     driver.seek(CONTACT + 3)
     other = small_sensor("another", nodes=150)
-    driver.window.controller.open("dent", DentSource, lambda: other, frame=7, playing=False)
+    driver.window.controller.opening.open("dent", DentSource, lambda: other, frame=7, playing=False)
     driver.wait(lambda: driver.state.facts.sensor_name == "another")
     driver.settle()
     assert tuple(view.camera.position) == pytest.approx(moved)
@@ -281,7 +281,7 @@ def test_closing_while_playing_stops_everything(drive: Drive) -> None:
 def test_closing_a_source_for_another(drive: Drive, sensor: Sensor) -> None:
     first = DentSource(sensor)
     driver = drive(lambda _: first)
-    driver.window.controller.open("two", DentSource, lambda: sensor, frame=5, playing=False)
+    driver.window.controller.opening.open("two", DentSource, lambda: sensor, frame=5, playing=False)
     driver.wait(lambda: driver.window.controller.solved_session == 2)
     driver.settle()
     assert first.closed

@@ -91,7 +91,7 @@ class Exporting(QObject):
         """Export frames as a kind to a file, or a new folder, of that name."""
         from bubbleviz.export.poses import pose_columns
 
-        open_source, sensor = self._controller.open_source, self._controller.sensor
+        open_source, sensor = self._controller.opening.source, self._controller.sensor
         if self.busy or open_source is None or sensor is None or not frames:
             return
         choices = self._state.choices

@@ -192,7 +192,7 @@ class LiveDesk(QObject):
         self._use_choices()
         self._timer.start()
         live = run.session.sensors[0]
-        self._controller.open(
+        self._controller.opening.open(
             run.frames[0].name,
             LiveOpener(run.frames[0]),
             lambda: live.sensor,

@@ -23,8 +23,7 @@ from bubbleviz.inverse.patch import mean_pressure
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from ui.controller import Controller
-from ui.panels.kappa_histogram import KappaHistogram
-from ui.panels.kappa_plot import KappaPlot
+from ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
 from ui.panels.keys import keep_keys
 from ui.requests import Opened
 from ui.state import ChoicesChanged, Event, SessionState
@@ -94,9 +93,9 @@ class ThresholdPanel(QWidget):
         self.histogram, self.curve = KappaHistogram(), KappaPlot()
         self._grid.ci.addItem(self.histogram.frame.item, 0, 0)
         self._grid.ci.addItem(self.curve.frame.item, 1, 0)
-        self.curve.box.setXLink(self.histogram.frame.box)
-        for line in (self.histogram.line, self.curve.line):
-            line.sigPositionChangeFinished.connect(self._on_dragged)
+        self.curve.box.setXLink(self.histogram.box)
+        for plot in (self.histogram, self.curve):
+            plot.line.sigPositionChangeFinished.connect(self._on_dragged)
         self._column.insertWidget(0, self._grid, 2)
         self._paint_theme()
 
@@ -127,7 +126,7 @@ class ThresholdPanel(QWidget):
             self._draw()
 
     def _on_dragged(self, line: Any) -> None:
-        self._state.choose(kappa=round(float(10.0 ** line.value()), 2))
+        self._state.choose(kappa=kappa_at(line))
 
     # -- drawing ------------------------------------------------------------------------------
 
@@ -135,11 +134,11 @@ class ThresholdPanel(QWidget):
         if self._grid is None or not self.isVisible():
             return
         result, inspection = self._controller.result, self._controller.inspection
-        units, choices = self._state.units, self._state.choices
+        units = self._state.units
         kappa = self._kappa(result)
         if self.histogram is not None and self.curve is not None:
             self.histogram.draw(inspection.kappa_curve, kappa, units)
-            self.curve.draw(inspection.kappa_curve, result, choices.kappa, units, at=kappa)
+            self.curve.draw(inspection.kappa_curve, result, kappa, units)
         self._fill(inspection.components)
 
     def _kappa(self, result: Result | None) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QEvent, QTimer
@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
 
 from ui.controller import Controller
 from ui.needs import plotted
+from ui.panels.kappa_plots import KappaPlot, kappa_at
 from ui.panels.keys import keep_keys
 from ui.panels.traces import TRACES, TimePlot
 from ui.state import (
@@ -30,9 +31,6 @@ from ui.state import (
     SessionState,
     SourceChanged,
 )
-
-if TYPE_CHECKING:
-    from ui.panels.kappa_plot import KappaPlot
 
 EVERY_MS = 200
 """Curves take some ms to draw, and nobody reads faster."""
@@ -101,9 +99,11 @@ class PlotsPanel(QWidget):
         self.cancel.hide()
 
     def _connect(self) -> None:
-        self.analyse.clicked.connect(lambda: self._controller.analyse(plotted(self._state.choices)))
-        self.cancel.clicked.connect(lambda: self._controller.stop_analysis())
-        self._controller.analysed.connect(self._on_analysed)
+        self.analyse.clicked.connect(
+            lambda: self._controller.analysis.start(plotted(self._state.choices))
+        )
+        self.cancel.clicked.connect(lambda: self._controller.analysis.stop())
+        self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._show_kappa)
 
     def _choose(self, name: str, on: bool) -> None:
@@ -170,8 +170,6 @@ class PlotsPanel(QWidget):
 
     def _make(self) -> None:
         import pyqtgraph as pg
-
-        from ui.panels.kappa_plot import KappaPlot
 
         self._grid = pg.GraphicsLayoutWidget()
         self._grid.ci.layout.setSpacing(2)
@@ -258,7 +256,7 @@ class PlotsPanel(QWidget):
         self._later()
 
     def _on_kappa(self, line: Any) -> None:
-        self._state.choose(kappa=round(float(10.0 ** line.value()), 2))
+        self._state.choose(kappa=kappa_at(line))
 
     def _seek(self, time_s: float) -> None:
         facts = self._state.facts

@@ -67,7 +67,7 @@ class CostsPopup(QFrame):
 
     def refresh(self) -> None:
         """Write the numbers of now."""
-        analysing = self._controller.analysing
+        analysing = self._controller.analysis.busy
         counts = self._controller.worker.counts
         lines = self._costs.table(self._state.choices, counts, analysing=analysing)
         self.table.setRowCount(len(lines))

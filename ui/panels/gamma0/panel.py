@@ -123,7 +123,7 @@ class Gamma0Panel(QWidget):
         path = Path(folder.name) / "sensor.toml"
         write_sensor(found, path)
         new = load_sensor(path)
-        open_sensor = self.calibration.controller.use_sensor
+        open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
 
     def holds(self, sensor: Sensor) -> bool:
