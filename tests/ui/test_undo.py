@@ -17,6 +17,7 @@ from bubbleviz.study.objects import ply_bytes
 from ui.presets import load_scene
 from ui.state import Choices, Setting
 from ui.undo import LAYOUT
+from ui.units import SYSTEMS
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -184,6 +185,46 @@ def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) 
     window.hide()
     window.show()
     assert window.undo_stack.index() == 1 and window.undo_stack.canRedo()
+
+
+def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window, state = driver.window, driver.state
+    window.tools_dock.show()
+
+    def shown() -> list[object]:
+        playback, layers, tools, kappa = window.playback, window.layers, window.tools, window.kappa
+        return [
+            kappa.solver.currentText(), kappa.automatic.isChecked(), kappa.box.value(),
+            playback.speed.currentText(), playback.mode.currentText(), playback.loop.isChecked(),
+            layers.cloud_colour.currentText(), layers.cloud_points.currentText(),
+            layers.opacity.value(), layers.pressure_max.value(), layers.residual_max.value(),
+            [box.isChecked() for box in layers.boxes.values()], tools.colour_map.currentText(),
+            tools.exaggeration.value(), tools.section.currentText(), tools.section_at.value(),
+            tools.flipped.isChecked(), tools.width_box.value(), tools.height_box.value(),
+            window.pose.object.currentText(), window.pose.unit.currentText(),
+            window.pose.search.isChecked(), window.pose.track.isChecked(),
+            window.pose.stage.currentText(), window.threshold.least.value(),
+            window.compare.a.nodes.value(), window.compare.b.solver.currentText(),
+            [action.isChecked() for action in window.plots.boxes.values()],
+            [action.isChecked() for action in window.images.boxes.values()],
+        ]  # fmt: skip
+
+    def settled() -> list[object]:
+        """Once the solver is built anew and the object is read; the pose panel writes at times."""
+        driver.wait(lambda: not window.pose.session.busy and not window.pose._due.isActive())
+        driver.settle()
+        return shown()
+
+    elsewhere = {"panels", "pre_roll_s", "record_folder", "publish_at", "view_from", "zoom",
+                 "theme"} | SYSTEMS.keys()  # fmt: skip
+    for name in sorted(CHANGES.keys() - elsewhere):
+        before = settled()
+        state.choose(**{name: CHANGES[name]})
+        changed = settled()
+        assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
+        undo(driver)
+        assert settled() == before, name
 
 
 def test_keys_are_undone(drive: Drive) -> None:

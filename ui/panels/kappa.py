@@ -108,7 +108,11 @@ class KappaPanel(QWidget):
         self._state.choose(kappa=None if automatic else self.box.value())
 
     def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged) and "kappa" in event.names:
+        if not isinstance(event, ChoicesChanged):
+            return
+        if "solver" in event.names:
+            self.solver.setCurrentIndex(self.solver.findData(self._state.choices.solver))
+        if "kappa" in event.names:
             kappa = self._state.choices.kappa
             with QSignalBlocker(self.automatic):
                 self.automatic.setChecked(kappa is None)
