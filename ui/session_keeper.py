@@ -343,7 +343,7 @@ class SessionKeeper(QObject):
         before, self._opened = self._opened, opened
         opener, sensor = opened.request.open_source, name_of(opened.sensor)
         if before is not None and before.request.open_source is not opener:
-            self._absent = None  # the user has opened something else, or what was absent came
+            self._forget_absent()
         if (
             sensor is not None
             and Path(sensor).is_absolute()
@@ -352,6 +352,12 @@ class SessionKeeper(QObject):
             self._remember(sensor)
         if isinstance(opener, RecordingOpener):
             self._remember(str(opener.path.absolute()))
+
+    def _forget_absent(self) -> None:
+        """The user has opened something else, or what was absent came."""
+        if self._absent is not None and not self._is_live:
+            self._window.desk.cancel()  # it would come in place of what the user has opened
+        self._absent = None
 
     def _on_failed(self, failed: Failed) -> None:
         if isinstance(failed.request, OpenRequest) and self._pending is not None:

@@ -19,12 +19,13 @@ from PySide6.QtCore import Qt
 from window_driver import Driver
 
 from bubbleviz.frames.writer import RecordingWriter
+from bubbleviz.live.soak import free_port
 from bubbleviz.objects import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz.study.objects import ply_bytes
 from ui.live.connection import single
 from ui.session import WindowSession, window_session
-from ui.session_file import read_session
+from ui.session_file import SavedSession, UserFile, read_session, read_user_file
 from ui.sources import recording
 
 Drive = Callable[..., Driver]
@@ -176,6 +177,30 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
     with start(saved=tmp_path / "theirs" / "live.bubbleviz") as session:
         session.wait_for(lambda: bool(session.state.facts.grows), "connecting elsewhere")
         assert session.state.facts.title.startswith(f"replay:{tmp_path / 'theirs'}")
+
+
+def test_a_robot_that_is_not_there_yet_is_waited_for(
+    qtbot: object, files: Path, tmp_path: Path
+) -> None:
+    config = tmp_path / "session.json"
+    robot = single(f"zenoh:tcp/127.0.0.1:{free_port()}", str(files / "dome.toml"))
+    config.write_text(UserFile(session=SavedSession(live=robot)).model_dump_json())
+    with start(config) as session:
+        bar = session.window.live
+        session.wait_for(bar.isVisible, "the bar")
+        assert session.controller.result is not None  # the built-in press, meanwhile
+        session.window.open_file(files / "dome.toml")  # another sensor, but no other source
+        session.wait_for(lambda: session.controller.sensor.file == "dome.toml", "the sensor")
+        bar.leave.click()
+        assert not bar.isVisible()
+    assert read_user_file(config).session.live == robot
+    with start(config) as session:
+        session.wait_for(session.window.live.isVisible, "the bar")
+        session.window.open_file(files / "press.mcap")
+        session.wait_for(lambda: session.state.facts.frames == FRAMES, "the recording")
+        assert session.window.desk.connection is None  # it will not come in its place
+        assert not session.window.live.isVisible()
+    assert read_user_file(config).session.live is None
 
 
 def test_a_recording_that_is_gone_for_a_while_loses_nothing(

@@ -52,7 +52,7 @@ class PlotsPanel(QWidget):
         self._due.setInterval(EVERY_MS)
         self._due.timeout.connect(lambda: self._draw())
         self._grid: Any = None
-        self._columns = 0
+        self._arranged: list[tuple[int, int, int]] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
         self.choose = QToolButton()
@@ -208,8 +208,6 @@ class PlotsPanel(QWidget):
             self._grid.ci.addItem(plot.frame.item, k // columns, k % columns)
         for plot in timed[1:]:
             plot.box.setXLink(timed[0].box)
-
-    _arranged: list[tuple[int, int, int]] | None = None
 
     def _draw(self) -> None:
         """Draw all curves anew."""
