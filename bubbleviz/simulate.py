@@ -47,8 +47,7 @@ def simulated_press(
         poses, times = read_path(pose)
     else:
         poses = np.repeat(parse_pose(pose)[None], frames, axis=0)
-    own = load_sensor(sensor)
-    return SyntheticSource(own, obj, poses, noise, rate_hz, seed, times_s=times, sharp=True)
+    return SyntheticSource(load_sensor(sensor), obj, poses, noise, rate_hz, seed, times_s=times)
 
 
 def write_simulation(source: SyntheticSource, out: Path, truth: Path | None = None) -> int:

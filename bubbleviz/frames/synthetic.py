@@ -199,7 +199,9 @@ def sharpened(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> Membra
     """The mesh, finer where edges of an object press at some of the poses (F, 4, 4).
 
     Whole nodes touch or do not, so that on a coarse mesh the outline of a flat face catches on the
-    nodes as it turns, by some degrees.
+    nodes as it turns, by some degrees. The membrane's shape is truer then, and so are poses; which
+    single node carries pressure is not, for the surface at rest still has its curvature in the
+    coarse edges: patches are better known on an even mesh.
     """
     some = poses[:: max(1, len(poses) // _LOOKS)]
     for _ in range(_LEVELS):
