@@ -115,8 +115,8 @@ def screenshot(
 
 
 def _user_file() -> Path:
+    from ui.saved.keeper import user_file
     from ui.session import application
-    from ui.session_keeper import user_file
 
     application()  # its name is part of the path
     return user_file()

@@ -49,9 +49,9 @@ from ui.panels.view_tools import ViewTools
 from ui.pointing import Pointing
 from ui.presets import PANELS_THAT_ASK, ScenePreset
 from ui.requests import Failed, Opened, OpenRequest
+from ui.saved.file import name_of
+from ui.saved.keeper import SessionKeeper
 from ui.scene.scene import Scene
-from ui.session_file import name_of
-from ui.session_keeper import SessionKeeper
 from ui.shortcuts import Shortcuts
 from ui.shortcuts_dialog import ShortcutsDialog
 from ui.state import ChoicesChanged, Event, PlayingChanged, SessionState, SourceChanged

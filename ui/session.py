@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bubbleviz.live.session_file import SessionPreset
     from ui.presets import ScenePreset
     from ui.requests import Failed, Opened
-    from ui.session_file import SavedSession
+    from ui.saved.file import SavedSession
 
 PATIENCE_S = 60.0
 """How long a picture may take before something is called broken."""
@@ -214,7 +214,7 @@ def window_session(
 
 
 def _read(saved: Path) -> SavedSession:
-    from ui.session_file import read_session
+    from ui.saved.file import read_session
 
     return read_session(saved)
 

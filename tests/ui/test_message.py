@@ -11,7 +11,7 @@ from PySide6.QtCore import Qt
 from window_driver import Driver
 
 from bubbleviz.sensor import Sensor
-from ui.session_file import read_user_file
+from ui.saved.file import read_user_file
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton

@@ -23,7 +23,7 @@ from window_driver import Driver
 from bubbleviz.errors import InputError
 from bubbleviz.frames.writer import RecordingWriter
 from bubbleviz.sensor import Sensor, sensor_to_toml
-from ui.session_file import (
+from ui.saved.file import (
     SavedSession,
     plain_choices,
     read_session,
@@ -222,9 +222,9 @@ import os, sys
 sys.path.insert(0, {here!r})
 from pathlib import Path
 from bubbleviz.sensor import load_sensor
-from ui import session_keeper
+from ui.saved import keeper as session_keeper
 from ui.session import window_session
-from ui.session_keeper import user_file
+from ui.saved.keeper import user_file
 session_keeper.EVERY_MS = 100
 from ui.session import application
 application()

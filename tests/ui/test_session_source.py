@@ -24,8 +24,8 @@ from bubbleviz.objects import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz.study.objects import ply_bytes
 from ui.live.connection import single
+from ui.saved.file import SavedSession, UserFile, read_session, read_user_file
 from ui.session import WindowSession, window_session
-from ui.session_file import SavedSession, UserFile, read_session, read_user_file
 from ui.sources import recording
 
 Drive = Callable[..., Driver]

@@ -17,7 +17,7 @@ from bubbleviz.live.session_file import SessionPreset
 from bubbleviz.sensor import Sensor, load_sensor
 from ui.live.frames import LiveOpener
 from ui.requests import Failed, Opened, OpenRequest
-from ui.session_file import (
+from ui.saved.file import (
     MOST_RECENT,
     OWN_CHOICES,
     SYNTHETIC,
@@ -33,8 +33,8 @@ from ui.session_file import (
     read_session,
     read_user_file,
 )
-from ui.session_live import with_paths, with_sensor
-from ui.session_sensor import forget_others, is_beside, kept_beside
+from ui.saved.live import with_paths, with_sensor
+from ui.saved.sensor import forget_others, is_beside, kept_beside
 from ui.sources import RecordingOpener, recording, sensor_for, synthetic
 from ui.state import Event, SourceChanged
 

@@ -17,7 +17,7 @@ from bubbleviz.meshread import SUFFIXES
 from bubbleviz.preset_files import presets_folder
 from bubbleviz.sensor import Sensor
 from ui.needs import CONSUMERS, PLOTS
-from ui.session_live import with_paths
+from ui.saved.live import with_paths
 from ui.state import LAYERS, SPEEDS, Choices
 
 SYNTHETIC = "synthetic:"
