@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 STAGES = {
-    "observe": "observe",
+    "measure": "observe",
+    "weigh": "observe",
     "linearise": "linearise",
     "relinearise": "linearise",
     "assemble": "assemble",
