@@ -139,7 +139,8 @@ class RangeObserver:
             used, bias, noise = (
                 image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
             )
-            noise = noise * np.sqrt(pixels.correlated_pixels)
+            # What facets get wrong is as alike from pixel to pixel as a depth camera's noise is.
+            noise = np.hypot(noise, facet_error(mesh)) * np.sqrt(pixels.correlated_pixels)
         pixel = hits.ray[used]
         if not len(pixel):
             raise InputError(

@@ -7,10 +7,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from bubbleviz.camera.view import MembraneView
+from bubbleviz.frames.synthetic import SyntheticSource
 from bubbleviz.inverse.patch import PatchFinder, area_above, mean_pressure
 from bubbleviz.inverse.patch_edge import PatchEdge
 from bubbleviz.membrane.build import build_mesh
+from bubbleviz.objects import load_object
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
+from bubbleviz.sensor import load_sensor
 from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, press
 
 MESH = build_mesh(SENSOR, 2000)
@@ -101,3 +105,15 @@ def test_no_pressure_and_pressure_everywhere_are_patches_too():
     assert (nothing.area_m2, nothing.force_n.tolist()) == (0.0, [0.0, 0.0, 0.0])
     everywhere = finder.find(made_up(np.full(len(MESH.nodes), 5.0 * GAUGE)))
     assert everywhere.area_m2 > 0.9 * MESH.facet_areas.sum()
+
+
+@pytest.mark.parametrize("name", ["cylinder", "frustum"])
+def test_a_flat_face_has_no_holes_where_the_camera_is_better_than_the_mesh(name):
+    pipeline = Pipeline(load_sensor("punyo_oval_d405"))
+    T = np.eye(4)
+    T[:3, 3] = [0.006, 0.0, 0.022]
+    source = SyntheticSource(pipeline.sensor, load_object(name), T[None])
+    truth = source.truth(0)
+    patch = pipeline.process(source[0], frozenset({"patch", "pixel_mask"})).patch
+    assert overlap(patch.pixel_mask, truth.patch_mask) > 0.8
+    assert patch.force_n == pytest.approx(truth.force_n, abs=0.1)
