@@ -1,6 +1,6 @@
 # make setup   system libraries where they can be installed, .venv, pinned packages
 # make run     the window on the built-in synthetic sensor; ARGS="open REC" passes arguments
-# make test    the whole test suite; ARGS="-k recording" passes arguments
+# make test    the whole test suite in two processes; ARGS="-k recording" passes arguments
 # make lint    ruff and mypy
 # make lock    pin again what pyproject.toml asks for (needs uv)
 .PHONY: setup run test lint lock
@@ -12,7 +12,7 @@ run: setup
 	@.venv/bin/bubbleviz $(ARGS)
 
 test: setup
-	.venv/bin/python -m pytest $(ARGS)
+	.venv/bin/python -m pytest -n 2 --dist loadgroup $(ARGS)
 
 lint: setup
 	.venv/bin/ruff check .

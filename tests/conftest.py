@@ -15,6 +15,15 @@ os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
 REPOSITORY = Path(__file__).parents[1]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where tests run in two processes: one for windows and live sources, which share a machine's
+    screen and clock, the other for the rest, a file at a time."""
+    for item in items:
+        part = item.path.relative_to(REPOSITORY / "tests").parts[0]
+        together = "window" if part in ("ui", "live") else item.path.name
+        item.add_marker(pytest.mark.xdist_group(together))
+
+
 @pytest.fixture(scope="session")
 def punyo_press() -> Path:
     """The real recording of a press, where this machine has it."""
