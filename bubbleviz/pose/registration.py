@@ -240,7 +240,7 @@ class Registration:
         return self._finished(contact, T_B_O, []).cost
 
     def slid(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray, found: np.ndarray) -> Fit:
-        """A fit moved to another pose (4, 4), with more information (6, 6) about the outline."""
+        """A fit moved to another pose (4, 4) by what the depth image says (6, 6) of the outline."""
         past = [(float(f), float(r)) for f, r in fit.history]
         there = self._finished(contact, T_B_O, past)
         return replace(there, outline=found)
