@@ -179,6 +179,7 @@ QPushButton:hover, QToolButton:hover {{ background: {c.hover}; }}
 QPushButton:checked, QToolButton:checked {{ background: {c.accent}; color: {c.on_accent}; }}
 QPushButton:focus, QToolButton:focus, QComboBox:focus, QDoubleSpinBox:focus
     {{ border: 1px solid {c.accent}; }}
+QAbstractSpinBox {{ min-height: 1.35em; }}
 QCheckBox {{ spacing: 8px; padding: 2px; }}
 QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
     border-radius: 3px; background: {c.field}; }}
