@@ -216,6 +216,17 @@ def test_a_pixel_without_a_return_has_the_node_its_ray_passes(drive: Drive) -> N
 
 
 def test_images_are_as_large_as_can_be() -> None:
+    assert best_columns(0, 310, 600) == 1
     assert best_columns(6, 310, 600) == 2
     assert best_columns(3, 310, 900) == 1
     assert best_columns(4, 900, 200) == 4
+
+
+def test_all_images_may_be_hidden(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    panel = opened(driver, "depth")
+    panel.boxes["depth"].trigger()
+    assert driver.state.choices.images == frozenset()
+    panel.boxes["depth"].trigger()
+    driver.settle()
+    assert driver.state.choices.images == frozenset({"depth"})

@@ -203,10 +203,11 @@ def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
 
 
 def best_columns(count: int, width: int, height: int) -> int:
-    """Columns of a grid in which images of 4:3 are largest."""
+    """Columns of a grid in which images of 4:3 are largest; 1 for none."""
+    count = max(count, 1)
 
     def size(columns: int) -> float:
         rows = -(-count // columns)
         return min(width / columns, ASPECT * (height / rows))
 
-    return max(range(1, max(count, 1) + 1), key=size)
+    return max(range(1, count + 1), key=size)
