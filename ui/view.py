@@ -1,4 +1,4 @@
-"""The 3-D view: a VTK render window in Qt that draws once per repaint, and only then."""
+"""The 3-D view: a VTK render window in Qt that draws when it is asked to, however often, once."""
 
 from __future__ import annotations
 
@@ -8,12 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, QPointF, Qt, Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage, QKeyEvent, QMouseEvent, QResizeEvent
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
+from PySide6.QtGui import (
+    QDragEnterEvent,
+    QDropEvent,
+    QImage,
+    QKeyEvent,
+    QMouseEvent,
+    QResizeEvent,
+    QShowEvent,
+)
 from PySide6.QtWidgets import QWidget
 from pyvistaqt import QtInteractor
 
-from ui import theme
+from ui import straight, theme
 from ui.rates import RateMeter
 
 CLICK = 3.0
@@ -21,10 +29,10 @@ CLICK = 3.0
 
 
 class View(QtInteractor):  # type: ignore[misc]
-    """View of the sensor; `refresh()` asks for a repaint, Qt decides when.
+    """View of the sensor; `refresh()` asks for a picture, which comes when nothing else waits.
 
-    VTK's own renders on mouse moves become repaint requests too, so any number of changes
-    between two repaints costs one render.
+    VTK's own renders on mouse moves are such requests too, so any number of changes between two
+    pictures costs one render.
 
     Attributes
     ----------
@@ -39,7 +47,7 @@ class View(QtInteractor):  # type: ignore[misc]
     resized : Signal
         The view has another size.
     rendered : Signal
-        VTK has rendered a picture.
+        A new picture is on the screen.
     renders : RateMeter
         Real renders of VTK.
     render_count : int
@@ -57,9 +65,14 @@ class View(QtInteractor):  # type: ignore[misc]
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
+        straight.prepare(self)
         self.renders = RateMeter()
         self.render_count = 0
         self.busy_s = 0.0
+        self._due = QTimer(self)
+        self._due.setSingleShot(True)
+        self._due.timeout.connect(self._draw)
+        self.frameSwapped.connect(self._on_screen)
         # Plain: a gradient costs a quarter of an empty render.
         self.follow_theme(lambda colours: self.set_background(colours.view))
         self._tags = [
@@ -73,8 +86,9 @@ class View(QtInteractor):  # type: ignore[misc]
         self._add_lights()
 
     def refresh(self) -> None:
-        """Ask Qt to repaint; many calls before the repaint are one render."""
-        self.update()
+        """Ask for a picture; many calls before it is drawn are one render."""
+        if not self._due.isActive():
+            self._due.start()
 
     def follow_theme(self, paint: Callable[[theme.Colours], object]) -> None:
         """Call `paint` with the theme's colours, now and whenever it is another."""
@@ -89,7 +103,7 @@ class View(QtInteractor):  # type: ignore[misc]
         if event.type() == QEvent.Type.PaletteChange:
             for paint in self._painters:
                 paint(theme.of(self))
-            self.update()
+            self.refresh()
 
     def pixels(self) -> np.ndarray:
         """What the view shows now, shape (height, width, 3), uint8."""
@@ -99,17 +113,47 @@ class View(QtInteractor):  # type: ignore[misc]
         return rows.reshape(image.height(), image.width(), 3).copy()
 
     def paintGL(self) -> None:
-        """Render and put the picture on the screen."""
+        """Render for Qt, which puts the window together: at first, after resizing, to grab it."""
         start = time.perf_counter()
         super().paintGL()
         self.busy_s += time.perf_counter() - start
 
+    def _draw(self) -> None:
+        """Render and put the picture on the screen, by Qt's way where there is no shorter one."""
+        window = self.ren_win
+        if not (straight.can_show(self) and window.GetReadyForRendering()):
+            self.update()
+            return
+        start = time.perf_counter()
+        self.makeCurrent()
+        self._in_paint = True  # pyvistaqt asks Qt to paint what is rendered at other times
+        straight.render(window)
+        self._in_paint = False
+        straight.show(self, window)
+        self.doneCurrent()
+        self.busy_s += time.perf_counter() - start
+        self._on_screen()
+
     def close(self) -> None:
         """Let go of VTK's render window and of every observer that would keep it alive."""
+        self._due.stop()
         for subject, tag in self._tags:
             subject.RemoveObserver(tag)
         self._tags, self._painters = [], ()
         super().close()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Watch the native window."""
+        super().showEvent(event)
+        window = self.windowHandle()
+        if window is not None:
+            window.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Draw anew what was covered: Qt has the last picture it drew itself, which may be old."""
+        if event.type() == QEvent.Type.Expose:
+            self.refresh()
+        return bool(super().eventFilter(watched, event))
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Turn the scene while a button is held, else say where the mouse is."""
@@ -172,10 +216,18 @@ class View(QtInteractor):  # type: ignore[misc]
     def _count_render(self, *_: Any) -> None:
         self.render_count += 1
         self.renders.tick(time.perf_counter())
-        self.rendered.emit()
+        self._unseen = True
+
+    _unseen = False
+
+    def _on_screen(self) -> None:
+        """Say so, unless Qt has put the window together for another reason."""
+        if self._unseen:
+            self._unseen = False
+            self.rendered.emit()
 
     def _on_vtk_wants_render(self, *_: Any) -> None:
-        """Render while painting, else ask for a repaint.
+        """Render while painting, else ask for a picture.
 
         The interactor itself never renders (`EnableRenderOff`): it would keep Python's lock
         meanwhile, and the solver thread would wait for the picture. The window lets it go.
@@ -183,4 +235,4 @@ class View(QtInteractor):  # type: ignore[misc]
         if self._in_paint:
             self.ren_win.Render()
         else:
-            self.update()
+            self.refresh()
