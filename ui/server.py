@@ -197,7 +197,8 @@ class Server:
         session = _Session(request.session, source, pipeline, gas, inspector, settings)
         self._session = session
         grows = isinstance(source, LiveFrames)
-        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows)
+        remark = str(getattr(source, "remark", ""))  # recordings have one
+        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows, remark)
         numbers = numbers_of(result, gas)
         inspection = _look(session, result, request.looks)
         camera, mesh = pipeline.camera, pipeline.mesh

@@ -62,6 +62,8 @@ class Recording:
         Encoding of the depth images; `points` where they are point clouds.
     intrinsics : Intrinsics or None
     depth_topic : Topic
+    remark : str
+        What the user should know about what lies beside it; empty for nothing.
 
     Raises
     ------
@@ -79,6 +81,7 @@ class Recording:
         wrench_topic: str | None = None,
     ) -> None:
         self._lock = threading.Lock()
+        self.remark = ""
         self.bag = Bag(path)
         self.path = self.bag.path
         self.name = self.path.name or str(self.path)

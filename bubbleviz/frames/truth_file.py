@@ -103,15 +103,21 @@ def known_beside(recording: Recording) -> KnownRecording | Recording:
     """The recording with the truth of the TRUTH.npz beside it that is named after it.
 
     Where there is none, or a file of that name is something else, such as its RESULT.npz, it is
-    the recording as it was: nobody has said that it is a simulation.
+    the recording as it was: nobody has said that it is a simulation. It remarks on a truth that is
+    not its own.
     """
     place = recording.path.absolute()
     path = place.with_name(f"{place.name if place.is_dir() else place.stem}{TRUTH_SUFFIX}")
     if not path.is_file():
         return recording
     try:
-        return KnownRecording(recording, path)
+        read_truth(path)
     except InputError:
+        return recording
+    try:
+        return KnownRecording(recording, path)
+    except InputError as error:
+        recording.remark = str(error)
         return recording
 
 

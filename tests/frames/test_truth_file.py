@@ -71,7 +71,11 @@ def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(
         (tmp_path / "sim.npz").write_bytes(b"no npz")
         assert known_beside(recording) is recording
         shutil.copy(tmp_path / "truth.npz", tmp_path / "sim.npz")
-        assert isinstance(known_beside(recording), KnownRecording)
+        assert isinstance(known_beside(recording), KnownRecording) and not recording.remark
+        of_another = {name: array[:-1] for name, array in np.load(tmp_path / "truth.npz").items()}
+        np.savez(tmp_path / "sim.npz", **of_another)
+        assert known_beside(recording) is recording
+        assert "sim.npz: is the truth of another recording" in recording.remark
 
 
 def test_what_is_no_truth_of_this_recording_is_one_sentence(folder: Path, tmp_path: Path) -> None:

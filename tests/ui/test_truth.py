@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -147,3 +148,15 @@ def bubbleviz(*arguments: str) -> subprocess.CompletedProcess[str]:
         env=kept, capture_output=True, text=True, timeout=200, check=False,
         cwd=Path(__file__).parents[2],
     )  # fmt: skip
+
+
+def test_a_truth_beside_a_recording_that_is_not_its_own_is_told(
+    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
+) -> None:
+    shutil.copy(files / "sim.mcap", tmp_path)
+    truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
+    np.savez(tmp_path / "sim.npz", **truth)
+    driver = opened(drive, sensor, tmp_path / "sim.mcap")
+    assert driver.window.message.isVisible()
+    assert "sim.npz: is the truth of another recording" in driver.window.message.label.text()
+    assert not says_iou(driver)
