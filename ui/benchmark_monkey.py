@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import faulthandler
-import os
 import random
 import sys
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.sensor import Sensor
 from ui.app import screen_for_pictures
+from ui.benchmark_rest import Rest, resident_mib
 from ui.session import WindowSession, window_session
 
 if TYPE_CHECKING:
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from PySide6.QtCore import QPoint
     from PySide6.QtWidgets import QWidget
 
-WARM_UP_SHARE = 0.25
-"""Of the time: caches fill and every panel is seen once before memory is compared."""
+RESTS = 10
+"""How often everything is put away and memory looked at."""
 MOST_GROWTH_MIB = 100.0
 POP_UP_MS = 100
-PATIENCE_S = 60.0
+PATIENCE_S = 150.0
 """After so long without an end, all threads are written out and the process ends."""
 FORBIDDEN = ("Quit", "Open", "Save", "Screenshot", "screenshot", "Export", "Record", "Turntable")
 """Words of actions that would end the run or ask for a file."""
@@ -44,8 +44,10 @@ class Report:
     ----------
     actions : int
     seconds : float
-    memory_mib : list of float
-        Resident memory, a sample a second.
+    rest_mib : list of float
+        Resident memory with everything put away: after all was opened once, and from then on.
+    most_mib : float
+        Highest resident memory after an action.
     longest_ms : float
         Longest time an action and its events kept the window's thread.
     longest : str
@@ -56,22 +58,16 @@ class Report:
 
     actions: int = 0
     seconds: float = 0.0
-    memory_mib: list[float] = field(default_factory=list)
+    rest_mib: list[float] = field(default_factory=list)
+    most_mib: float = 0.0
     longest_ms: float = 0.0
     longest: str = ""
     problems: list[str] = field(default_factory=list)
 
     @property
     def growth_mib(self) -> float:
-        """Lowest memory in the last tenth against the tenth after warming up.
-
-        What a calibration needs for a while and gives back is no growth.
-        """
-        samples = self.memory_mib
-        tenth, begin = max(len(samples) // 10, 1), int(WARM_UP_SHARE * len(samples))
-        if len(samples) <= begin + tenth:
-            return 0.0
-        return min(samples[-tenth:]) - min(samples[begin : begin + tenth])
+        """Memory with everything put away: at the end against after the first tour."""
+        return self.rest_mib[-1] - self.rest_mib[0] if self.rest_mib else 0.0
 
     @property
     def passed(self) -> bool:
@@ -84,8 +80,9 @@ class Report:
         return {
             "actions": float(self.actions),
             "seconds": self.seconds,
-            "memory_mib": self.memory_mib[-1] if self.memory_mib else float("nan"),
+            "rest_mib": self.rest_mib[-1] if self.rest_mib else float("nan"),
             "growth_mib": self.growth_mib,
+            "most_mib": self.most_mib,
             "longest_ms": self.longest_ms,
             "problems": float(len(self.problems)),
         }
@@ -125,6 +122,7 @@ class Monkey:
 
     def __init__(self, session: WindowSession, dice: random.Random, report: Report) -> None:
         self._session, self._dice, self._report = session, dice, report
+        self._rest = Rest(session)
         self._things: tuple[tuple[float, Callable[[], None]], ...] = (
             (5.0, self._click),
             (3.0, self._key),
@@ -145,7 +143,11 @@ class Monkey:
         leave.start(POP_UP_MS)
         faulthandler.dump_traceback_later(seconds + PATIENCE_S, exit=True)
         try:
-            self._go_on(seconds)
+            self._rest.tour()
+            self._report.rest_mib.append(self._rest.memory_mib())
+            for _ in range(RESTS):
+                self._go_on(seconds / RESTS)
+                self._report.rest_mib.append(self._rest.memory_mib())
         finally:
             faulthandler.cancel_dump_traceback_later()
             leave.stop()
@@ -153,7 +155,7 @@ class Monkey:
     def _go_on(self, seconds: float) -> None:
         report, start = self._report, time.monotonic()
         weights = [weight for weight, _ in self._things]
-        while (passed := time.monotonic() - start) < seconds:
+        while time.monotonic() - start < seconds:
             [(_, thing)] = self._dice.choices(self._things, weights)
             began = time.perf_counter()
             try:
@@ -165,9 +167,8 @@ class Monkey:
             if took_ms > report.longest_ms:
                 report.longest_ms, report.longest = took_ms, f"{thing.__name__} {self._at}"
             report.actions += 1
-            if passed > len(report.memory_mib):
-                report.memory_mib.append(_memory_mib())
-        report.seconds = time.monotonic() - start
+            report.most_mib = max(report.most_mib, resident_mib())
+        report.seconds += time.monotonic() - start
 
     _at = ""
 
@@ -316,9 +317,3 @@ def _caught(report: Report) -> Iterator[None]:
         yield
     finally:
         sys.excepthook = before
-
-
-def _memory_mib() -> float:
-    """Resident memory of this process."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -27,6 +27,7 @@ from ui.hover import Hover
 from ui.live.desk import LiveDesk
 from ui.live.freshness import Freshness
 from ui.live.pair import Pair
+from ui.memory import GivingBack
 from ui.menus import Menus
 from ui.open_panels import OpenPanels
 from ui.palette import CommandPalette
@@ -119,6 +120,7 @@ class MainWindow(QMainWindow):
         self.freshness = Freshness(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._export: ExportDialog | None = None
+        self._memory = GivingBack()
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
@@ -192,6 +194,7 @@ class MainWindow(QMainWindow):
         self.state.unsubscribe_all()
         self.gamma0.close_all()
         self.exporting.close()
+        self._memory.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()
         self.pose.close_plots()
@@ -285,6 +288,8 @@ class MainWindow(QMainWindow):
         panels.changed.connect(
             self.settings.watch("open panels", lambda: panels.names, panels.show_only)
         )
+        for text, box in self.gamma0.boxes.items():
+            self.settings.watch_box(text, box)
         keys.edited.connect(self.settings.watch("keys", lambda: keys.changed, keys.use))
         self.pose.said.connect(self.message.say)
         self.desk.said.connect(self.message.say)
@@ -334,6 +339,8 @@ class MainWindow(QMainWindow):
 
     def _on_opened(self, opened: Opened) -> None:
         self.message.hide()
+        if opened.facts.remark:
+            self.message.say(opened.facts.remark)
         self.scene.depth_camera = opened.camera
         self.costs.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)

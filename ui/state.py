@@ -206,6 +206,8 @@ class SourceFacts:
         A live source, not a recording.
     grows : bool
         Frames are added while one looks.
+    remark : str
+        What the user should know about it; empty for nothing.
     """
 
     title: str
@@ -213,6 +215,7 @@ class SourceFacts:
     times_s: np.ndarray
     live: bool = False
     grows: bool = False
+    remark: str = ""
 
     @property
     def frames(self) -> int:

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
+from PySide6.QtWidgets import QWidget
 
 from ui.state import (
     ChoicesChanged,
@@ -138,6 +139,17 @@ class SettingsHistory:
         self._watched.append(each)
         return lambda: self._look_at(each)
 
+    def watch_box(self, text: str, box: QWidget) -> None:
+        """Put changes of a box on the stack: of its value, text or tick, whatever the user sets."""
+        value = box.metaObject().userProperty()
+
+        def use(new: Any) -> None:
+            value.write(box, new)
+
+        look = self.watch(text, lambda: value.read(box), use)
+        changed = getattr(box, value.notifySignal().name().toStdString())
+        changed.connect(lambda _: look())
+
     @contextmanager
     def one_step(self, text: str) -> Iterator[None]:
         """Changes in here are undone together."""
@@ -169,7 +181,9 @@ class SettingsHistory:
     def _look_at(self, each: _Watched[Any]) -> None:
         old, each.last = each.last, each.value()
         if not self._quiet and each.last != old:
-            self._push(each.text, each.apply, old, each.last)
+            number = isinstance(old, int | float) and not isinstance(old, bool)
+            gesture = (each.text, self._present_gesture()) if number else None
+            self._push(each.text, each.apply, old, each.last, gesture)
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, ChoicesChanged):

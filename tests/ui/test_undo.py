@@ -273,6 +273,25 @@ def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
     assert panel.a.options() == EstimatorOptions("active-set")  # the defaults are the estimator's
 
 
+def test_boxes_of_the_calibration_are_undone(drive: Drive) -> None:
+    driver = drive()
+    window, frames = driver.window, driver.window.gamma0.frames.collect
+    picture, stack = window.gamma0.pixels.picture, window.undo_stack
+    before = (picture.currentText(), frames.count.value(), frames.untouched.isChecked())
+    picture.setCurrentIndex(1)
+    for count in (101, 150):  # typed, one digit after the other
+        frames.count.setValue(count)
+    frames.untouched.click()
+    after = (picture.currentText(), 150, not before[2])
+    assert stack.count() == 3
+    for _ in range(3):
+        stack.undo()
+    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == before
+    for _ in range(3):
+        stack.redo()
+    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
+
+
 def test_range_and_markers(drive: Drive) -> None:
     driver = drive(frame=3)
     driver.state.toggle_marker(3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
@@ -13,7 +12,6 @@ from ui.controller import Controller
 from ui.live.background import Background
 from ui.live.connection import Connection, LiveRun
 from ui.live.frames import LiveOpener
-from ui.live.memory import EVERY_S, give_back
 from ui.live.outlet import PRODUCTS
 from ui.live.pair import Pair
 from ui.live.publishing import Publishing
@@ -58,7 +56,7 @@ class LiveDesk(QObject):
         self._timer = QTimer(self)
         self._timer.setInterval(LOOK_MS)
         self._timer.timeout.connect(self._on_tick)
-        self._due, self._trimmed_s = True, time.monotonic()
+        self._due = True
         for part in (self.recording, self.publishing):
             part.said.connect(self._say)
             part.changed.connect(self.looked)
@@ -172,9 +170,6 @@ class LiveDesk(QObject):
             self._look()
         self._due = True
         self._pair.look()
-        if time.monotonic() - self._trimmed_s > EVERY_S:
-            self._trimmed_s = time.monotonic()
-            self._background.do(give_back)
 
     def _on_shown(self, _: object) -> None:
         if self._due and self._timer.isActive():

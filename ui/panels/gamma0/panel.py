@@ -83,6 +83,17 @@ class Gamma0Panel(QWidget):
         self.go_to(0)
 
     @property
+    def boxes(self) -> dict[str, QWidget]:
+        """Boxes whose contents no sensor file rests on, by what they set."""
+        collect = self.frames.collect
+        return {
+            "picture": self.pixels.picture,
+            "frames to collect": collect.count,
+            "precision to collect for": collect.target,
+            "frames with contact": collect.untouched,
+        }
+
+    @property
     def page(self) -> Page:
         """The page that is shown."""
         return self.pages[self.stack.currentIndex()]
