@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from PySide6.QtCore import QPoint
     from PySide6.QtWidgets import QWidget
 
-RESTS = 10
+REST_EVERY_S = 60.0
 """How often everything is put away and memory looked at."""
 MOST_GROWTH_MIB = 100.0
 POP_UP_MS = 100
@@ -145,8 +145,9 @@ class Monkey:
         try:
             self._rest.tour()
             self._report.rest_mib.append(self._rest.memory_mib())
-            for _ in range(RESTS):
-                self._go_on(seconds / RESTS)
+            rests = max(round(seconds / REST_EVERY_S), 1)
+            for _ in range(rests):
+                self._go_on(seconds / rests)
                 self._report.rest_mib.append(self._rest.memory_mib())
         finally:
             faulthandler.cancel_dump_traceback_later()
