@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
+from ui.choices import rule_of
 from ui.requests import Analysed, AnalyseRequest
-from ui.state import SessionState, rule_of
+from ui.state import SessionState
 
 if TYPE_CHECKING:
     from bubbleviz.pipeline import Product

@@ -17,6 +17,8 @@ from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from ui.analysis import Analysis
+from ui.choices import PATCH_CHOICES, Rule, rule_of
+from ui.events import ChoicesChanged, Event, FrameChanged, FrozenChanged, PlayingChanged
 from ui.history import History
 from ui.live.lead import Lead
 from ui.needs import looks, products
@@ -42,17 +44,7 @@ from ui.requests import (
     Waited,
 )
 from ui.seat import Seat
-from ui.state import (
-    PATCH_CHOICES,
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    FrozenChanged,
-    PlayingChanged,
-    Rule,
-    SessionState,
-    rule_of,
-)
+from ui.state import SessionState
 from ui.worker import Worker
 
 POSE: frozenset[Product] = frozenset({"estimate", "patch", "pose"})

@@ -9,8 +9,8 @@ from statistics import median
 
 from bubbleviz.pipeline import Product, stages
 from bubbleviz.result import Result
+from ui.choices import Choices
 from ui.needs import plotted, products
-from ui.state import Choices
 
 STAGES = {
     "estimate": "Contact pressure (Eq. 23)",

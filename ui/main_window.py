@@ -21,6 +21,7 @@ from ui.connect_dialog import ConnectDialog
 from ui.controller import Controller
 from ui.costs import Costs
 from ui.dock import Dock, scrolled
+from ui.events import ChoicesChanged, Event, PlayingChanged, SourceChanged
 from ui.export.dialog import ExportDialog
 from ui.export.exporting import Exporting
 from ui.hover import Hover
@@ -55,7 +56,7 @@ from ui.saved.keeper import SessionKeeper
 from ui.scene.scene import Scene
 from ui.shortcuts import Shortcuts
 from ui.shortcuts_dialog import ShortcutsDialog
-from ui.state import ChoicesChanged, Event, PlayingChanged, SessionState, SourceChanged
+from ui.state import SessionState
 from ui.undo import SettingsHistory
 from ui.units import SYSTEMS
 from ui.view import View

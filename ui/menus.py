@@ -12,11 +12,11 @@ from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 
 from bubbleviz.defaults import SESSION_SUFFIX
 from bubbleviz.preset_files import preset_names
+from ui.choices import LOOPBACK, ThemeName
 from ui.panels.playback import next_speed
 from ui.panels.view_tools import VIEWS
 from ui.presets import Panel, load_scene
 from ui.shortcuts import UNLISTED
-from ui.state import LOOPBACK, ThemeName
 from ui.units import SYSTEMS
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from bubbleviz.inspection import NEEDS
 if TYPE_CHECKING:
     from bubbleviz.inspection import Look
     from bubbleviz.pipeline import Product
-    from ui.state import Choices
+    from ui.choices import Choices
 
 CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
     {

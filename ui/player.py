@@ -7,15 +7,15 @@ import time
 from PySide6.QtCore import QObject, Qt, QTimer
 
 from ui.clock import PlayClock
-from ui.state import (
+from ui.events import (
     ChoicesChanged,
     Event,
     FrameChanged,
     PlayingChanged,
     RangeChanged,
-    SessionState,
     SourceChanged,
 )
+from ui.state import SessionState
 
 TICK_MS = 8
 """How often playback looks at its clock."""

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from bubbleviz.errors import InputError
 from bubbleviz.preset_files import preset_names, presets_folder
 from bubbleviz.tomlfile import checked, read_toml
-from ui.state import CloudColour
+from ui.choices import CloudColour
 
 Layer = Literal[
     "membrane",

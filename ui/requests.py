@@ -20,7 +20,7 @@ from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.study.side_by_side import Measured
-from ui.state import SourceFacts
+from ui.events import SourceFacts
 
 
 @dataclass(frozen=True)

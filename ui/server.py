@@ -19,6 +19,7 @@ from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.pressure_zero import zeroed
 from bubbleviz.result import Result
 from bubbleviz.study.side_by_side import Measured, SideBySide
+from ui.events import SourceFacts
 from ui.live.frames import LiveFrames
 from ui.requests import (
     Analysed,
@@ -39,7 +40,6 @@ from ui.requests import (
     Thresholded,
     Waited,
 )
-from ui.state import SourceFacts
 
 WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""

@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QWidget
 
-from ui.state import ThemeName
+from ui.choices import ThemeName
 
 # Colours that mean something; they are the same in every theme.
 NEUTRAL = "#8c97a5"

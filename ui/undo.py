@@ -12,14 +12,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
 from PySide6.QtWidgets import QWidget
 
-from ui.state import (
-    ChoicesChanged,
-    Event,
-    MarkersChanged,
-    RangeChanged,
-    SessionState,
-    SourceChanged,
-)
+from ui.events import ChoicesChanged, Event, MarkersChanged, RangeChanged, SourceChanged
+from ui.state import SessionState
 
 T = TypeVar("T")
 

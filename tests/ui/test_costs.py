@@ -10,10 +10,10 @@ from PySide6.QtWidgets import QApplication
 from window_driver import Driver
 
 from bubbleviz.pipeline import stages
+from ui.choices import Choices
 from ui.costs import STAGES, who_asks
 from ui.needs import products
 from ui.panels.status_costs import NOBODY, CostsPopup
-from ui.state import Choices
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton

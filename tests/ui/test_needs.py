@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ui.choices import LAYERS, Choices
 from ui.needs import CONSUMERS, products
-from ui.state import LAYERS, Choices
 
 NOTHING = Choices(layers=frozenset(), panels=frozenset())
 

@@ -13,10 +13,10 @@ from window_driver import Driver
 from bubbleviz.cli import main
 from bubbleviz.errors import InputError
 from bubbleviz.preset_files import preset_names
+from ui.choices import Choices
 from ui.needs import products
 from ui.panels.layers import CLOUD_POINTS
 from ui.presets import load_scene, read_scene
-from ui.state import Choices
 
 Drive = Callable[..., Driver]
 RUNS = {

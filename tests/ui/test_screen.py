@@ -6,11 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QWidget
 from window_driver import Driver
 
-OPEN = Callable[..., Driver]
+Drive = Callable[..., Driver]
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""
 REST_MS = 400
@@ -38,7 +40,7 @@ def assert_shown(driver: Driver) -> None:
     assert (np.abs(screen.astype(int) - drawn).max(axis=2) > DIFFERENT).mean() < 1e-3
 
 
-def test_every_frame_reaches_the_screen(drive: OPEN) -> None:
+def test_every_frame_reaches_the_screen(drive: Drive) -> None:
     driver = drive()
     before = on_screen(driver)
     for frame in (10, 0, 14):
@@ -49,7 +51,7 @@ def test_every_frame_reaches_the_screen(drive: OPEN) -> None:
 
 
 @pytest.mark.parametrize("change", ["covered", "resized", "dock", "theme", "hidden"])
-def test_the_picture_is_the_present_one_after(drive: OPEN, change: str) -> None:
+def test_the_picture_is_the_present_one_after(drive: Drive, change: str) -> None:
     driver = drive()
     window = driver.window
     driver.seek(3)
@@ -78,10 +80,23 @@ def test_the_picture_is_the_present_one_after(drive: OPEN, change: str) -> None:
     assert_shown(driver)
 
 
-def test_panels_are_painted_without_the_view(drive: OPEN) -> None:
+def test_panels_are_painted_without_the_view(drive: Drive) -> None:
     driver = drive()
     swapped: list[int] = []
     driver.window.view.frameSwapped.connect(lambda: swapped.append(1))
     driver.window.status.repaint()
     QApplication.processEvents()
     assert not swapped  # Qt has not put the window together anew
+
+
+def test_the_mouse_reaches_the_view_through_its_own_window(drive: Drive) -> None:
+    driver = drive()
+    view, seen = driver.window.view, list[tuple[str, float, float]]()
+    view.clicked.connect(lambda x, y: seen.append(("clicked", x, y)))
+    view.moved.connect(lambda x, y: seen.append(("moved", x, y)))
+    native = view.windowHandle()
+    assert native is not None and native is not driver.window.windowHandle()
+    QTest.mouseMove(native, QPoint(40, 50))
+    driver.wait(lambda: ("moved", 40.0, 50.0) in seen)
+    QTest.mouseClick(native, Qt.MouseButton.LeftButton, pos=QPoint(60, 70))
+    driver.wait(lambda: ("clicked", 60.0, 70.0) in seen)

@@ -23,6 +23,7 @@ from window_driver import Driver
 from bubbleviz.errors import InputError
 from bubbleviz.frames.writer import RecordingWriter
 from bubbleviz.sensor import Sensor, sensor_to_toml
+from ui.choices import Choices
 from ui.saved.file import (
     SavedSession,
     plain_choices,
@@ -31,7 +32,6 @@ from ui.saved.file import (
     usable_choices,
 )
 from ui.sources import recording
-from ui.state import Choices
 
 Drive = Callable[..., Driver]
 FRAMES = 12

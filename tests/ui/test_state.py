@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ui.state import (
+from ui.events import (
     ChoicesChanged,
     Event,
     FrameChanged,
     PlayingChanged,
-    SessionState,
     SourceChanged,
     SourceFacts,
 )
+from ui.state import SessionState
 
 
 @pytest.fixture

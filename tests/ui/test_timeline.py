@@ -17,10 +17,11 @@ from bubbleviz.numbers import Numbers
 from bubbleviz.sensor import Sensor
 from ui import theme
 from ui.clock import PlayClock
+from ui.events import FrameChanged, SourceFacts
 from ui.history import CONTACT, FREE, UNKNOWN, History
 from ui.panels.timeline import RULER, Timeline, columns
 from ui.scene.colours import rgb
-from ui.state import FrameChanged, SessionState, SourceFacts
+from ui.state import SessionState
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton

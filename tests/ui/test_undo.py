@@ -14,8 +14,8 @@ from window_driver import Driver
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.objects import load_object
 from bubbleviz.study.objects import ply_bytes
+from ui.choices import Choices, Setting
 from ui.presets import load_scene
-from ui.state import Choices, Setting
 from ui.undo import LAYOUT
 from ui.units import SYSTEMS
 

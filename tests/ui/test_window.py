@@ -15,8 +15,8 @@ from window_driver import Driver
 
 from bubbleviz.sensor import Sensor
 from ui import theme
+from ui.events import FrameChanged
 from ui.scene.colours import rgb
-from ui.state import FrameChanged
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton

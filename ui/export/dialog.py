@@ -17,9 +17,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from ui.events import ChoicesChanged, Event, RangeChanged, SourceChanged
 from ui.export.exporting import Exporting
 from ui.export.kinds import KINDS, Kind
-from ui.state import ChoicesChanged, Event, RangeChanged, SessionState, SourceChanged
+from ui.state import SessionState
 
 RANGE, ALL = False, True
 MOST_STEP = 1000

@@ -9,6 +9,7 @@ from PySide6.QtCore import QObject, QTimer, Signal
 from bubbleviz.live.session import LiveSensor
 from bubbleviz.live.session_file import SessionPreset
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event, MarkersChanged
 from ui.live.background import Background
 from ui.live.connection import Connection, LiveRun
 from ui.live.frames import LiveOpener
@@ -17,7 +18,6 @@ from ui.live.pair import Pair
 from ui.live.publishing import Publishing
 from ui.live.recording import Recording
 from ui.requests import Failed, Opened, OpenRequest
-from ui.state import ChoicesChanged, Event, MarkersChanged
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""

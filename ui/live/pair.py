@@ -9,11 +9,11 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.result import Result
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event, FrameChanged, FrozenChanged, PlayingChanged
 from ui.live.companion import Companion
 from ui.live.connection import LiveRun
 from ui.scene.companion import CompanionScene
 from ui.scene.scene import Scene
-from ui.state import ChoicesChanged, Event, FrameChanged, FrozenChanged, PlayingChanged
 from ui.view import View
 
 ALONE_S = 0.15

@@ -11,10 +11,10 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.frames.messages import Message
 from bubbleviz.live.message import RawMessage
+from ui.choices import LOOPBACK
 from ui.live.background import Background
 from ui.live.connection import LiveRun
 from ui.live.outlet import Outlet
-from ui.state import LOOPBACK
 
 if TYPE_CHECKING:
     from bubbleviz.live.zenoh_publisher import ZenohPublisher

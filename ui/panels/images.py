@@ -12,10 +12,11 @@ from PySide6.QtWidgets import QLabel, QMenu, QToolButton, QVBoxLayout, QWidget
 
 from bubbleviz.camera.probe import Probed
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event, SourceChanged
 from ui.hover import Hover
 from ui.panels.image_item import PICTURES, ImageCell
 from ui.panels.keys import keep_keys
-from ui.state import ChoicesChanged, Event, SessionState, SourceChanged
+from ui.state import SessionState
 from ui.units import Units
 
 EVERY_MS = 150

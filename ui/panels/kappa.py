@@ -22,8 +22,9 @@ from bubbleviz.inverse.patch import mean_pressure
 from bubbleviz.inverse.solver import SOLVER_NAMES
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Patch, Result
+from ui.events import ChoicesChanged, Event
 from ui.panels.keys import keep_keys
-from ui.state import ChoicesChanged, Event, SessionState
+from ui.state import SessionState
 
 LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100

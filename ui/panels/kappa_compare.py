@@ -20,17 +20,12 @@ from PySide6.QtWidgets import (
 from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
 from bubbleviz.inverse.solver import DEFAULT, SOLVERS
 from bubbleviz.study.side_by_side import Measured
+from ui.choices import Setting
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event, FrameChanged, SourceChanged
 from ui.panels.keys import keep_keys
 from ui.requests import Compared
-from ui.state import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    SessionState,
-    Setting,
-    SourceChanged,
-)
+from ui.state import SessionState
 from ui.units import NOTHING, Units
 
 NODES = (100, 5_000, 100)

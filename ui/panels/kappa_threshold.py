@@ -23,10 +23,11 @@ from bubbleviz.inverse.patch import mean_pressure
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event
 from ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
 from ui.panels.keys import keep_keys
 from ui.requests import Opened
-from ui.state import ChoicesChanged, Event, SessionState
+from ui.state import SessionState
 from ui.units import NOTHING
 
 ROW = 20

@@ -14,8 +14,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from ui.choices import LAYERS
+from ui.events import ChoicesChanged, Event
 from ui.panels.keys import keep_keys
-from ui.state import LAYERS, ChoicesChanged, Event, SessionState
+from ui.state import SessionState
 from ui.units import Unit
 
 TITLES = {

@@ -18,18 +18,13 @@ from PySide6.QtWidgets import (
 )
 
 from ui import theme
+from ui.choices import SPEEDS
+from ui.events import Event, FrameChanged, HistoryChanged, SourceChanged
 from ui.panels.gamma0.strip import RangeStrip
 from ui.panels.icons import icon
 from ui.panels.keys import keep_keys
 from ui.panels.timeline import Timeline
-from ui.state import (
-    SPEEDS,
-    Event,
-    FrameChanged,
-    HistoryChanged,
-    SessionState,
-    SourceChanged,
-)
+from ui.state import SessionState
 
 EVERY_S = 0.1
 """While playing: nobody reads faster."""

@@ -19,18 +19,12 @@ from PySide6.QtWidgets import (
 )
 
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event, FrameChanged, HistoryChanged, SourceChanged
 from ui.needs import plotted
 from ui.panels.kappa_plots import KappaPlot, kappa_at
 from ui.panels.keys import keep_keys
 from ui.panels.traces import TRACES, TimePlot
-from ui.state import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    HistoryChanged,
-    SessionState,
-    SourceChanged,
-)
+from ui.state import SessionState
 
 EVERY_MS = 200
 """Curves take some ms to draw, and nobody reads faster."""

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
-from ui.state import SourceFacts
+from ui.events import SourceFacts
 from ui.units import Units
 
 TIPS = {

@@ -9,9 +9,10 @@ from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from bubbleviz.frames.gaps import Gap, find_gaps
 from ui import theme
+from ui.events import SourceFacts
 from ui.history import CONTACT, FREE, UNKNOWN
 from ui.panels.gamma0.strip import MARGIN, REACH
-from ui.state import SessionState, SourceFacts
+from ui.state import SessionState
 
 RULER = 16
 """Height of the upper band, which has the times, markers and the played range."""

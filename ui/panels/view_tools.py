@@ -24,7 +24,9 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.camera.probe import Probed
+from ui.choices import COLOUR_MAPS
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event
 from ui.hover import Hover
 from ui.panels.images import words
 from ui.panels.keys import keep_keys
@@ -35,7 +37,7 @@ from ui.scene.scene import Scene
 from ui.scene.still import still
 from ui.scene.turntable import Turntable
 from ui.scene.viewpoints import Viewpoint
-from ui.state import COLOUR_MAPS, ChoicesChanged, Event, SessionState
+from ui.state import SessionState
 from ui.view import View
 
 VIEWS: dict[Viewpoint, str] = {

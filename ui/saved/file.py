@@ -16,9 +16,9 @@ from bubbleviz.live.session_file import SessionPreset
 from bubbleviz.meshread import SUFFIXES
 from bubbleviz.preset_files import presets_folder
 from bubbleviz.sensor import Sensor
+from ui.choices import LAYERS, SPEEDS, Choices
 from ui.needs import CONSUMERS, PLOTS
 from ui.saved.live import with_paths
-from ui.state import LAYERS, SPEEDS, Choices
 
 SYNTHETIC = "synthetic:"
 MOST_RECENT = 10

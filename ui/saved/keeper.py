@@ -15,6 +15,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.live.session_file import SessionPreset
 from bubbleviz.sensor import Sensor, load_sensor
+from ui.events import Event, SourceChanged
 from ui.live.frames import LiveOpener
 from ui.requests import Failed, Opened, OpenRequest
 from ui.saved.file import (
@@ -36,7 +37,6 @@ from ui.saved.file import (
 from ui.saved.live import with_paths, with_sensor
 from ui.saved.sensor import forget_others, is_beside, kept_beside
 from ui.sources import RecordingOpener, recording, sensor_for, synthetic
-from ui.state import Event, SourceChanged
 
 if TYPE_CHECKING:
     from ui.main_window import MainWindow

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ui import theme
-from ui.state import COLOUR_MAPS
+from ui.choices import COLOUR_MAPS
 
 ENTRIES = 256
 NEUTRAL_ENTRIES = 5

@@ -9,6 +9,7 @@ import numpy as np
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from ui.choices import Choices
 from ui.scene.cloud import CloudLayer
 from ui.scene.contour import ContourLayer
 from ui.scene.force import ForceLayer
@@ -17,7 +18,6 @@ from ui.scene.membrane import MembraneLayer
 from ui.scene.ranges import HeldRanges
 from ui.scene.rim import RimLayer
 from ui.scene.surface import Surface
-from ui.state import Choices
 from ui.units import Units
 from ui.view import View
 

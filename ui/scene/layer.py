@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from ui.state import Choices
+from ui.choices import Choices
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import Any
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from ui import theme
+from ui.choices import COLOUR_MAPS
 from ui.scene.bars import ColourBar
 from ui.scene.colours import pressure_colours, pressure_map
 from ui.scene.layer import Picture
 from ui.scene.surface import Surface
-from ui.state import COLOUR_MAPS
 from ui.units import Units
 from ui.view import View
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from ui.choices import Choices
 from ui.scene.layer import Ranges
-from ui.state import Choices
 
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25

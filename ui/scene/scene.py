@@ -9,6 +9,7 @@ from bubbleviz.camera.probe import Probed
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from ui.choices import Choices
 from ui.scene.cloud import CloudLayer
 from ui.scene.contour import ContourLayer
 from ui.scene.fit import FitLayer
@@ -26,7 +27,6 @@ from ui.scene.section import Section
 from ui.scene.surface import Surface
 from ui.scene.vectors import VectorsLayer
 from ui.scene.viewpoints import ANGLE_DEG, Viewpoint, look_along, look_as
-from ui.state import Choices
 from ui.units import Units
 from ui.view import View
 

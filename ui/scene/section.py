@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from ui import theme
+from ui.choices import Choices
 from ui.scene.membrane import lift
 from ui.scene.surface import Surface
-from ui.state import Choices
 from ui.view import View
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

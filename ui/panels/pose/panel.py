@@ -23,9 +23,11 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.meshread import SUFFIXES
 from bubbleviz.preset_files import presets_folder
+from ui.choices import POSE_CHOICES
+from ui.events import ChoicesChanged, Event
 from ui.panels.keys import keep_keys
 from ui.panels.pose.start import StartBoxes
-from ui.state import POSE_CHOICES, ChoicesChanged, Event, SessionState
+from ui.state import SessionState
 from ui.units import SYSTEMS
 
 if TYPE_CHECKING:

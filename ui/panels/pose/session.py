@@ -13,9 +13,10 @@ from bubbleviz.objects import RigidObject
 from bubbleviz.pose.export import PoseRow, write_poses
 from bubbleviz.posefile import pose_matrix, pose_numbers
 from bubbleviz.result import Pose, Result
+from ui.choices import POSE_CHOICES
 from ui.controller import Controller
+from ui.events import ChoicesChanged, Event, SourceChanged
 from ui.requests import Failed, Followed, FollowRequest, Opened
-from ui.state import POSE_CHOICES, ChoicesChanged, Event, SourceChanged
 
 FileUnit = Literal["m", "mm"]
 

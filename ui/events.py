@@ -1,0 +1,113 @@
+"""What happens in a session, and what is said of its source. No Qt in here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SourceFacts:
+    """What the window says about the open source.
+
+    Attributes
+    ----------
+    title : str
+        Name of the source.
+    sensor_name : str
+        Name of the sensor.
+    times_s : (F,) array
+        Time of each frame, s.
+    live : bool
+        A live source, not a recording.
+    grows : bool
+        Frames are added while one looks.
+    remark : str
+        What the user should know about it; empty for nothing.
+    """
+
+    title: str
+    sensor_name: str
+    times_s: np.ndarray
+    live: bool = False
+    grows: bool = False
+    remark: str = ""
+
+    @property
+    def frames(self) -> int:
+        """Count the frames."""
+        return len(self.times_s)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean frame rate of the camera, Hz; NaN for a single frame."""
+        span = float(self.times_s[-1] - self.times_s[0]) if self.frames else 0.0
+        return (self.frames - 1) / span if span > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class SourceChanged:
+    """Another source or sensor is open."""
+
+    facts: SourceFacts
+
+
+@dataclass(frozen=True)
+class FrameChanged:
+    """The cursor moved; `by_playback` tells it from a person's seek."""
+
+    index: int
+    by_playback: bool
+
+
+@dataclass(frozen=True)
+class PlayingChanged:
+    """Playback started or stopped."""
+
+    playing: bool
+
+
+@dataclass(frozen=True)
+class ChoicesChanged:
+    """The user chose something: the names of the fields of `Choices` that differ."""
+
+    names: frozenset[str]
+
+
+@dataclass(frozen=True)
+class RangeChanged:
+    """Another range of frames is played, first and last; None: all."""
+
+    frames: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class MarkersChanged:
+    """Frames the user has marked."""
+
+    frames: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FrozenChanged:
+    """The view of a live source stands still, or goes on."""
+
+    frozen: bool
+
+
+@dataclass(frozen=True)
+class HistoryChanged:
+    """More is known of some frames, or less."""
+
+
+Event = (
+    SourceChanged
+    | FrameChanged
+    | PlayingChanged
+    | ChoicesChanged
+    | RangeChanged
+    | MarkersChanged
+    | FrozenChanged
+    | HistoryChanged
+)
