@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.sensor import Sensor
 from ui.app import screen_for_pictures
+from ui.benchmark import beats
 from ui.benchmark_rest import Rest, resident_mib
 from ui.session import WindowSession, window_session
 
@@ -49,9 +50,9 @@ class Report:
     most_mib : float
         Highest resident memory after an action.
     longest_ms : float
-        Longest time an action and its events kept the window's thread.
+        Longest time the window's thread was kept from events.
     longest : str
-        What that was.
+        What was done then.
     problems : list of str
         Tracebacks, and messages of the window that came with one.
     """
@@ -156,19 +157,20 @@ class Monkey:
     def _go_on(self, seconds: float) -> None:
         report, start = self._report, time.monotonic()
         weights = [weight for weight, _ in self._things]
-        while time.monotonic() - start < seconds:
-            [(_, thing)] = self._dice.choices(self._things, weights)
-            began = time.perf_counter()
-            try:
-                thing()
-            except Exception:
-                report.problems.append(traceback.format_exc())
-            self._session.application.processEvents()
-            took_ms = 1e3 * (time.perf_counter() - began)
-            if took_ms > report.longest_ms:
-                report.longest_ms, report.longest = took_ms, f"{thing.__name__} {self._at}"
-            report.actions += 1
-            report.most_mib = max(report.most_mib, resident_mib())
+        with beats() as gaps_ms:
+            while time.monotonic() - start < seconds:
+                [(_, thing)] = self._dice.choices(self._things, weights)
+                gaps_ms.clear()
+                try:
+                    thing()
+                except Exception:
+                    report.problems.append(traceback.format_exc())
+                self._session.application.processEvents()
+                longest_ms = max(gaps_ms, default=0.0)
+                if longest_ms > report.longest_ms:
+                    report.longest_ms, report.longest = longest_ms, f"{thing.__name__} {self._at}"
+                report.actions += 1
+                report.most_mib = max(report.most_mib, resident_mib())
         report.seconds += time.monotonic() - start
 
     _at = ""

@@ -144,8 +144,8 @@ class Controller(QObject):
         kappa = self.state.choices.kappa
         self.worker.ask(FollowRequest(self._session, object_name, unit, start, kappa, request))
 
-    def compare(self, settings: tuple[EstimatorOptions, EstimatorOptions]) -> None:
-        """Measure two settings on the frame at the cursor, when the solver has nothing else."""
+    def compare(self, settings: tuple[EstimatorOptions, ...]) -> None:
+        """Measure two settings, or none, on the frame at the cursor when there is time."""
         kappa, _ = rule_of(self.state.choices)
         self.worker.ask(CompareRequest(self._session, self.state.frame, settings, kappa))
 

@@ -136,11 +136,11 @@ class AnalyseRequest:
 
 @dataclass(frozen=True)
 class CompareRequest:
-    """Measure two settings on one frame."""
+    """Measure two settings on one frame; none: let go of what was built for that."""
 
     session: int
     index: int
-    settings: tuple[EstimatorOptions, EstimatorOptions]
+    settings: tuple[EstimatorOptions, ...]
     kappa: float | None
 
 

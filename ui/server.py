@@ -152,7 +152,10 @@ class Server:
                 break
         return Analysed(request, tuple(numbers))
 
-    def _compare(self, session: _Session, request: CompareRequest) -> Compared:
+    def _compare(self, session: _Session, request: CompareRequest) -> Compared | None:
+        session.side_by_side.keep(request.settings)
+        if not request.settings:
+            return None
         frame, truth = session.source[request.index], truth_of(session.source, request.index)
         measured: list[Measured | str] = []
         for options in request.settings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,6 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 SETTLING = 3
 """Times a new pipeline sees its first frame before it is measured: the solver is built then, and
 rays are cast again at the shape it ends at."""
-KEPT = 2
-"""Pipelines that are not built anew when their setting comes back."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,11 @@ class SideBySide:
 
     def __init__(self, sensor: Sensor, intrinsics: Intrinsics | None = None) -> None:
         self._sensor, self._intrinsics = sensor, intrinsics
-        self._built: OrderedDict[EstimatorOptions, Pipeline] = OrderedDict()
+        self._built: dict[EstimatorOptions, Pipeline] = {}
+
+    def keep(self, settings: Collection[EstimatorOptions]) -> None:
+        """Forget what was built for other settings: a large mesh's solver takes a lot of memory."""
+        self._built = {o: pipeline for o, pipeline in self._built.items() if o in settings}
 
     def measure(
         self,
@@ -113,7 +115,4 @@ class SideBySide:
             for _ in range(SETTLING):
                 pipeline.process(frame, PRODUCTS)
             self._built[options] = pipeline
-        self._built.move_to_end(options)
-        while len(self._built) > KEPT:
-            self._built.popitem(last=False)
         return pipeline

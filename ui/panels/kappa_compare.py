@@ -194,6 +194,7 @@ class ComparePanel(QWidget):
         """Measure nothing more; old numbers would look like new ones."""
         super().hideEvent(event)
         self._answer = None
+        self._controller.compare(())
         self._show()
 
     def _on_event(self, event: Event) -> None:
