@@ -121,7 +121,7 @@ class MainWindow(QMainWindow):
         self.freshness = Freshness(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._export: ExportDialog | None = None
-        self._memory = GivingBack()
+        self._memory = GivingBack(state)
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())

@@ -4,28 +4,51 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from threading import Event, Thread
+import time
+from threading import Thread
 
-EVERY_S = 3.0
-"""At 60 Hz some 3 MB a second are held for nothing."""
+from PySide6.QtCore import QObject, QTimer
+
+from ui.events import Event
+from ui.state import SessionState
+
+REST_MS = 3000
+LIVE_EVERY_S = 10.0
+"""Of a live source, which may never rest: at 60 Hz some 3 MB a second are held for nothing."""
 
 
-class GivingBack:
-    """Lets go of unused memory every few seconds, in a thread of its own, until it is closed."""
+class GivingBack(QObject):
+    """Lets go of unused memory when the window has come to rest, in a thread.
 
-    def __init__(self) -> None:
-        self._over = Event()
-        self._thread = Thread(target=self._run, name="memory", daemon=True)
-        self._thread.start()
+    Not while a recording plays: who wants memory meanwhile waits, for longer than a picture takes.
+
+    Parameters
+    ----------
+    state : SessionState
+    """
+
+    def __init__(self, state: SessionState) -> None:
+        super().__init__()
+        self._state = state
+        self._used, self._last_s = True, time.monotonic()
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(lambda: self._on_tick())
+        self._timer.start(REST_MS)
+        state.subscribe(self._on_event)
 
     def close(self) -> None:
-        """Stop the thread."""
-        self._over.set()
-        self._thread.join()
+        """Look no more."""
+        self._timer.stop()
 
-    def _run(self) -> None:
-        while not self._over.wait(EVERY_S):
-            give_back()
+    def _on_event(self, _: Event) -> None:
+        self._used = True
+
+    def _on_tick(self) -> None:
+        facts, now = self._state.facts, time.monotonic()
+        live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
+        if self._used and (live or not self._state.playing):
+            self._used, self._last_s = False, now
+            Thread(target=give_back, name="memory", daemon=True).start()
 
 
 def give_back() -> None:
