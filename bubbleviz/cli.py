@@ -12,6 +12,7 @@ import click
 
 import bubbleviz
 from bubbleviz.batch.command import batch
+from bubbleviz.bench import bench
 from bubbleviz.calibration.command import identify
 from bubbleviz.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
 from bubbleviz.errors import InputError, SolveError
@@ -19,7 +20,6 @@ from bubbleviz.export.command import export
 from bubbleviz.live.command import publish, record, watch
 from bubbleviz.preset_files import preset_names
 from bubbleviz.study.command import study
-from ui.bench_command import bench
 
 # The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
