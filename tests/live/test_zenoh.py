@@ -209,7 +209,7 @@ def test_what_a_publisher_counted_and_never_arrived_is_missed(
         eventually(lambda: (node.put(key, b"", attachment=attachment(1)), s.counters().received)[1])
         for sequence in (2, 3, 6, 7, 7, 10):
             node.put(key, image(time.time_ns()), attachment=attachment(sequence))
-        eventually(lambda: s.counters().frames >= 5)
+        eventually(lambda: s.counters().frames == 6)
         assert s.counters().missed == 4
 
 

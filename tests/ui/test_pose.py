@@ -61,7 +61,8 @@ class Bench:
         for _ in range(row):
             self.driver.bot.keyClick(box, Qt.Key.Key_Down)
         box.activated.emit(box.currentIndex())
-        self.driver.wait(lambda: self.panel.session.obj is not None)
+        obj = lambda: self.panel.session.obj  # noqa: E731
+        self.driver.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
 
     def fit(self) -> None:
         self.click(self.panel.once)
