@@ -1,4 +1,7 @@
-"""Memory of a window at rest: in the same state each time, so that what differs has leaked."""
+"""Memory of a window at rest, with the same things shown each time.
+
+What a calibration found stays, and so do caches: of two rests they may differ by 250 MiB.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The 3-D view: a VTK render window in Qt that draws when it is asked to, however often, once."""
+"""The 3-D view: a VTK render window in Qt that draws once, however often it is asked to."""
 
 from __future__ import annotations
 

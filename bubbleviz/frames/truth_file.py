@@ -20,6 +20,10 @@ SAME_S = 1e-3
 """Times of the same frame differ by no more: those of a recording are whole nanoseconds."""
 
 
+class OtherTruthError(InputError):
+    """A TRUTH.npz is of another recording."""
+
+
 class KnownRecording:
     """A recording of a simulation with the truth about its frames.
 
@@ -49,7 +53,7 @@ class KnownRecording:
             (np.abs(times - times[0] - recording.times_s) < SAME_S).all()
         )
         if not same or masks.shape[1:] != recording.size[::-1]:
-            raise InputError(
+            raise OtherTruthError(
                 f"{truth_file}: is the truth of another recording than {recording.path}, of "
                 f"{_described(len(times), masks.shape)} and not "
                 f"{_described(len(recording), (0, *recording.size[::-1]))}; choose the TRUTH.npz "
@@ -111,14 +115,12 @@ def known_beside(recording: Recording) -> KnownRecording | Recording:
     if not path.is_file():
         return recording
     try:
-        read_truth(path)
-    except InputError:
-        return recording
-    try:
         return KnownRecording(recording, path)
-    except InputError as error:
+    except OtherTruthError as error:
         recording.remark = str(error)
-        return recording
+    except InputError:
+        pass
+    return recording
 
 
 def _described(frames: int, shape: tuple[int, ...]) -> str:
