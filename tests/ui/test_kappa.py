@@ -186,6 +186,11 @@ def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive)
     driver.wait(lambda: panel.a.values["status"].text() == "no_contact")
     driver.settle()
     assert driver.pipeline.counts["estimate"] == own + 1
+    driver.window.kappa_dock.raise_()  # behind a tab is hidden, too
+    driver.wait(lambda: panel.a.values["status"].text() == "–")
+    driver.wait(lambda: not bench._built)
+    driver.window.compare_dock.raise_()
+    driver.wait(lambda: panel.a.values["status"].text() == "no_contact")
     driver.window.compare_dock.hide()
     assert panel.a.values["status"].text() == "–"
     driver.wait(lambda: not bench._built)  # nor does it hold memory

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 
 from PySide6.QtCore import QObject, QSignalBlocker, Signal
-from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
@@ -185,17 +184,10 @@ class ComparePanel(QWidget):
         column.addWidget(self.hint)
         column.addStretch(1)
 
-    def showEvent(self, event: QShowEvent) -> None:
-        """Measure what is shown."""
-        super().showEvent(event)
-        self._ask()
-
-    def hideEvent(self, event: QHideEvent) -> None:
-        """Measure nothing more; old numbers would look like new ones."""
-        super().hideEvent(event)
-        self._answer = None
-        self._controller.compare(())
-        self._show()
+    @property
+    def _seen(self) -> bool:
+        """Neither closed nor behind another tab, where Qt still calls it visible."""
+        return "compare" in self._state.choices.panels
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, FrameChanged | SourceChanged):
@@ -203,7 +195,18 @@ class ComparePanel(QWidget):
         elif isinstance(event, ChoicesChanged):
             if "compared" in event.names:
                 self._show_settings()
-            self._ask() if event.names & {"kappa", "compared"} else self._show()
+            if "panels" in event.names and not self._seen:
+                self._forget()
+            elif event.names & {"kappa", "compared"} or self._answer is None:
+                self._ask()
+            else:
+                self._show()
+
+    def _forget(self) -> None:
+        """Measure nothing more; old numbers would look like new ones."""
+        self._answer = None
+        self._controller.compare(())
+        self._show()
 
     def _choose(self) -> None:
         self._state.choose(compared=(self.a.setting(), self.b.setting()))
@@ -213,11 +216,11 @@ class ComparePanel(QWidget):
             column.show_setting(setting)
 
     def _ask(self) -> None:
-        if self.isVisible() and self._state.facts is not None:
+        if self._seen and self._state.facts is not None:
             self._controller.compare((self.a.options(), self.b.options()))
 
     def _on_compared(self, answer: Compared) -> None:
-        if self.isVisible():
+        if self._seen:
             self._answer = answer
             self._show()
 
