@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import signal
 import sys
 import tempfile
 import time
@@ -72,9 +71,8 @@ def run_window(
         with window_session(
             sensor, recording, frame, scene, keep_in, live, saved, truth
         ) as session:
-            signal.signal(signal.SIGINT, lambda *_: session.window.close())
             session.window.show()
-            return session.application.exec()
+            return session.run()
     with (
         private_display(1280, 800),
         window_session(sensor, recording, frame, scene, None, live, saved, truth) as session,
@@ -129,7 +127,7 @@ def _offscreen(session: WindowSession) -> Iterator[Path]:
         end = time.monotonic() + OFFSCREEN_SECONDS / OFFSCREEN_PICTURES
         session.wait_for(lambda end=end: time.monotonic() > end, "running")  # type: ignore[misc]
         path = folder / f"window-{number}.png"
-        session.save(path)
+        session.save_still(path)
         yield path
 
 

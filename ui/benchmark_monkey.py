@@ -89,7 +89,9 @@ class Report:
         }
 
 
-def monkey_run(sensor: Sensor, recording: Path | None, seconds: float, seed: int) -> Report:
+def monkey_run(
+    sensor: Sensor, recording: Path | None, seconds: float, seed: int, *, memory: bool = True
+) -> Report:
     """Click and type at random in a window on a private screen.
 
     Parameters
@@ -101,6 +103,8 @@ def monkey_run(sensor: Sensor, recording: Path | None, seconds: float, seed: int
         How long.
     seed : int
         The same seed makes the same choices; what they hit depends on time.
+    memory : bool
+        Whether memory is compared: everything is opened first, which takes up to a minute.
     """
     report = Report()
     with (
@@ -114,7 +118,8 @@ def monkey_run(sensor: Sensor, recording: Path | None, seconds: float, seed: int
         session.controller.failed.connect(
             lambda failed: report.problems.append(failed.details) if failed.details else None
         )
-        Monkey(session, random.Random(seed), report).run(seconds)
+        monkey = Monkey(session, random.Random(seed), report)
+        monkey.run(seconds, memory=memory)
     return report
 
 
@@ -135,8 +140,8 @@ class Monkey:
             (0.3, self._undo_all),
         )
 
-    def run(self, seconds: float) -> None:
-        """Go on for some time."""
+    def run(self, seconds: float, *, memory: bool) -> None:
+        """Go on for some time; see `monkey_run`."""
         from PySide6.QtCore import QTimer
 
         leave = QTimer(self._session.window)  # menus and dialogs run event loops of their own
@@ -144,15 +149,19 @@ class Monkey:
         leave.start(POP_UP_MS)
         faulthandler.dump_traceback_later(seconds + PATIENCE_S, exit=True)
         try:
-            self._rest.tour()
-            self._report.rest_mib.append(self._rest.memory_mib())
-            rests = max(round(seconds / REST_EVERY_S), 1)
-            for _ in range(rests):
-                self._go_on(seconds / rests)
-                self._report.rest_mib.append(self._rest.memory_mib())
+            go_on = self._go_on_and_rest if memory else self._go_on
+            go_on(seconds)
         finally:
             faulthandler.cancel_dump_traceback_later()
             leave.stop()
+
+    def _go_on_and_rest(self, seconds: float) -> None:
+        self._rest.tour()
+        self._report.rest_mib.append(self._rest.memory_mib())
+        rests = max(round(seconds / REST_EVERY_S), 1)
+        for _ in range(rests):
+            self._go_on(seconds / rests)
+            self._report.rest_mib.append(self._rest.memory_mib())
 
     def _go_on(self, seconds: float) -> None:
         report, start = self._report, time.monotonic()
@@ -166,6 +175,7 @@ class Monkey:
                 except Exception:
                     report.problems.append(traceback.format_exc())
                 self._session.application.processEvents()
+                self._session.raise_if_interrupted()
                 longest_ms = max(gaps_ms, default=0.0)
                 if longest_ms > report.longest_ms:
                     report.longest_ms, report.longest = longest_ms, f"{thing.__name__} {self._at}"

@@ -132,6 +132,7 @@ def _seek(session: WindowSession, frame: int) -> float:
     loop.exec()
     view.rendered.disconnect(seen)
     controller.failed.disconnect(failed)
+    session.raise_if_interrupted()
     if problems:
         raise InputError(problems[0])
     return 1e3 * (drawn[0] - start)

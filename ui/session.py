@@ -31,20 +31,26 @@ SWITCH_S = 5e-4
 
 
 class WindowSession:
-    """The application, one window on a recording or the synthetic press, and its event loop.
+    """The application, one window and its event loop; see `window_session`."""
 
-    With `keep_in`, the user's last session is read from that file, and this one kept in it; with
-    `saved`, the session of that file is restored. `truth` is what is true of the recording, where
-    it is of a simulation and no file of its name beside it says so.
+    def __init__(self) -> None:
+        import_the_window()
+        from ui.controller import Controller
+        from ui.interrupt import Interrupt
+        from ui.main_window import MainWindow
+        from ui.state import SessionState
+        from ui.worker import Worker
 
-    Raises
-    ------
-    InputError
-        The session cannot be read, or the recording cannot be opened, does not fit the sensor, or
-        has no such frame.
-    """
+        self.application = application()
+        self.interrupt = Interrupt()
+        self.state = state = SessionState()
+        self.controller = Controller(state, Worker())
+        # The window first: VTK and Open3D share modules, and two threads that import them at the
+        # same time can lock each other out.
+        self.window = MainWindow(state, self.controller)
+        self._answers: list[Opened | Failed] = []
 
-    def __init__(
+    def start(
         self,
         sensor: Sensor,
         recording: Path | None,
@@ -52,29 +58,18 @@ class WindowSession:
         scene: ScenePreset | None = None,
         keep_in: Path | None = None,
         live: SessionPreset | None = None,
-        saved: Path | None = None,
+        saved: tuple[Path, SavedSession] | None = None,
         truth: Path | None = None,
     ) -> None:
-        given = None if saved is None else _read(saved)  # before there is a window
-        import_the_window()
-        from ui.controller import Controller
-        from ui.main_window import MainWindow
-        from ui.state import SessionState
-        from ui.worker import Worker
-
-        self.application = application()
-        self.state = state = SessionState()
-        self.controller = Controller(state, Worker())
-        # The window first: VTK and Open3D share modules, and two threads that import them at the
-        # same time can lock each other out.
-        self.window = MainWindow(state, self.controller)
-        self._answers: list[Opened | Failed] = []
+        """Open what `window_session` was asked for."""
+        state = self.state
         self.controller.opened.connect(self._note)
         self.controller.failed.connect(self._note)
         known = any(each is not None for each in (recording, live, saved))
         restored = keep_in is not None and self._restore(keep_in, recording, known=known)
-        if saved is not None and given is not None:
-            restored = self._came_back(self.window.keeper.restore(given, saved))
+        if saved is not None:
+            file, given = saved
+            restored = self._came_back(self.window.keeper.restore(given, file))
         if scene is not None:
             self.window.use_scene(scene)
         if live is not None:
@@ -82,7 +77,6 @@ class WindowSession:
         elif not restored:
             self._open(sensor, recording, frame, truth)
         if frame is not None and state.facts is not None and frame != state.frame:
-            self.window.close()
             raise InputError(
                 f"{recording or 'synthetic press'}: has no frame {frame}; "
                 f"choose 0 to {state.facts.frames - 1}"
@@ -113,7 +107,6 @@ class WindowSession:
         self.wait_for(lambda: bool(self._answers), "opening")
         answer = self._answers[0]
         if isinstance(answer, Failed):
-            self.window.close()
             if answer.details:
                 raise RuntimeError(answer.details)  # a bug, not the user's file
             raise InputError(answer.message)
@@ -131,7 +124,6 @@ class WindowSession:
         )
         problems += [answer.message for answer in self._answers if isinstance(answer, Failed)]
         if problems:
-            self.window.close()
             raise InputError(problems[0])
 
     def _restore(self, file: Path, recording: Path | None, *, known: bool) -> bool:
@@ -160,9 +152,10 @@ class WindowSession:
         return asked and isinstance(self._answers[0], Opened)
 
     def wait_for(self, done: Callable[[], bool], what: str) -> None:
-        """Run the event loop until something is done."""
+        """Run the event loop until something is done; KeyboardInterrupt after ^C."""
         end = time.monotonic() + PATIENCE_S
         while not done():
+            self.raise_if_interrupted()
             if time.monotonic() > end:
                 raise InputError(f"{what} took more than {PATIENCE_S:.0f} s; given up")
             self.application.processEvents()
@@ -187,6 +180,44 @@ class WindowSession:
         if not (opened and self.window.grab().save(file, "PNG") and file.commit()):
             raise InputError(f"{out}: cannot be written ({file.errorString()})")
 
+    def save_still(self, out: Path) -> None:
+        """Write the picture of one frame while a recording plays: view and panels agree on it."""
+        playing, failures = self.state.playing, list[object]()
+        failed = self.controller.failed.connect(failures.append)
+        self.state.set_playing(False)
+        self.wait_for(lambda: self._is_shown or bool(failures), "the frame")
+        self.controller.failed.disconnect(failed)
+        self.settle()
+        self.save(out)
+        self.state.set_playing(playing)
+
+    @property
+    def _is_shown(self) -> bool:
+        result = self.controller.result
+        return result is not None and result.frame.index == self.state.frame
+
+    def raise_if_interrupted(self) -> None:
+        """KeyboardInterrupt where ^C came; for loops of one's own."""
+        if self.interrupt.came:
+            raise KeyboardInterrupt
+
+    def run(self) -> int:
+        """Run the event loop until the window is closed or ^C comes; exit code."""
+        from ui.interrupt import EXIT_CODE
+
+        return EXIT_CODE if self.interrupt.came else self.application.exec()
+
+    def close(self) -> None:
+        """Close the window and let go of it."""
+        from PySide6.QtCore import QEvent
+        from shiboken6 import isValid
+
+        if isValid(self.window):
+            self.window.close()
+        self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+        self.application.processEvents()
+        self.interrupt.close()
+
 
 @contextmanager
 def window_session(
@@ -199,18 +230,27 @@ def window_session(
     saved: Path | None = None,
     truth: Path | None = None,
 ) -> Iterator[WindowSession]:
-    """Session whose window is closed and gone at the end."""
-    session = WindowSession(sensor, recording, frame, scene, keep_in, live, saved, truth)
+    """Session whose window is closed and gone at the end.
+
+    With `keep_in`, the user's last session is read from that file, and this one kept in it; with
+    `saved`, the session of that file is restored. `truth` is what is true of the recording, where
+    it is of a simulation and no file of its name beside it says so.
+
+    Raises
+    ------
+    InputError
+        The session cannot be read, or the recording cannot be opened, does not fit the sensor, or
+        has no such frame.
+    KeyboardInterrupt
+        ^C came before there was an event loop to end.
+    """
+    given = None if saved is None else (saved, _read(saved))  # before there is a window
+    session = WindowSession()
     try:
+        session.start(sensor, recording, frame, scene, keep_in, live, given, truth)
         yield session
     finally:
-        from PySide6.QtCore import QEvent
-        from shiboken6 import isValid
-
-        if isValid(session.window):
-            session.window.close()
-        session.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
-        session.application.processEvents()
+        session.close()
 
 
 def _read(saved: Path) -> SavedSession:

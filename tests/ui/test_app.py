@@ -6,6 +6,7 @@ import os
 import struct
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,18 @@ except InputError as error:
     sys.exit(str(error))
 """
 
+WINDOW = """
+import os, signal, sys
+sys.path.insert(0, {here!r})
+from fakes import small_sensor
+from ui.app import screen_for_pictures
+from ui.session import window_session
+with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None) as session:
+    window, view, state = session.window, session.window.view, session.state
+    window.show()
+{body}
+"""
+
 
 def run(what: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a call in a process that has no display."""
@@ -39,6 +52,15 @@ def run(what: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", PROGRAM.format(here=str(HERE), what=what)],
         env={**kept, **environment}, capture_output=True, text=True, timeout=200, check=False,
+        cwd=HERE.parents[1],
+    )  # fmt: skip
+
+
+def in_window(body: str) -> subprocess.CompletedProcess[str]:
+    """Run `body` with a window that plays the synthetic press, as a process of its own."""
+    code = WINDOW.format(here=str(HERE), body=textwrap.indent(textwrap.dedent(body), "    "))
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=200, check=False,
         cwd=HERE.parents[1],
     )  # fmt: skip
 
@@ -80,6 +102,51 @@ def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path: Pat
     assert "no display" in said and wrote
     for line in wrote:
         assert png_size(Path(line.removeprefix("wrote "))) == (1280, 800)
+
+
+def test_a_picture_of_a_session_that_plays_is_of_one_frame() -> None:
+    done = in_window("""
+    def save(out):
+        print(state.frame, session.controller.result.frame.index, len(drawn))
+    session.save, drawn = save, []
+    session.controller.shown.connect(lambda result: drawn.append(result.frame.index))
+    for _ in range(5):
+        count = len(drawn)
+        session.wait_for(lambda: len(drawn) > count + 3, "playing")
+        session.save_still(None)
+        assert state.playing
+    """)
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert len(lines) == 5
+    for at_cursor, shown, _ in lines:
+        assert at_cursor == shown
+
+
+@pytest.mark.parametrize("pictures", [1, 4])
+def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures: int) -> None:
+    done = in_window(f"""
+    count = view.render_count
+    def interrupt():
+        if view.render_count - count == {pictures}:
+            os.kill(os.getpid(), signal.SIGINT)
+    view.rendered.connect(interrupt)
+    sys.exit(session.run())
+    """)
+    assert done.returncode == 130
+    assert done.stderr == ""
+
+
+def test_ctrl_c_while_something_opens_ends_in_order() -> None:
+    done = in_window("""
+    os.kill(os.getpid(), signal.SIGINT)
+    try:
+        session.wait_for(lambda: False, "nothing")
+    except KeyboardInterrupt:
+        print("ended")
+    """)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "ended\n"
 
 
 def test_without_a_display_and_without_xvfb_one_clear_line(tmp_path: Path) -> None:
