@@ -50,6 +50,13 @@ class OneLineErrors(click.Group):
             _fail(error.format_message(), error.exit_code)
         except click.Abort:
             _fail("stopped", 130)
+        except ImportError as error:
+            if "shared object file" not in str(error):
+                raise
+            library = str(error).partition(":")[0]
+            _fail(
+                f"{library} is not on this machine; make setup installs it or names its package", 1
+            )
         sys.exit(code if isinstance(code, int) else 0)
 
 

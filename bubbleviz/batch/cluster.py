@@ -11,6 +11,7 @@ from typing import Any
 from bubbleviz.batch.job import Job, run_job
 from bubbleviz.batch.row import Row
 from bubbleviz.errors import InputError
+from bubbleviz.wording import how_to_install
 
 TIMEOUT_S = 5.0
 
@@ -61,7 +62,7 @@ def _client(address: str) -> Iterator[Any]:
     except ImportError as error:
         raise InputError(
             f"--scheduler {address}: a cluster needs Dask's distributed; "
-            'pip install "bubbleviz[cluster]", or leave --scheduler out'
+            f"{how_to_install('cluster')}, or leave --scheduler out"
         ) from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # one sentence says it
     try:

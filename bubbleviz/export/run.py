@@ -19,6 +19,7 @@ from bubbleviz.matching import check_fits
 from bubbleviz.outputs import whole_file
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
+from bubbleviz.wording import count_of
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ class ExportSummary:
         """A few lines for people."""
         ran = ", ".join(name for name in self.stages if name != "total") or "none"
         return (
-            f"wrote   {self.out}: {', '.join(self.kinds)} of {self.frames} frames, "
-            f"{self.files} files\nstages  {ran}"
+            f"wrote   {self.out}: {', '.join(self.kinds)} of {count_of(self.frames, 'frame')}, "
+            f"{count_of(self.files, 'file')}\nstages  {ran}"
         )
 
 

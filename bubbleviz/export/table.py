@@ -14,6 +14,7 @@ from bubbleviz.export.exporter import estimate_of
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.results import COLUMNS, summary_row
+from bubbleviz.wording import how_to_install
 
 Table = dict[str, list[Any]]
 """Values of all frames by column."""
@@ -93,7 +94,7 @@ def require_parquet(path: Path) -> None:
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise InputError(
-            f'{path}: Parquet needs pyarrow; pip install "bubbleviz[parquet]", or choose .csv'
+            f"{path}: Parquet needs pyarrow; {how_to_install('parquet')}, or choose .csv"
         ) from error
 
 

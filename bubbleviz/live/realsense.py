@@ -18,6 +18,7 @@ from bubbleviz.live.message import RawMessage
 from bubbleviz.live.pace import PacedThread
 from bubbleviz.live.source import Deliver, Link, OfferedTopic
 from bubbleviz.live.uri import SourceUri
+from bubbleviz.wording import how_to_install
 
 FILES = (".bag", ".db3")
 """What the SDK records: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
@@ -277,8 +278,8 @@ def open_realsense(
         import pyrealsense2 as sdk
     except ImportError as error:
         raise uri.refusal(
-            "needs the package pyrealsense2, which is not installed; pip install "
-            "'bubbleviz[realsense]', or publish the camera over Zenoh"
+            "needs the package pyrealsense2, which is not installed; "
+            f"{how_to_install('realsense')}, or publish the camera over Zenoh"
         ) from error
     if Path(uri.place).suffix.lower() in FILES:
         file = Path(uri.place)

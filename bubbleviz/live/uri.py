@@ -80,7 +80,7 @@ class SourceUri:
 
     def refusal(self, what: str) -> InputError:
         """The error to raise about this source."""
-        return InputError(f"--source {self.text}: {what}")
+        return InputError(f'--source "{self.text}": {what}')
 
 
 def parse_uri(text: str) -> SourceUri:

@@ -15,6 +15,7 @@ from bubbleviz.calibration.progress import Progress
 from bubbleviz.calibration.workbench import Draft, Settings, Step, Workbench
 from bubbleviz.frames.source import FrameSource
 from bubbleviz.sensor import Sensor
+from bubbleviz.wording import count_of
 from ui.calibration.answer import Answer, Work, answer
 from ui.calibration.runner import Done, Runner
 from ui.controller import Controller
@@ -80,7 +81,7 @@ class Calibration(QObject):
 
     def use_collected(self, frames: CollectedFrames, settings: Settings) -> None:
         """Work on frames of a live source."""
-        self._push(f"Collect {len(frames)} frames", Work(settings, frames), None)
+        self._push(f"Collect {count_of(len(frames), 'frame')}", Work(settings, frames), None)
 
     def reach(self, step: Step, text: str) -> None:
         """Do the steps up to one, unless they are done."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bubbleviz.wording import count_of
+
 if TYPE_CHECKING:
     from bubbleviz.calibration.progress import Progress
     from bubbleviz.frames.source import FrameSource
@@ -70,5 +72,5 @@ class FileExport:
             done = export_frames(source, self.frames, pipeline, plan, progress)
         finally:
             source.close()
-        files = "" if not plan.is_folder else f", {done.files} files"
-        return f"Exported {done.frames} frames to {done.out}{files}"
+        files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"
+        return f"Exported {count_of(done.frames, 'frame')} to {done.out}{files}"

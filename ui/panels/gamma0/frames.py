@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 from bubbleviz.calibration.collected import CollectedFrames
 from bubbleviz.calibration.frame_ranges import Ranges, in_words, numbers, tidy, without
 from bubbleviz.calibration.workbench import Step
+from bubbleviz.wording import count_of
 from ui.calibration.answer import Answer
 from ui.calibration.collector import Collector
 from ui.calibration.session import Calibration
@@ -203,7 +204,7 @@ class CollectBox(QGroupBox):
 
     def _show(self) -> None:
         collector = self.collector
-        self.button.setText(f"Collect {self.count.value()} frames")
+        self.button.setText(f"Collect {count_of(self.count.value(), 'frame')}")
         self.button.setVisible(not collector.active)
         self.stop.setVisible(collector.active)
         self.cancel.setVisible(collector.active)
