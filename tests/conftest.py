@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import os
+import signal
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import settings
 
+settings.register_profile("bubbleviz", deadline=None)  # other work on this machine is no defect
+settings.load_profile("bubbleviz")
+signal.signal(signal.SIGINT, signal.default_int_handler)  # `nohup` and `make test &` ignore it
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, see bubbleviz/cli.py
 _SETTINGS = TemporaryDirectory(prefix="bubbleviz-tests-")
 os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
+os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder there
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -22,6 +30,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         part = item.path.relative_to(REPOSITORY / "tests").parts[0]
         together = "window" if part in ("ui", "live") else item.path.name
         item.add_marker(pytest.mark.xdist_group(together))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _temporary_files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the tests and their processes leave in the temporary folder goes with pytest's own."""
+    folder = str(tmp_path_factory.mktemp("temporary"))
+    before, tempfile.tempdir = tempfile.tempdir, folder
+    os.environ["TMPDIR"] = folder
+    yield
+    tempfile.tempdir = before
 
 
 @pytest.fixture(scope="session")

@@ -350,12 +350,12 @@ class Controller(QObject):
     def _on_solved(self, answer: Solved) -> None:
         now = time.perf_counter()
         self.solves.tick(now)
-        frame, request = answer.result.frame, answer.request
+        frame, request, numbers = answer.result.frame, answer.request, answer.numbers
         self.player.came(frame.index)
-        waited_s = now - request.asked_s
         if frame.arrival_ns:
-            waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
-        numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
+            numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
+        elif request.asked_s is not None:
+            numbers = replace(numbers, latency_ms=1e3 * (now - request.asked_s))
         self._remember(frame.index, numbers, rule_of(request))
         self.inspection, self._numbers = self._newest_look(answer), answer.numbers
         self._show(answer.result)

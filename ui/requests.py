@@ -66,7 +66,7 @@ class OpenRequest:
 class FrameRequest:
     """Make products of one frame; `id` counts up, so newer answers are told from older ones.
 
-    `asked_s` is when it was asked for, by `time.perf_counter`.
+    `asked_s` is when it was asked for, by `time.perf_counter`; None where nobody waits.
     """
 
     session: int
@@ -75,7 +75,7 @@ class FrameRequest:
     products: frozenset[Product]
     kappa: float | None
     cloud_points: int | None = None
-    asked_s: float = float("nan")
+    asked_s: float | None = None
     looks: frozenset[Look] = frozenset()
     least_area_m2: float = 0.0
 
@@ -117,7 +117,7 @@ class NewestRequest:
     products: frozenset[Product]
     kappa: float | None
     cloud_points: int | None = None
-    asked_s: float = float("nan")
+    asked_s: float | None = None
     looks: frozenset[Look] = frozenset()
     least_area_m2: float = 0.0
     from_s: float = 0.0

@@ -73,9 +73,7 @@ def test_rosbags_reads_it(tmp_path: Path) -> None:
     assert messages["geometry_msgs/msg/WrenchStamped"].wrench.torque.z == 5.0
 
 
-@settings(
-    deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(1, 40), st.integers(1, 40), st.sampled_from(["32FC1", "16UC1"]))
 def test_any_size(tmp_path: Path, height: int, width: int, encoding: str) -> None:
     path = tmp_path / "rec.mcap"

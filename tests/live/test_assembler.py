@@ -231,7 +231,7 @@ GOOD = {
 }
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(
     st.sampled_from(sorted(GOOD)),
     st.lists(st.tuples(st.integers(0, 400), st.binary(min_size=1, max_size=8)), max_size=4),
@@ -253,7 +253,7 @@ def test_whatever_bytes_arrive_nothing_is_raised(
     assert assembler.counters.received == 3
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.sampled_from(sorted(GOOD)), st.binary(max_size=300))
 def test_pure_noise_is_undecodable(kind: str, noise: bytes) -> None:
     assembler = FrameAssembler()
@@ -261,7 +261,7 @@ def test_pure_noise_is_undecodable(kind: str, noise: bytes) -> None:
     assert assembler.counters.undecodable == 1
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.integers(-(2**40), 2**63 - 1), min_size=1, max_size=30))
 def test_whatever_stamps_come_times_of_frames_never_fall_between_jumps(stamps: list[int]) -> None:
     assembler = FrameAssembler()

@@ -14,6 +14,7 @@ from wire import CLOUD, STORE, WRENCH
 from bubbleviz.errors import InputError
 from bubbleviz.estimate import estimate_recording
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.messages import FrameMessages
 from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.frames.synthetic import SyntheticSource, default_path
 from bubbleviz.frames.writer import RecordingWriter
@@ -21,9 +22,9 @@ from bubbleviz.live.counters import Counters
 from bubbleviz.live.message import RawMessage
 from bubbleviz.live.results import DIAGNOSTICS, POSE, ResultMessages
 from bubbleviz.live.soak import free_port
+from bubbleviz.live.source import Link, OfferedTopic
 from bubbleviz.live.status import Status, status_of
 from bubbleviz.live.stream import LiveStream
-from bubbleviz.live.synthetic import SyntheticLive
 from bubbleviz.live.watch import PRODUCTS, Watcher
 from bubbleviz.live.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.zenoh_session import SessionOptions, open_session
@@ -212,19 +213,43 @@ def test_a_zero_is_learned_in_one_rest_and_only_then() -> None:
     assert zero.applied(unmeasured) is unmeasured
 
 
-class _Weather(SyntheticLive):
-    """The simulated sensor on a day when the air weighs 800 Pa less."""
+class _Weather:
+    """The simulated sensor on a day when the air weighs 800 Pa less; sends a frame when told to."""
+
+    name = "weather"
+
+    def __init__(self, simulation: SyntheticSource) -> None:
+        self._simulation, self._messages = simulation, FrameMessages()
+        self._sent = 0
 
     def start(self, deliver: Callable[[RawMessage], None]) -> None:
-        def lighter(message: RawMessage) -> None:
-            if message.type.endswith("FluidPressure"):
-                content = STORE.deserialize_cdr(message.payload, message.type)
-                content.fluid_pressure -= 800.0
-                payload = bytes(STORE.serialize_cdr(content, message.type))
-                message = replace(message, payload=payload)
-            deliver(message)
+        self._deliver = deliver
 
-        super().start(lighter)
+    def stop(self) -> None:
+        pass
+
+    def link(self) -> Link:
+        return "up"
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        return ()
+
+    def missed(self) -> int:
+        return 0
+
+    def problem(self) -> str:
+        return ""
+
+    def send(self) -> None:
+        now = time.time_ns()
+        frame = self._simulation[self._sent % len(self._simulation)]
+        for topic, kind, payload, stamp in self._messages.of(frame, now):
+            if kind.endswith("FluidPressure"):
+                content = STORE.deserialize_cdr(payload, kind)
+                content.fluid_pressure -= 800.0
+                payload = bytes(STORE.serialize_cdr(content, kind))
+            self._deliver(RawMessage(topic, kind, payload, stamp, now, self._sent))
+        self._sent += 1
 
 
 def test_weather_is_not_contact(small_sensor: Sensor) -> None:
@@ -232,13 +257,13 @@ def test_weather_is_not_contact(small_sensor: Sensor) -> None:
     worst = {}
     for zeroed in (False, True):
         zero = PressureZero(rest_pressure_pa(small_sensor)) if zeroed else None
-        source = _Weather("weather", lambda: press(small_sensor, 60), 60.0)
+        source = _Weather(press(small_sensor, 60))
         with LiveStream(source) as stream:
             watcher = Watcher(stream, Pipeline(small_sensor), zero)
             statuses = []
-            deadline = time.monotonic() + 60.0
-            while len(statuses) < 80 and time.monotonic() < deadline:
-                result = watcher.step(1.0)
+            for _ in range(140):
+                source.send()
+                result = watcher.step(60.0)
                 assert result is not None
                 assert result.estimate is not None
                 if zero is None or zero.offset_pa is not None:

@@ -1,7 +1,5 @@
 """Meshes of analytic surfaces: on the surface, even, well shaped, without a preferred direction."""
 
-import time
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -68,12 +66,9 @@ def test_ellipsoidal_cap_with_equal_axes_is_the_spherical_cap():
     np.testing.assert_allclose(given.semi_axes, [0.0585, 0.0416, 0.0437], atol=2e-4)
 
 
-def test_same_mesh_every_time_and_in_time():
+def test_same_mesh_every_time():
     cap = CAPS["paper"]
-    mesh_cap(cap, 100)  # imports
-    start = time.perf_counter()
     first = mesh_cap(cap, 3000)
-    assert time.perf_counter() - start < 3.0  # 0.05 s on two cores; a hang is what this is for
     np.testing.assert_array_equal(first.nodes, mesh_cap(cap, 3000).nodes)
 
 
@@ -96,7 +91,7 @@ def test_refined_mesh_keeps_area_volume_and_rim():
     assert np.abs(fine.nodes[fine.rim, 2]).max() == 0.0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.0, 0.6))
 def test_refining_some_triangles_keeps_the_surface_whole(seed, share):
     mesh = mesh_cap(CAPS["oval"], 200)

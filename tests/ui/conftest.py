@@ -13,6 +13,7 @@ from fakes import small_sensor
 from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
+from vtkmodules.vtkRenderingCore import vtkRenderWindow
 from window_driver import Driver
 
 from bubbleviz.frames.source import FrameSource
@@ -99,17 +100,12 @@ def nothing_left() -> Iterator[None]:
     app.processEvents()
     gc.collect()
     left = [object.__repr__(w) for w in QApplication.topLevelWidgets()]
-    left += [object.__repr__(o) for o in gc.get_objects() if _is_view(o)]
+    # not isinstance, which asks proxies, and they may be dead; imports in this loop take seconds
+    kinds = (View, vtkRenderWindow)
+    left += [object.__repr__(o) for o in gc.get_objects() if issubclass(type(o), kinds)]
     left += [t.name for t in threading.enumerate() if t.name in ("solver", "calibration")]
     assert not left, f"left alive: {left}"
     gc.freeze()  # the next test looks at its own objects only, not at every module's
-
-
-def _is_view(thing: object) -> bool:
-    from vtkmodules.vtkRenderingCore import vtkRenderWindow
-
-    kind = type(thing)  # isinstance asks proxies, which may be dead
-    return issubclass(kind, (View, vtkRenderWindow))
 
 
 def _close(window: MainWindow) -> None:
