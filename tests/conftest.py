@@ -8,7 +8,9 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, see bubbleviz/cli.py
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # as the command line does, see bubbleviz/cli/command_line.py
 _SETTINGS = TemporaryDirectory(prefix="bubbleviz-tests-")
 os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
 

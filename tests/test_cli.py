@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.cli import OneLineErrors, main
+from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.writer import RecordingWriter
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor
 
 HEAVY = (
@@ -42,7 +42,8 @@ def recording(tmp_path: Path) -> Path:
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys; from bubbleviz.cli import main; main(['--help'], standalone_mode=False); "
+        "import sys; from bubbleviz.cli.command_line import main\n"
+        "main(['--help'], standalone_mode=False); "
         f"print('LOADED', [m for m in {HEAVY!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -59,9 +60,9 @@ def test_every_command_has_help() -> None:
 
 def test_the_window_is_not_imported_by_commands_without_one() -> None:
     code = (
-        "import sys; from bubbleviz.cli import main\n"
+        "import sys; from bubbleviz.cli.command_line import main\n"
         "for name in main.commands: main([name, '--help'], standalone_mode=False)\n"
-        f"print('LOADED', [m for m in {(*HEAVY, 'ui')!r} if m in sys.modules])"
+        f"print('LOADED', [m for m in {(*HEAVY, 'bubbleviz_ui')!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.rstrip().endswith("LOADED []")
@@ -97,7 +98,7 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(
 
 def test_a_truncated_recording_through_the_real_command(recording: Path) -> None:
     recording.write_bytes(recording.read_bytes()[:-40])
-    command = [sys.executable, "-c", "from bubbleviz.cli import main; main()", "info"]
+    command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "info"]
     done = subprocess.run([*command, str(recording)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
@@ -144,9 +145,9 @@ def pico_recording(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ...]]]:
-    """What the commands ask of ui.app and ui.benchmark, in place of doing it."""
-    import ui.app
-    import ui.benchmark
+    """What the commands ask of the window and its benchmark, in place of doing it."""
+    import bubbleviz_ui.app
+    import bubbleviz_ui.bench.replay_rate
 
     asked: list[tuple[str, tuple[object, ...]]] = []
 
@@ -160,10 +161,10 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
 
         return asking
 
-    monkeypatch.setattr(ui.app, "run_window", record("window", 0))
-    monkeypatch.setattr(ui.app, "screenshot", record("screenshot", None))
+    monkeypatch.setattr(bubbleviz_ui.app, "run_window", record("window", 0))
+    monkeypatch.setattr(bubbleviz_ui.app, "screenshot", record("screenshot", None))
     measured = {"median_fps": 31.25, "solve_ms": float("nan")}
-    monkeypatch.setattr(ui.benchmark, "replay_fps", record("bench", measured))
+    monkeypatch.setattr(bubbleviz_ui.bench.replay_rate, "replay_fps", record("bench", measured))
     return asked
 
 
@@ -180,7 +181,7 @@ def test_without_a_command_the_synthetic_sensor(windows: Asked) -> None:
 def test_the_windows_exit_code_is_the_commands(
     windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
 ) -> None:
-    monkeypatch.setattr("ui.app.run_window", lambda *_, **__: 3)
+    monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
     assert CliRunner().invoke(main, []).exit_code == 3
     assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
 
@@ -212,7 +213,7 @@ def test_open_at_a_frame_and_screenshot(
 def test_open_hands_the_scene_to_the_window_and_the_picture(
     windows: Asked, pico_recording: Path, tmp_path: Path
 ) -> None:
-    from ui.presets import load_scene
+    from bubbleviz_ui.model.scene_presets import load_scene
 
     words = ["open", str(pico_recording), "--scene", "cloud"]
     assert CliRunner().invoke(main, words).exit_code == 0

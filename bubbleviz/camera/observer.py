@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.deferred import import_without
+from bubbleviz.lazy_imports import import_without
 from bubbleviz.membrane.mesh import cross, triangles_across
 
 _WALK = 4

@@ -13,10 +13,10 @@ import numpy as np
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.pose.contact import ContactPoints
-from bubbleviz.pose.motion import about, motion_between
-from bubbleviz.pose.pressed import AROUND_M, PressedMembrane
-from bubbleviz.pose.uncertainty import Directions
+from bubbleviz.pose.contact_points import ContactPoints
+from bubbleviz.pose.observability import Directions
+from bubbleviz.pose.pressed_membrane import AROUND_M, PressedMembrane
+from bubbleviz.pose.rigid_motion import about, motion_between
 
 _TRUST = 0.3
 """Share of the pixels' information that is left: what the facets of the model get wrong lasts until

@@ -14,10 +14,10 @@ from fakes import small_sensor
 from mcap.reader import make_reader
 from window_driver import Driver
 
-from bubbleviz.live.session_file import SensorPlace, SessionPreset
+from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
-from ui.live.connection import LiveRun
-from ui.live.desk import LiveDesk
+from bubbleviz_ui.live.connection import LiveRun
+from bubbleviz_ui.live.live_controller import LiveDesk
 
 ROBOT = Path(__file__).parents[1] / "live" / "robot.py"
 WIDTH, HEIGHT = 64, 48

@@ -14,7 +14,7 @@ from window_driver import Driver, warm
 
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import load_sensor
-from ui.sources import recording
+from bubbleviz_ui.engine.source_openers import recording
 
 HERE = Path(__file__).parent
 PROGRAM = """
@@ -23,8 +23,8 @@ sys.path.insert(0, {here!r})
 from pathlib import Path
 from fakes import small_sensor
 from bubbleviz.errors import InputError
-from ui.app import run_window, screenshot
-from ui.benchmark import replay_fps
+from bubbleviz_ui.app import run_window, screenshot
+from bubbleviz_ui.bench.replay_rate import replay_fps
 try:
     {what}
 except InputError as error:
@@ -124,7 +124,7 @@ def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press: Pat
 
 @pytest.mark.parametrize("name", ["DISPLAY"])
 def test_a_display_that_does_not_answer_is_none(name: str) -> None:
-    from ui.display import has_display
+    from bubbleviz_ui.shell.display import has_display
 
     assert not has_display({name: ":4711"})
     assert not has_display({name: ""})

@@ -10,8 +10,8 @@ import numpy as np
 from pytestqt.qtbot import QtBot
 
 from bubbleviz.pipeline import Pipeline
-from ui.main_window import MainWindow
-from ui.state import SessionState
+from bubbleviz_ui.main_window import MainWindow
+from bubbleviz_ui.model.session_state import SessionState
 
 PATIENCE_MS = 30_000
 

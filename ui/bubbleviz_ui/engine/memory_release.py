@@ -1,0 +1,59 @@
+"""Memory that nobody uses goes back to the system: images come and go for hours."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import time
+from threading import Thread
+
+from PySide6.QtCore import QObject, QTimer
+
+from bubbleviz_ui.model.events import Event
+from bubbleviz_ui.model.session_state import SessionState
+
+REST_MS = 3000
+LIVE_EVERY_S = 10.0
+"""Of a live source, which may never rest: at 60 Hz some 3 MB a second are held for nothing."""
+
+
+class GivingBack(QObject):
+    """Lets go of unused memory when the window has come to rest, in a thread.
+
+    Not while a recording plays: who wants memory meanwhile waits, for longer than a picture takes.
+
+    Parameters
+    ----------
+    state : SessionState
+    """
+
+    def __init__(self, state: SessionState) -> None:
+        super().__init__()
+        self._state = state
+        self._used, self._last_s = True, time.monotonic()
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(lambda: self._on_tick())
+        self._timer.start(REST_MS)
+        state.subscribe(self._on_event)
+
+    def close(self) -> None:
+        """Look no more."""
+        self._timer.stop()
+
+    def _on_event(self, _: Event) -> None:
+        self._used = True
+
+    def _on_tick(self) -> None:
+        facts, now = self._state.facts, time.monotonic()
+        live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
+        if self._used and (live or not self._state.playing):
+            self._used, self._last_s = False, now
+            Thread(target=give_back, name="memory", daemon=True).start()
+
+
+def give_back() -> None:
+    """Have the C library let go of what it holds for nothing, where it knows how (glibc)."""
+    if sys.platform.startswith("linux"):
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
