@@ -10,12 +10,11 @@ import pytest
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication, QWidget
-from window_driver import Driver
+from window_driver import Driver, in_view, near
 
 from bubbleviz.diagnostics.probe import Probe
 from bubbleviz_ui.panels.images_panel import ImagesPanel, best_columns
 from bubbleviz_ui.shell.theme import NODE
-from bubbleviz_ui.view3d.colour_maps import rgb
 
 Drive = Callable[..., Driver]
 CONTACT = 75
@@ -45,20 +44,6 @@ def place_of(panel: ImagesPanel, name: str, row: int, column: int) -> QPoint:
     box = panel.cells[name].box
     scene = box.mapViewToScene(QPointF(column + 0.5, row + 0.5))
     return panel._grid.mapFromScene(scene)
-
-
-def in_view(driver: Driver, point_m: np.ndarray) -> QPoint:
-    """Where a point in B is drawn, in Qt's pixels."""
-    view = driver.window.view
-    view.renderer.SetWorldPoint(*point_m, 1.0)
-    view.renderer.WorldToDisplay()
-    x, y, _ = view.renderer.GetDisplayPoint()
-    return QPoint(round(x), round(view.height() - 1 - y))
-
-
-def near(pixels: np.ndarray, place: QPoint, colour: str) -> bool:
-    part = pixels[place.y() - 8 : place.y() + 9, place.x() - 8 : place.x() + 9]
-    return bool(np.all(part == rgb(colour), axis=2).any())
 
 
 def test_a_pixel_lights_up_its_point_and_its_node(drive: Drive) -> None:

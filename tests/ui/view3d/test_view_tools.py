@@ -10,8 +10,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from test_images import in_view, near
-from window_driver import Driver
+from window_driver import Driver, in_view, near
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.colour_maps import rgb
