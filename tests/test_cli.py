@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.metadata import EntryPoints
 from pathlib import Path
 
 import click
@@ -52,20 +53,57 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_every_command_has_help() -> None:
-    for name in main.commands:
+    names = main.list_commands(click.Context(main))
+    assert {"bench", "open", "window"} < set(names)
+    for name in names:
         done = CliRunner().invoke(main, [name, "--help"])
         assert done.exit_code == 0
         assert "Usage:" in done.stdout
 
 
-def test_the_window_is_not_imported_by_commands_without_one() -> None:
+def loaded_after_help(which: str) -> str:
+    """What is imported of what is heavy, and of the window, after the help of some commands."""
     code = (
-        "import sys; from bubbleviz.cli.command_line import main\n"
-        "for name in main.commands: main([name, '--help'], standalone_mode=False)\n"
+        "import click, sys; from bubbleviz.cli.command_line import main\n"
+        f"for name in {which}: main([name, '--help'], standalone_mode=False)\n"
         f"print('LOADED', [m for m in {(*HEAVY, 'bubbleviz_ui')!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.rstrip().endswith("LOADED []")
+    return done.stdout.splitlines()[-1]
+
+
+def test_the_window_is_not_imported_by_commands_without_one() -> None:
+    assert loaded_after_help("main.commands") == "LOADED []"
+
+
+def test_the_windows_commands_have_help_without_qt() -> None:
+    every = "main.list_commands(click.Context(main))"
+    assert loaded_after_help(every) == "LOADED ['bubbleviz_ui']"
+
+
+INSTALL = 'pip install "bubbleviz[window]"'
+
+
+@pytest.mark.parametrize("words", [[], ["open", "x.mcap"], ["bench", "window", "--synthetic"]])
+def test_without_the_window_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    none = EntryPoints([])
+    monkeypatch.setattr("bubbleviz.cli.command_line.entry_points", lambda **_: none)
+    done = CliRunner().invoke(main, words, prog_name="bubbleviz")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert INSTALL in done.stderr
+
+
+@pytest.mark.parametrize("library", ["PySide6", "pyvistaqt"])
+def test_without_a_library_of_the_window_one_line_says_what_to_install(library: str) -> None:
+    code = (
+        f"import sys; sys.modules[{library!r}] = None\n"
+        "from bubbleviz.cli.command_line import main; main(['bench', 'window', '--synthetic'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert library in done.stderr and INSTALL in done.stderr
 
 
 def test_info(recording: Path) -> None:
