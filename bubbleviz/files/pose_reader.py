@@ -54,6 +54,23 @@ def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, floa
     return x, y, z, qx, qy, qz, qw
 
 
+def pose_of_angles(position_m: np.ndarray, angles_rad: np.ndarray) -> np.ndarray:
+    """4×4 transform from a position (3,) and turns (3,) about fixed x, then y, then z."""
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", angles_rad).as_matrix()
+    T[:3, 3] = position_m
+    return T
+
+
+def angles_of_pose(T: np.ndarray) -> np.ndarray:
+    """Turns (3,) in rad about fixed x, then y, then z that make up the rotation of T (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+
+
 def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Poses (F, 4, 4) and, where the file has them, times (F,) in s.
 

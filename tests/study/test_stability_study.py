@@ -13,15 +13,9 @@ from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.study.isolated_process import Worker
+from bubbleviz.study.stability.case import Case, FailedError, RefusedError, attempt
 from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
-from bubbleviz.study.stability.stability_study import (
-    Case,
-    FailedError,
-    RefusedError,
-    attempt,
-    run_stability,
-    summary,
-)
+from bubbleviz.study.stability.stability_study import run_stability, summary
 from bubbleviz.study.stability.stability_trial import Streak, Trial
 
 

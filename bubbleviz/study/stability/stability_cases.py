@@ -16,7 +16,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.study.stability import extreme_inputs as shapes
-from bubbleviz.study.stability.stability_study import Case
+from bubbleviz.study.stability.case import Case
 from bubbleviz.study.stability.stability_trial import TYPICAL_RANGE_M, Streak, Trial
 
 PSI = 6_894.757

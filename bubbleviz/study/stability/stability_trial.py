@@ -20,8 +20,8 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
 from bubbleviz.study.presses import made, touching_height
+from bubbleviz.study.stability.case import FailedError, RefusedError
 from bubbleviz.study.stability.certificates import Band, forward_faults, inverse_faults
-from bubbleviz.study.stability.stability_study import FailedError, RefusedError
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 TYPICAL_RANGE_M = 0.15

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel, QWidget
-from scipy.spatial.transform import Rotation
 
+from bubbleviz.files.pose_reader import angles_of_pose, pose_of_angles
 from bubbleviz_ui.model.units import Units
 
 FARTHEST_M = 0.5
@@ -58,7 +58,7 @@ class StartBoxes(QWidget):
 
     def show_pose(self, T_B_O: np.ndarray) -> None:
         """Write a pose (4, 4) into the boxes."""
-        angles = Rotation.from_matrix(T_B_O[:3, :3]).as_euler("xyz", degrees=True)
+        angles = np.degrees(angles_of_pose(T_B_O))
         place = self._units.length.of(1.0) * T_B_O[:3, 3]
         values = zip([*self.places, *self.angles], [*place, *angles], strict=True)
         for box, value in values:
@@ -67,11 +67,8 @@ class StartBoxes(QWidget):
 
     def pose(self) -> np.ndarray:
         """T_B_O (4, 4) as it is in the boxes."""
-        T = np.eye(4)
-        angles = [box.value() for box in self.angles]
-        T[:3, :3] = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
-        T[:3, 3] = [self._units.length.to_si(box.value()) for box in self.places]
-        return T
+        place = np.array([self._units.length.to_si(box.value()) for box in self.places])
+        return pose_of_angles(place, np.radians([box.value() for box in self.angles]))
 
     def _box(self, name: str) -> QDoubleSpinBox:
         box = QDoubleSpinBox()
