@@ -54,7 +54,7 @@ _MOST_ROWS = 2_500
 
 
 @dataclass(frozen=True)
-class _Below:
+class _Projection:
     """Where points are over the membrane at rest.
 
     Attributes
@@ -74,9 +74,9 @@ class _Below:
     weights: np.ndarray
     height_m: np.ndarray
 
-    def of(self, some: np.ndarray | slice) -> _Below:
+    def of(self, some: np.ndarray | slice) -> _Projection:
         """Of some of the points."""
-        return _Below(
+        return _Projection(
             self.triangle[some], self.corners[some], self.weights[some], self.height_m[some]
         )
 
@@ -102,24 +102,24 @@ class _Responses:
     around: np.ndarray
     M: np.ndarray
 
-    def between(self, below: _Below) -> np.ndarray:
+    def between(self, projection: _Projection) -> np.ndarray:
         """Displacement (c, c) of points under forces on each other, slightly softened."""
-        corners, weights = self.number[below.corners], below.weights
+        corners, weights = self.number[projection.corners], projection.weights
         half = np.einsum("ca,caj->cj", weights, self.own[corners])
         C = np.einsum("ca,jca->jc", weights, half[:, corners])
         diagonal = np.arange(len(C))
         C[diagonal, diagonal] *= 1.0 + _SOFT
         return C
 
-    def reach(self, below: _Below) -> np.ndarray:
+    def reach(self, projection: _Projection) -> np.ndarray:
         """Which points (c,) are over nodes that may carry forces."""
-        over: np.ndarray = np.all(self.number[below.corners] >= 0, axis=1)
+        over: np.ndarray = np.all(self.number[projection.corners] >= 0, axis=1)
         return over
 
-    def loads(self, below: _Below, forces: np.ndarray) -> np.ndarray:
+    def loads(self, projection: _Projection, forces: np.ndarray) -> np.ndarray:
         """Forces (c,) on points, on the nodes (l,) below them."""
-        shares = (below.weights * forces[:, None]).ravel()
-        corners = self.number[below.corners].ravel()
+        shares = (projection.weights * forces[:, None]).ravel()
+        corners = self.number[projection.corners].ravel()
         return np.bincount(corners, shares, minlength=len(self.own))
 
     def displacements(self, loads: np.ndarray) -> np.ndarray:
@@ -139,7 +139,7 @@ class Press:
         u around the contact, 0 far from it.
     points : (c, 3) array
         Places of the object that touch, in B.
-    held : _Below
+    held : _Projection
         Where they are over the membrane.
     responses : _Responses
     factor : tuple
@@ -148,7 +148,7 @@ class Press:
 
     displacement_m: np.ndarray
     points: np.ndarray
-    held: _Below
+    held: _Projection
     responses: _Responses
     factor: tuple[np.ndarray, bool]
 
@@ -186,16 +186,16 @@ class PressedMembrane:
 
     def press(self, T_B_O: np.ndarray, contact: ContactPoints) -> Press:
         """Press the object at a pose (4, 4); only the part of it that is near the contact."""
-        near, below = self._candidates(T_B_O, contact)
-        responses = self._around(below, contact)
-        C = responses.between(below)
+        near, projection = self._candidates(T_B_O, contact)
+        responses = self._around(projection, contact)
+        C = responses.between(projection)
         start = self._touching[near]
-        guess = start if start.any() else below.height_m < 0.0
-        forces, _, _ = nonnegative_qp(DenseQuadratic(C), below.height_m, guess, 1e-6)
+        guess = start if start.any() else projection.height_m < 0.0
+        forces, _, _ = nonnegative_qp(DenseQuadratic(C), projection.height_m, guess, 1e-6)
         touching = np.flatnonzero(forces > 0.0)
         self._touching[:] = False
         self._touching[near[touching]] = True
-        held = below.of(touching)
+        held = projection.of(touching)
         loads = responses.loads(held, forces[touching])
         return Press(
             displacement_m=responses.displacements(loads[:, None])[:, 0],
@@ -222,17 +222,19 @@ class PressedMembrane:
         points = np.einsum("sij,cj->sci", T[:, :3, :3], press.points) + T[:, None, :3, 3]
         count = len(press.points)
         start = press.held.of(np.tile(np.arange(count), len(motions)))
-        below = self._below(points.reshape(-1, 3), start)
+        projection = self._project(points.reshape(-1, 3), start)
         loads = np.empty((len(press.responses.own), len(motions)))
         for k in range(len(motions)):
-            there = below.of(slice(k * count, (k + 1) * count))
+            there = projection.of(slice(k * count, (k + 1) * count))
             there = there.of(press.responses.reach(there))
             factor = cho_factor(press.responses.between(there), check_finite=False)
             forces = -cho_solve(factor, there.height_m, check_finite=False)
             loads[:, k] = press.responses.loads(there, forces)
         return press.responses.displacements(loads)
 
-    def _candidates(self, T_B_O: np.ndarray, contact: ContactPoints) -> tuple[np.ndarray, _Below]:
+    def _candidates(
+        self, T_B_O: np.ndarray, contact: ContactPoints
+    ) -> tuple[np.ndarray, _Projection]:
         """Object points (c,) that the membrane may touch at a pose, and where they are."""
         R, t = T_B_O[:3, :3], T_B_O[:3, 3]
         reach = contact.extent_m + AROUND_M
@@ -241,20 +243,20 @@ class PressedMembrane:
         points = self._points[near] @ R.T + t
         new = self._triangle[near] < 0
         self._triangle[near[new]] = self._closest(points[new])
-        below = self._below(points, self._unknown(self._triangle[near]))
-        over = below.weights.min(axis=1) > _OFF
-        self._triangle[near] = np.where(over, below.triangle, -1)
-        normals = self.mesh.normals[below.corners].mean(axis=1)
+        projection = self._project(points, self._unknown(self._triangle[near]))
+        over = projection.weights.min(axis=1) > _OFF
+        self._triangle[near] = np.where(over, projection.triangle, -1)
+        normals = self.mesh.normals[projection.corners].mean(axis=1)
         looks = np.einsum("cij,cj->ci", self._normals[near] @ R.T, normals)
-        kept = over & (below.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
-        return near[kept], below.of(kept)
+        kept = over & (projection.height_m < _GAP_M) & (looks.min(axis=1) < _SIDEWAYS)
+        return near[kept], projection.of(kept)
 
-    def _around(self, below: _Below, contact: ContactPoints) -> _Responses:
+    def _around(self, projection: _Projection, contact: ContactPoints) -> _Responses:
         """Responses to forces below the object, of all nodes that a camera sees around it."""
         away = np.linalg.norm(self.mesh.nodes - contact.rest_center, axis=1)
         reach = contact.extent_m + AROUND_M + 2.0 * self.mesh.edge_length
         carrying = np.zeros(len(self.mesh.nodes), bool)
-        carrying[below.corners] = True
+        carrying[projection.corners] = True
         carrying = self._grown(carrying)  # points move on to the next triangle
         known, seen = self._responses, np.zeros(len(self.mesh.nodes), bool)
         seen[known.around] = True
@@ -304,12 +306,14 @@ class PressedMembrane:
         found = self._scene.compute_closest_points(query)["primitive_ids"]
         return found.numpy().astype(np.int64)
 
-    def _unknown(self, triangle: np.ndarray) -> _Below:
+    def _unknown(self, triangle: np.ndarray) -> _Projection:
         """A first guess above the middle of triangles (c,)."""
         corners = self.mesh.triangles[triangle]
-        return _Below(triangle, corners, np.full(corners.shape, 1.0 / 3.0), np.zeros(len(corners)))
+        return _Projection(
+            triangle, corners, np.full(corners.shape, 1.0 / 3.0), np.zeros(len(corners))
+        )
 
-    def _below(self, points: np.ndarray, start: _Below) -> _Below:
+    def _project(self, points: np.ndarray, start: _Projection) -> _Projection:
         """Barycentric coordinates and height of points (c, 3), walking from a place close by.
 
         Newton's method on the triangle, and on to the neighbour where it leads out of it.
@@ -342,7 +346,7 @@ class PressedMembrane:
             moving = moving[leaves | (np.abs(change[:, 2]) > _TOLERANCE * self.mesh.edge_length)]
             if not len(moving):
                 break
-        return _Below(triangle, self.mesh.triangles[triangle], weights, height)
+        return _Projection(triangle, self.mesh.triangles[triangle], weights, height)
 
 
 def _solve3(a: np.ndarray, b: np.ndarray, c: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A short source played again and again, with new noise every round, as a camera would have."""
+"""A short source played in a loop, with new noise every round, as a camera would have."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import Truth, truth_of
 
 
-class NoisyRounds:
+class NoisyLoop:
     """Adds noise to frames without; it changes when reading begins again before where it was.
 
     Parameters

@@ -7,7 +7,7 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.frames.frame import Frame
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.noisy_loop import NoisyRounds
+from bubbleviz.simulation.noisy_loop import NoisyLoop
 
 SIGMA = 1e-3
 
@@ -28,7 +28,7 @@ class Flat:
 @pytest.fixture
 def rounds():
     camera = DepthCamera(Intrinsics(50, 40, 40.0, 40.0, 25.0, 20.0), np.eye(4))
-    return NoisyRounds(Flat(), camera, DepthNoise(absolute_m=SIGMA))
+    return NoisyLoop(Flat(), camera, DepthNoise(absolute_m=SIGMA))
 
 
 def test_noise_is_of_the_camera_and_new_every_round(rounds):

@@ -20,7 +20,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import default_press
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver_thread import Worker
-from bubbleviz_ui.engine.source_openers import MadeOnce
+from bubbleviz_ui.engine.source_openers import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.view3d.render_view import View
@@ -35,7 +35,7 @@ def sensor() -> Sensor:
 @pytest.fixture(scope="session")
 def press(sensor: Sensor) -> FrameSource:
     """The window's own synthetic press on a small sensor."""
-    return MadeOnce(default_press(sensor))
+    return CachedSource(default_press(sensor))
 
 
 @pytest.fixture

@@ -18,15 +18,15 @@ from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.memory_release import GivingBack
+from bubbleviz_ui.engine.memory_release import MemoryRelease
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.connect_dialog import ConnectDialog
 from bubbleviz_ui.live.live_bar import LiveBar
-from bubbleviz_ui.live.live_controller import LiveDesk
-from bubbleviz_ui.live.picture_age import Freshness
-from bubbleviz_ui.live.sensor_pair import Pair
+from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.picture_age import PictureAge
+from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.costs import Costs
 from bubbleviz_ui.model.events import ChoicesChanged, Event, PlayingChanged, SourceChanged
 from bubbleviz_ui.model.hover import Hover
@@ -46,7 +46,7 @@ from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.pose.pose_session import PoseSession
 from bubbleviz_ui.session_files.session_file import name_of
-from bubbleviz_ui.session_files.session_saver import SessionKeeper
+from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.dock import Dock, scrolled
@@ -108,20 +108,20 @@ class MainWindow(QMainWindow):
         self.undo_stack = QUndoStack(self)
         self.undo_stack.setUndoLimit(STEPS)
         self.settings = SettingsHistory(state, self.undo_stack)
-        self.keeper = SessionKeeper(self)
+        self.session_saver = SessionSaver(self)
         self.costs = Costs()
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
         )
         self.pose = PosePanel(state, PoseSession(controller))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
-        self.pair = Pair(controller, self.scene, self.view)
-        self.desk = LiveDesk(controller, self.pair)
-        self.live = LiveBar(self.desk, state.units)
-        self.freshness = Freshness(controller, self.view)
+        self.pair = SensorPair(controller, self.scene, self.view)
+        self.live_controller = LiveController(controller, self.pair)
+        self.live = LiveBar(self.live_controller, state.units)
+        self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._export: ExportDialog | None = None
-        self._memory = GivingBack(state)
+        self._memory = MemoryRelease(state)
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
@@ -138,7 +138,7 @@ class MainWindow(QMainWindow):
                 self.pose_dock.show()
                 self.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
-            self.keeper.open(path)
+            self.session_saver.open(path)
         elif path.suffix.lower() == TRUTH_SUFFIX:
             self.controller.opening.truth(path)
         else:
@@ -156,7 +156,9 @@ class MainWindow(QMainWindow):
     def show_connect(self) -> None:
         """Choose a live source."""
         sensor = self.controller.sensor
-        ConnectDialog(self, self.desk, None if sensor is None else name_of(sensor)).open()
+        ConnectDialog(
+            self, self.live_controller, None if sensor is None else name_of(sensor)
+        ).open()
 
     def show_export(self) -> None:
         """Export frames as files."""
@@ -189,7 +191,7 @@ class MainWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Stop the timers and the solver thread, then let go of VTK."""
-        self.keeper.close()
+        self.session_saver.close()
         self.open_panels.close()
         self._rates.stop()
         self.state.unsubscribe_all()
@@ -199,7 +201,7 @@ class MainWindow(QMainWindow):
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()
         self.pose.close_plots()
-        self.desk.close()
+        self.live_controller.close()
         self.controller.close()
         self.view.close()
         super().closeEvent(event)
@@ -293,7 +295,7 @@ class MainWindow(QMainWindow):
             self.settings.watch_box(text, box)
         keys.edited.connect(self.settings.watch("keys", lambda: keys.changed, keys.use))
         self.pose.said.connect(self.message.say)
-        self.desk.said.connect(self.message.say)
+        self.live_controller.said.connect(self.message.say)
         self.exporting.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)
         self.status.asked.connect(self.show_costs)
@@ -391,4 +393,4 @@ class MainWindow(QMainWindow):
         self.status.show_rates(
             Rates(controller.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped)
         )
-        self.status.show_latency(self.freshness.report())
+        self.status.show_latency(self.picture_age.report())

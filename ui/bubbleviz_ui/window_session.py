@@ -74,7 +74,7 @@ class WindowSession:
         known = any(each is not None for each in (recording, live, saved))
         restored = keep_in is not None and self._restore(keep_in, recording, known=known)
         if saved is not None and given is not None:
-            restored = self._came_back(self.window.keeper.restore(given, saved))
+            restored = self._came_back(self.window.session_saver.restore(given, saved))
         if scene is not None:
             self.window.use_scene(scene)
         if live is not None:
@@ -122,9 +122,9 @@ class WindowSession:
         """Connect; a source that is not there yet is waited for in the window."""
         from bubbleviz_ui.engine.requests import Failed
 
-        desk, problems = self.window.desk, list[str]()
-        desk.said.connect(lambda problem, _: problems.append(problem))
-        desk.connect_to(live)
+        live_controller, problems = self.window.live_controller, list[str]()
+        live_controller.said.connect(lambda problem, _: problems.append(problem))
+        live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(
             lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
@@ -140,16 +140,16 @@ class WindowSession:
         Where it is `known` what to open, that is opened in its place; what cannot be opened any
         more is a message in the window.
         """
-        keeper = self.window.keeper
-        saved = keeper.keep_in(file)
-        keeper.use(saved)
+        session_saver = self.window.session_saver
+        saved = session_saver.keep_in(file)
+        session_saver.use(saved)
         with self.window.settings.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
         if recording is not None:
-            keeper.expect(saved, recording)
+            session_saver.expect(saved, recording)
         if known:
             return False
-        return self._came_back(keeper.open_source(saved))
+        return self._came_back(session_saver.open_source(saved))
 
     def _came_back(self, asked: bool) -> bool:
         """Whether a session's source, where one was asked for, is open now."""

@@ -66,7 +66,7 @@ class ZenohSource:
         self._lock = threading.Lock()
         self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
-        self._keeper: PacedThread | None = None
+        self._connector: PacedThread | None = None
         self._deliver: Deliver | None = None
 
     def start(self, deliver: Deliver) -> None:
@@ -76,14 +76,14 @@ class ZenohSource:
             self._session = open_session(self._options)
         else:
             make_config(self._options)  # a malformed endpoint is refused now
-        self._keeper = PacedThread(self._keep, "zenoh keeper")
+        self._connector = PacedThread(self._keep, "zenoh connector")
 
     def stop(self) -> None:
         """Close the session."""
         with self._gate:
             self._deliver = None
-        if self._keeper is not None:
-            self._keeper.stop(CLOSING_S)  # it may be waiting for a host that does not answer
+        if self._connector is not None:
+            self._connector.stop(CLOSING_S)  # it may be waiting for a host that does not answer
         self._link = "ended"
 
     def link(self) -> Link:
@@ -102,7 +102,7 @@ class ZenohSource:
 
     def problem(self) -> str:
         """What ended the thread that looks after the subscriptions."""
-        return "" if self._keeper is None else self._keeper.problem
+        return "" if self._connector is None else self._connector.problem
 
     def _named(self) -> list[tuple[str, str]]:
         names = self._names

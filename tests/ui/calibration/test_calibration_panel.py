@@ -294,8 +294,8 @@ def test_the_new_sensor_is_sent_with_the_session(
     bench.click(bench.panel.report.use_it)
     bench.driver.wait(lambda: window.controller.sensor is not sensor)
     used = window.controller.sensor
-    assert not any(str(used.folder) in path for path in window.keeper.recent)
-    window.keeper.save_as(mine / "look.bubbleviz")
+    assert not any(str(used.folder) in path for path in window.session_saver.recent)
+    window.session_saver.save_as(mine / "look.bubbleviz")
     window.close()
     assert not used.folder.exists()
     mine.rename(tmp_path / "theirs")

@@ -76,7 +76,7 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     values = driver.window.compare.a.values
     driver.wait(lambda: values["iou"].text() not in ("", "–"))
     assert float(values["iou"].text()) > 0.5
-    driver.window.keeper.save_as(files / "look.bubbleviz")
+    driver.window.session_saver.save_as(files / "look.bubbleviz")
     other = drive()
     other.window.open_file(files / "look.bubbleviz")
     other.wait(lambda: other.state.facts.frames == FRAMES)

@@ -1,4 +1,4 @@
-"""The window on live sources: real streams through the real desk, by clicks and keys."""
+"""The window on live sources: real streams through the real controller, by clicks and keys."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz_ui.bench.live_soak import free_port
-from bubbleviz_ui.engine.request_delay import Lead
+from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
 
@@ -49,7 +49,7 @@ def test_frames_are_followed_and_nothing_of_two_sensors_is_there(open_bench: Ope
     live = connected(open_bench)
     live.wait(lambda: live.window.live.state.text().endswith("Hz"))
     assert "live" in live.window.live.state.text() and "messages" in live.window.live.counts.text()
-    assert not live.window.live.sensors and live.window.pair.companion is None
+    assert not live.window.live.sensors and live.window.pair.second_sensor is None
     assert live.window.pair.drawing is None
     import threading
 
@@ -134,7 +134,7 @@ def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> No
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
     try:
         live.record()
-        live.wait(lambda: not live.desk.recording.busy)
+        live.wait(lambda: not live.live_controller.recording.busy)
         live.wait(live.window.message.isVisible)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -151,8 +151,8 @@ def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> No
 def test_results_go_out_only_when_asked_for(open_bench: Open) -> None:
     live = connected(open_bench)
     port = free_port()
-    live.desk.publishing.endpoint = f"tcp/127.0.0.1:{port}"
-    assert not live.desk.publishing.on and not _listens(port)
+    live.live_controller.publishing.endpoint = f"tcp/127.0.0.1:{port}"
+    assert not live.live_controller.publishing.on and not _listens(port)
     live.state.choose(layers=frozenset(), panels=frozenset())  # nobody looks at the patch
     names = TopicNames(depth="/bubbleviz/contact_patch", wrench="/bubbleviz/contact_wrench")
     place, topics = SessionOptions("test", f"tcp/127.0.0.1:{port}"), set[str]()
@@ -195,20 +195,22 @@ def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench:
         ("realsense:", "realsense"),
     ):
         live.window.message.hide()
-        live.desk.connect_to(single(source, sensor_file(live.folder)))
+        live.live_controller.connect_to(single(source, sensor_file(live.folder)))
         live.wait(live.window.message.isVisible)
         assert words in live.window.message.label.text()
-        assert live.desk.connection is None and live.desk.run is not None
+        assert live.live_controller.connection is None and live.live_controller.run is not None
     live.follow(3)
 
 
 def test_cancelling_a_robot_that_is_not_there(open_bench: Open) -> None:
     bench = open_bench()
     port = free_port()
-    bench.desk.connect_to(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
+    bench.live_controller.connect_to(
+        single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder))
+    )
     bench.wait(lambda: "waiting" in bench.window.live.state.text())
     bench.window.live.leave.click()
-    assert bench.desk.connection is None and not bench.window.live.isVisible()
+    assert bench.live_controller.connection is None and not bench.window.live.isVisible()
 
 
 def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path: Path) -> None:
@@ -227,7 +229,7 @@ def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path
     bench.state.choose(layers=layers)
     bench.wait(lambda: bench.window.controller.result.cloud_m is not None)
     bench.window.live.leave.click()
-    assert bench.desk.run is None
+    assert bench.live_controller.run is None
     bench.state.seek(0)
     bench.wait(lambda: bench.shown == 0)
 
@@ -259,13 +261,13 @@ def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None
 
 def test_the_solver_is_held_back_by_what_its_results_waited() -> None:
     """As in a window that takes 50 ms for a picture while the solver takes 15."""
-    lead = Lead()
+    delay = RequestDelay()
     for _ in range(40):
-        lead.waited(max(0.050 - 0.015 - lead.hold_s, 0.0))
-    assert 0.028 < lead.hold_s < 0.035  # the result is there just before the window is
+        delay.waited(max(0.050 - 0.015 - delay.hold_s, 0.0))
+    assert 0.028 < delay.hold_s < 0.035  # the result is there just before the window is
     for _ in range(40):
-        lead.waited(0.0)
-    assert lead.hold_s == 0.0
+        delay.waited(0.0)
+    assert delay.hold_s == 0.0
 
 
 def test_garbage_is_counted_shown_and_survived(open_bench: Open) -> None:
@@ -288,7 +290,7 @@ def test_the_dialog_offers_what_the_robot_has(open_bench: Open) -> None:
     from bubbleviz_ui.live.connect_dialog import ConnectDialog
 
     port, name = free_port(), sensor_file(bench.folder)
-    dialog = ConnectDialog(bench.window, bench.desk, name)
+    dialog = ConnectDialog(bench.window, bench.live_controller, name)
     dialog.open()
     with robot(port):
         dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
@@ -316,4 +318,4 @@ def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
     dialog.place.setEditText("nowhere.mcap")
     bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
     dialog.reject()
-    assert bench.desk.connection is None
+    assert bench.live_controller.connection is None

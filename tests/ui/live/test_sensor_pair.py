@@ -9,7 +9,7 @@ import numpy as np
 from live_bench import IMAGE, Bench, contents, robot_sensor, two
 from PySide6.QtCore import Qt
 
-from bubbleviz_ui.view3d.second_scene import CompanionScene
+from bubbleviz_ui.view3d.second_scene import SecondScene
 
 Open = Callable[[], Bench]
 
@@ -18,25 +18,25 @@ def paired(open_bench: Open) -> Bench:
     """A window on two sensors, both of which have shown something."""
     bench = open_bench()
     bench.connect(two(bench.folder))
-    bench.wait(lambda: bench.window.pair.companion.open is not None)
+    bench.wait(lambda: bench.window.pair.second_sensor.open is not None)
     return bench
 
 
 def other(bench: Bench) -> int:
     """Number of the frame that the other sensor shows."""
-    opened = bench.window.pair.companion.open
+    opened = bench.window.pair.second_sensor.open
     return opened.result.frame.index
 
 
 def world_camera(bench: Bench) -> np.ndarray:
     """Place, focus and up of the view's camera in the world, (3, 3)."""
-    T = bench.run.preset.sensors[bench.desk.chosen].T_W_B
+    T = bench.run.preset.sensors[bench.live_controller.chosen].T_W_B
     camera = bench.window.view.camera
     points = np.array([camera.position, camera.focal_point]) @ T[:3, :3].T + T[:3, 3]
     return np.vstack([points, T[:3, :3] @ camera.up])
 
 
-def drawn(drawing: CompanionScene) -> np.ndarray:
+def drawn(drawing: SecondScene) -> np.ndarray:
     """Ends of what the other sensor has in the view, (3, 2)."""
     return np.array(drawing._assembly.GetBounds()).reshape(3, 2)
 
@@ -80,7 +80,7 @@ def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:
     known = len(first)
     assert bench.state.facts.title == "Two, left"
     bench.window.live.sensors[1].click()
-    assert bench.desk.chosen == 1 and bench.state.facts.title == "Two, right"
+    assert bench.live_controller.chosen == 1 and bench.state.facts.title == "Two, right"
     assert bench.window.controller.worker is not worker
     assert bench.state.history is not first
     bench.follow(5)
@@ -88,7 +88,7 @@ def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:
     with bench.bot.waitActive(bench.window):
         bench.window.activateWindow()
     bench.bot.keyClick(bench.window, Qt.Key.Key_B)
-    assert bench.desk.chosen == 0 and bench.window.controller.worker is worker
+    assert bench.live_controller.chosen == 0 and bench.window.controller.worker is worker
     assert bench.state.history is first and len(first) > known
     bench.follow(3)
     assert np.isfinite(first.values["residual_m"][1 : bench.shown]).all()
@@ -101,7 +101,7 @@ def test_turning_to_the_other_sensor_does_not_move_the_view_in_the_world(
     bench = paired(open_bench)
     bench.window.view.camera.position = (0.3, -0.2, 0.35)
     before = world_camera(bench)
-    bench.desk.choose_other()
+    bench.live_controller.choose_other()
     np.testing.assert_allclose(world_camera(bench), before, atol=1e-9)
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
@@ -137,7 +137,7 @@ def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: O
     bench.connect(alone.model_copy(update={"sensors": alone.sensors[:1]}))
     bench.wait(lambda: bench.state.facts.title.startswith("synthetic:"))
     bench.follow(3)
-    assert bench.window.pair.companion is None and not bench.window.live.sensors
+    assert bench.window.pair.second_sensor is None and not bench.window.live.sensors
     assert not bench.window.pair.drawing._assembly.GetVisibility()
     assert sum(t.name == "solver" for t in threading.enumerate()) == 1
     assert tuple(bench.window.scene._beside_m.shape) == (0, 3)

@@ -103,7 +103,7 @@ def dark_again() -> object:
 def test_a_session_is_sent_to_a_colleague(drive: Drive, files: Path, tmp_path: Path) -> None:
     mine = drive()
     settings(mine, files)
-    mine.window.keeper.save_as(files / "look.bubbleviz")
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
     text = (files / "look.bubbleviz").read_text()
     assert str(files) not in text  # nothing of my disk
     theirs = tmp_path / "elsewhere"
@@ -120,7 +120,7 @@ def test_what_is_missing_is_one_sentence_and_the_rest_is_restored(
 ) -> None:
     mine = drive()
     settings(mine, files)
-    mine.window.keeper.save_as(files / "alone.bubbleviz")
+    mine.window.session_saver.save_as(files / "alone.bubbleviz")
     shutil.copy(files / "alone.bubbleviz", tmp_path)
     (files / "alone.bubbleviz").unlink()
     other = drive(frame=5)
@@ -207,13 +207,13 @@ def test_recording_and_sensor_dropped_together(drive: Drive, files: Path) -> Non
 
 def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive: Drive) -> None:
     driver = drive(frame=3)
-    assert driver.window.keeper.snapshot().camera is None
+    assert driver.window.session_saver.snapshot().camera is None
     view = driver.window.view
     middle = view.rect().center()
     driver.bot.mousePress(view, Qt.MouseButton.LeftButton, pos=middle)
     driver.bot.mouseMove(view, middle + QPoint(40, 20))
     driver.bot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=middle + QPoint(40, 20))
-    saved = driver.window.keeper.snapshot().camera
+    saved = driver.window.session_saver.snapshot().camera
     assert saved is not None and saved.position == pytest.approx(view.camera.position)
 
 
@@ -222,10 +222,10 @@ import os, sys
 sys.path.insert(0, {here!r})
 from pathlib import Path
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.session_files import session_saver as session_keeper
+from bubbleviz_ui.session_files import session_saver
 from bubbleviz_ui.window_session import window_session
 from bubbleviz_ui.session_files.session_saver import user_file
-session_keeper.EVERY_MS = 100
+session_saver.EVERY_MS = 100
 from bubbleviz_ui.window_session import application
 application()
 with window_session(load_sensor({sensor!r}), Path({rec!r}) if {rec!r} else None, None, None,
@@ -287,7 +287,7 @@ def test_after_a_kill_the_next_start_is_where_it_was(files: Path, tmp_path: Path
 
 def test_a_session_is_a_small_file(drive: Drive, tmp_path: Path) -> None:
     driver = drive()
-    driver.window.keeper.save_as(tmp_path / "a.bubbleviz")
+    driver.window.session_saver.save_as(tmp_path / "a.bubbleviz")
     assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
     assert np.isfinite(read_session(tmp_path / "a.bubbleviz").frame)
 

@@ -85,7 +85,7 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague(
         mine.bot.keyClicks(box, f"{value:g}")
         mine.bot.keyClick(box, Qt.Key.Key_Return)
     mine.bot.mouseClick(pose.track, LEFT)
-    mine.window.keeper.save_as(files / "look.bubbleviz")
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
     assert str(files) not in (files / "look.bubbleviz").read_text()
     shutil.move(files, tmp_path / "theirs")
     other = drive()
@@ -105,7 +105,7 @@ def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
     open_press(mine, files)
     mine.window.open_file(files / "stamp.ply")
     mine.wait(lambda: mine.window.pose.session.obj is not None)
-    mine.window.keeper.save_as(files / "look.bubbleviz")
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
     (files / "stamp.ply").unlink()
     other = drive()
     other.window.open_file(files / "look.bubbleviz")
@@ -128,7 +128,7 @@ def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: P
     with start(config) as session:
         assert session.controller.sensor.name == "edited"
         assert session.controller.sensor.membrane.nodes == 150
-        assert not session.window.message.isVisible() and not session.window.keeper.recent
+        assert not session.window.message.isVisible() and not session.window.session_saver.recent
         session.window.controller.opening.use_sensor(load_sensor(files / "dome.toml"))
         session.wait_for(lambda: session.controller.sensor.name == "small dome", "opening")
     assert not list(config.parent.glob("session_sensor_*"))  # nobody needs it any more
@@ -141,7 +141,7 @@ def test_a_live_source_is_connected_again_at_the_next_start(qtbot: object, tmp_p
     config = tmp_path / "session.json"
     live = single("synthetic:?frames=6", sensor_file(tmp_path))
     with start(config) as session:
-        session.window.desk.connect_to(live)
+        session.window.live_controller.connect_to(live)
         session.wait_for(lambda: bool(session.state.facts.grows), "connecting")
         session.state.choose(kappa=2.0)
     with start(config) as session:
@@ -160,9 +160,9 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
     rec = files / "press.mcap"
     live = single(f"replay:{rec}?loop=1", str(files / "dome.toml"))
     with start(config) as session:
-        session.window.desk.connect_to(live)
+        session.window.live_controller.connect_to(live)
         session.wait_for(lambda: bool(session.state.facts.grows), "connecting")
-        session.window.keeper.save_as(files / "live.bubbleviz")
+        session.window.session_saver.save_as(files / "live.bubbleviz")
     assert str(files) not in (files / "live.bubbleviz").read_text()
     rec.rename(tmp_path / "away.mcap")
     for _ in range(2):  # not even the second start has forgotten it
@@ -203,7 +203,7 @@ def test_a_robot_that_is_not_there_yet_is_waited_for(
         session.wait_for(session.window.live.isVisible, "the bar")
         session.window.open_file(files / "press.mcap")
         session.wait_for(lambda: session.state.facts.frames == FRAMES, "the recording")
-        assert session.window.desk.connection is None  # it will not come in its place
+        assert session.window.live_controller.connection is None  # it will not come in its place
         assert not session.window.live.isVisible()
     assert read_user_file(config).session.live is None
 
@@ -241,11 +241,11 @@ def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: P
     mine = drive()
     open_press(mine, files)
     mine.state.choose_markers((2,))
-    mine.window.keeper.save_as(files / "look.bubbleviz")
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
     with start(saved=files / "look.bubbleviz") as session:
         assert session.state.facts.frames == FRAMES and session.state.frame == 8
         assert session.state.markers == (2,) and not session.window.message.isVisible()
-        assert Path(session.window.keeper.recent[0]).name in ("press.mcap", "dome.toml")
+        assert Path(session.window.session_saver.recent[0]).name in ("press.mcap", "dome.toml")
     done = bubbleviz("open", str(files / "look.bubbleviz"), TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert "wrote" in done.stdout
@@ -269,12 +269,12 @@ def test_what_is_for_recordings_is_refused_with_a_session(tmp_path: Path) -> Non
 def test_a_session_does_not_say_where_to_publish(drive: Drive, tmp_path: Path) -> None:
     """Nor where to record: a file of somebody else must not open this computer to others."""
     mine = drive()
-    mine.window.keeper.save_as(tmp_path / "a.bubbleviz")
+    mine.window.session_saver.save_as(tmp_path / "a.bubbleviz")
     saved = read_session(tmp_path / "a.bubbleviz")
     choices = {**saved.choices, "publish_at": "tcp/0.0.0.0:7448", "record_folder": "/"}
     crafted = saved.model_copy(update={"choices": choices})
     (tmp_path / "b.bubbleviz").write_text(crafted.model_dump_json())
     mine.window.open_file(tmp_path / "b.bubbleviz")
     assert mine.state.choices.publish_at.startswith("tcp/127.0.0.1")
-    assert mine.window.desk.publishing.endpoint.startswith("tcp/127.0.0.1")
+    assert mine.window.live_controller.publishing.endpoint.startswith("tcp/127.0.0.1")
     assert mine.state.choices.record_folder is None

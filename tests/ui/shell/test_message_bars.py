@@ -78,15 +78,15 @@ def test_the_hint_is_shown_until_it_is_read(drive: Drive, tmp_path: Path) -> Non
     driver = drive(frame=5)
     window, file = driver.window, tmp_path / "session.json"
     assert not window.hint.isVisible()
-    window.keeper.keep_in(file)
+    window.session_saver.keep_in(file)
     assert window.hint.isVisible() and "Ctrl+K" in window.hint.label.text()
-    window.keeper.save()
+    window.session_saver.save()
     assert not read_user_file(file).hinted
     driver.bot.mouseClick(window.hint.understood, LEFT)
     assert not window.hint.isVisible()
-    window.keeper.save()
+    window.session_saver.save()
     assert read_user_file(file).hinted
-    window.keeper.keep_in(file)
+    window.session_saver.keep_in(file)
     assert not window.hint.isVisible()
     window.shortcuts.actions["Help › First steps"].trigger()
     assert window.hint.isVisible()

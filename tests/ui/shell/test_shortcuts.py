@@ -88,7 +88,7 @@ def test_keys_go_with_the_session(drive: Drive) -> None:
     one, other = drive(), drive()
     one.window.shortcuts.set_keys(LOOP, QKeySequence())
     one.window.shortcuts.set_keys(PLAY, QKeySequence("L"))
-    saved = one.window.keeper.snapshot().shortcuts
+    saved = one.window.session_saver.snapshot().shortcuts
     assert saved == {PLAY: "L", LOOP: ""}
     other.window.shortcuts.use(saved)
     assert other.window.shortcuts.changed == saved

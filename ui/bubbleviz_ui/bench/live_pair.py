@@ -132,12 +132,12 @@ def _count_pair(
 ) -> PairReport:
     run, view = run_of(session), session.window.view
     run_for(3.0)
-    session.window.freshness.begin(10**6)
+    session.window.picture_age.begin(10**6)
     solved, pictures = [len(frames) for frames in run.frames], view.render_count
     received = [frames.stream.counters().frames for frames in run.frames]
     began = time.monotonic()
     run_for(seconds)
-    elapsed, report = time.monotonic() - began, session.window.freshness.report()
+    elapsed, report = time.monotonic() - began, session.window.picture_age.report()
     if report is None:
         raise InputError("bench pair: no picture was drawn")
 

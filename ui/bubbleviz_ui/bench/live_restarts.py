@@ -93,15 +93,15 @@ def restart_bench(sensor_name: str, times: int, seed: int = 0) -> RestartReport:
 def _restart(
     session: WindowSession, robot: Robot, path: Path, times: int, chance: random.Random
 ) -> RestartReport:
-    run, desk = run_of(session), session.window.desk
+    run, live = run_of(session), session.window.live_controller
     stream, arrived = run.frames[0].stream, set[int]()
 
     def note(message: RawMessage) -> None:
         if message.type == IMAGE:
             arrived.add(message.arrival_ns)
 
-    desk.recording.start(run.session.recorder, path)
-    session.wait_for(lambda: desk.recording.state() is not None, "the recording")
+    live.recording.start(run.session.recorder, path)
+    session.wait_for(lambda: live.recording.state() is not None, "the recording")
     forget = stream.listen(note)
     gone, recovered = list[float](), 0
     for _ in range(times):
@@ -114,7 +114,7 @@ def _restart(
         robot.start()
         recovered += _shows_more_than(session, before)
     forget()
-    desk.close()
+    live.close()
     return RestartReport(times, recovered, gone, len(arrived), len(arrived & _logged(path)))
 
 

@@ -31,14 +31,14 @@ def live_window(preset: SessionPreset) -> Iterator[WindowSession]:
 
 def run_of(session: WindowSession) -> LiveRun:
     """What is connected, once every sensor of it is shown."""
-    desk, pair = session.window.desk, session.window.pair
+    live, pair = session.window.live_controller, session.window.pair
 
     def shown() -> bool:
-        run, companion = desk.run, pair.companion
+        run, second = live.run, pair.second_sensor
         alone = run is not None and len(run.frames) == 1
-        return alone or (companion is not None and companion.open is not None)
+        return alone or (second is not None and second.open is not None)
 
     session.wait_for(shown, "connecting")
-    if desk.run is None:
+    if live.run is None:
         raise InputError("bench live: nothing is connected")
-    return desk.run
+    return live.run

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.calibration.workbench import Step
 from bubbleviz_ui.bench.replay_rate import run_for
-from bubbleviz_ui.engine.memory_release import give_back
+from bubbleviz_ui.engine.memory_release import release_memory
 from bubbleviz_ui.shell.dock import Dock
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Rest:
         state.set_playing(False)
         run_for(REST_S)
         gc.collect()
-        give_back()
+        release_memory()
         return resident_mib()
 
 

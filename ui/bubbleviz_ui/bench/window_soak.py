@@ -82,11 +82,11 @@ def window_soak(
 def _soak(
     session: WindowSession, seconds: float, path: Path, publisher: subprocess.Popen[str]
 ) -> tuple[Measured, float]:
-    desk, run = session.window.desk, run_of(session)
+    live, run = session.window.live_controller, run_of(session)
     stream = run.frames[0].stream
-    desk.recording.start(run.session.recorder, path)
-    session.wait_for(lambda: desk.recording.state() is not None, "the recording")
-    session.window.freshness.begin(10**7)
+    live.recording.start(run.session.recorder, path)
+    session.wait_for(lambda: live.recording.state() is not None, "the recording")
+    session.window.picture_age.begin(10**7)
     skipped, solved = stream.counters().skipped, len(run.frames[0])
     pictures, memory = session.window.view.render_count, list[tuple[float, int]]()
     began = time.monotonic()
@@ -94,12 +94,12 @@ def _soak(
         run_for(min(STEP_S, seconds - elapsed))
         memory.append((time.monotonic() - began, resident_bytes()))
     pictures_hz = (session.window.view.render_count - pictures) / (time.monotonic() - began)
-    ages, solved = session.window.freshness.ages_s, len(run.frames[0]) - solved
+    ages, solved = session.window.picture_age.ages_s, len(run.frames[0]) - solved
     skipped = stream.counters().skipped - skipped
     sent = images_sent(publisher)
     drain(stream)
-    state = desk.recording.state()
+    state = live.recording.state()
     if state is None:
         raise InputError("bench live: the recording ended early")
-    desk.close()
+    live.close()
     return Measured(solved, skipped, ages, memory, state.status, sent), pictures_hz

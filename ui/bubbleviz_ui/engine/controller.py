@@ -18,7 +18,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.analysis import Analysis
 from bubbleviz_ui.engine.opening import Opening
-from bubbleviz_ui.engine.request_delay import Lead
+from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.engine.requests import (
     Analysed,
     AnalyseRequest,
@@ -37,7 +37,7 @@ from bubbleviz_ui.engine.requests import (
     Thresholded,
     Waited,
 )
-from bubbleviz_ui.engine.solved_sensor import Seat
+from bubbleviz_ui.engine.sensor_state import SensorState
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.model.choices import PATCH_CHOICES, Rule, rule_of
 from bubbleviz_ui.model.demand import looks, products
@@ -110,7 +110,7 @@ class Controller(QObject):
         self._looked_s = 0.0
         self._numbers = Numbers()
         self._awaiting = False
-        self._lead = Lead()
+        self._request_delay = RequestDelay()
         worker.answered.connect(self._on_answer)
         state.subscribe(self._on_event)
 
@@ -173,7 +173,7 @@ class Controller(QObject):
     def _on_choices(self, names: frozenset[str]) -> None:
         sensor = self.sensor
         if "solver" in names and sensor is not None:
-            self.opening.again(self.state.choices.solver or "default solver", lambda: sensor)
+            self.opening.reopen(self.state.choices.solver or "default solver", lambda: sensor)
         elif "cloud_points" in names or self._lacks_something:
             self._ask_frame()
         elif names & PATCH_CHOICES:
@@ -185,12 +185,12 @@ class Controller(QObject):
         choices = self.state.choices
         return not (products(choices) <= self._asked and looks(choices) <= self._looked)
 
-    def change_seat(self, seat: Seat, placed: Callable[[], None]) -> Seat:
+    def swap_sensor(self, other: SensorState, placed: Callable[[], None]) -> SensorState:
         """Turn to the other sensor of a session; gives back the one the panels showed.
 
         Parameters
         ----------
-        seat : Seat
+        other : SensorState
         placed : callable
             Called before anything is drawn.
         """
@@ -206,13 +206,13 @@ class Controller(QObject):
             numbers=self._numbers,
             inspection=self.inspection,
         )
-        mine = Seat(self.worker, shown, self.state.history, self._awaiting)
+        mine = SensorState(self.worker, shown, self.state.history, self._awaiting)
         self.worker.answered.disconnect(self._on_answer)
-        self.worker = seat.worker
+        self.worker = other.worker
         self.worker.answered.connect(self._on_answer)
         placed()
-        self._change(seat.opened, seat.history, awaiting=seat.awaiting)
-        self._show(seat.opened.result)
+        self._change(other.opened, other.history, awaiting=other.awaiting)
+        self._show(other.opened.result)
         self.state.set_playing(playing)
         self.state.freeze(frozen)
         self._ask_frame()
@@ -241,7 +241,7 @@ class Controller(QObject):
                 now,
                 self._looks_due(),
                 choices.least_area_m2,
-                now + self._lead.hold_s,
+                now + self._request_delay.hold_s,
             )
         )
 
@@ -250,7 +250,7 @@ class Controller(QObject):
         frame, state = answer.result.frame, self.state
         self._awaiting, now = False, time.perf_counter()
         self.solves.tick(now)
-        self._lead.waited(now - answer.done_s)
+        self._request_delay.waited(now - answer.done_s)
         state.grow(frame.time_s)
         self._ask_newest()
         waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9

@@ -1,4 +1,4 @@
-"""Memory that nobody uses goes back to the system: images come and go for hours."""
+"""Unused memory goes back to the system: images come and go for hours."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LIVE_EVERY_S = 10.0
 """Of a live source, which may never rest: at 60 Hz some 3 MB a second are held for nothing."""
 
 
-class GivingBack(QObject):
+class MemoryRelease(QObject):
     """Lets go of unused memory when the window has come to rest, in a thread.
 
     Not while a recording plays: who wants memory meanwhile waits, for longer than a picture takes.
@@ -48,10 +48,10 @@ class GivingBack(QObject):
         live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
         if self._used and (live or not self._state.playing):
             self._used, self._last_s = False, now
-            Thread(target=give_back, name="memory", daemon=True).start()
+            Thread(target=release_memory, name="memory", daemon=True).start()
 
 
-def give_back() -> None:
+def release_memory() -> None:
     """Have the C library let go of what it holds for nothing, where it knows how (glibc)."""
     if sys.platform.startswith("linux"):
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)

@@ -117,7 +117,7 @@ class Opening(QObject):
 
         opener, sensor = self.source, self.sensor
         if isinstance(opener, RecordingOpener) and sensor is not None:
-            self.again(path.name, lambda: sensor, replace(opener, truth=path))
+            self.reopen(path.name, lambda: sensor, replace(opener, truth=path))
         else:
             self.said.emit(f"{path}: open the recording of that simulation first")
 
@@ -125,13 +125,13 @@ class Opening(QObject):
         """Use the sensor of a file with the present source."""
         from bubbleviz.sensor import load_sensor
 
-        self.again(path.name, lambda: load_sensor(path))
+        self.reopen(path.name, lambda: load_sensor(path))
 
     def use_sensor(self, sensor: Sensor) -> None:
         """Use another sensor, which is loaded already, with the present source."""
-        self.again(sensor.name, lambda: sensor)
+        self.reopen(sensor.name, lambda: sensor)
 
-    def again(
+    def reopen(
         self, what: str, open_sensor: OpenSensor, open_source: OpenSource | None = None
     ) -> None:
         """Open the present source anew, or in another form, at the present frame."""

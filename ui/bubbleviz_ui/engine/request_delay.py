@@ -1,4 +1,4 @@
-"""When to ask for the next frame: so that its result is there just when the window can draw it."""
+"""How long to wait before the next request, so that no result waits for the window."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ GAIN = 0.4
 MOST_S = 0.1
 
 
-class Lead:
-    """Holds the solver back while the window draws: what it took too early would be old by then.
+class RequestDelay:
+    """Delays requests while the window draws: a frame taken too early would be old by then.
 
     Attributes
     ----------

@@ -68,19 +68,19 @@ def synthetic(sensor: Sensor) -> FrameSource:
     All its frames are made now, within seconds: a live sensor does not stutter in its first round.
     Only the noise is new in every round.
     """
-    from bubbleviz.simulation.noisy_loop import NoisyRounds
+    from bubbleviz.simulation.noisy_loop import NoisyLoop
     from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
 
     press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
-    source = MadeOnce(
+    source = CachedSource(
         SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
     )
     for index in range(len(source)):
         _ = source[index]
-    return NoisyRounds(source, press.camera, press.noise)
+    return NoisyLoop(source, press.camera, press.noise)
 
 
-class MadeOnce:
+class CachedSource:
     """Keeps the frames of a short source that computes them, so a loop costs them once."""
 
     def __init__(self, source: FrameSource) -> None:

@@ -28,7 +28,7 @@ from bubbleviz.live.session_preset import SessionPreset, load_session
 from bubbleviz.live.sources.live_source import OfferedTopic
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
-from bubbleviz_ui.live.live_controller import LiveDesk
+from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.source_discovery import Discovery
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
@@ -55,11 +55,11 @@ SIZE = (620, 460)
 class ConnectDialog(QDialog):
     """Kind, place, topic, sensor; shows the same words that `--source` takes."""
 
-    def __init__(self, parent: QWidget, desk: LiveDesk, sensor_name: str | None) -> None:
+    def __init__(self, parent: QWidget, live: LiveController, sensor_name: str | None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Connect to a live source")
         self.resize(*SIZE)
-        self._desk = desk
+        self._live = live
         self._discovery = Discovery()
         self.kind = QComboBox()
         for kind, title in KINDS.items():
@@ -109,7 +109,7 @@ class ConnectDialog(QDialog):
         except InputError as error:
             self.problem.setText(str(error))
             return
-        self._desk.connect_to(preset)
+        self._live.connect_to(preset)
         super().accept()
 
     def done(self, result: int) -> None:

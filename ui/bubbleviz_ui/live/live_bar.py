@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLay
 
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.source_status import State, Status
-from bubbleviz_ui.live.live_controller import LiveDesk
+from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.record_controls import RecordControls
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -46,13 +46,13 @@ WRONG = {
 class LiveBar(QFrame):
     """One row of what it is and can do; below it what was counted."""
 
-    def __init__(self, desk: LiveDesk, units: Units) -> None:
+    def __init__(self, live: LiveController, units: Units) -> None:
         super().__init__()
-        self._desk, self._units = desk, units
+        self._live, self._units = live, units
         self.setObjectName("live")
         self.state = QLabel()
         self.sensors: list[QToolButton] = []
-        self.record = RecordControls(desk)
+        self.record = RecordControls(live)
         self.zero = self._button("Zero gas", "Take the gas pressure's zero from the next rest (Z)")
         self.publish = self._button("Publish", "")
         self.publish.setCheckable(True)
@@ -68,8 +68,8 @@ class LiveBar(QFrame):
 
     def show_all(self) -> None:
         """Another session is connected, or none."""
-        run = self._desk.run
-        self.setVisible(run is not None or self._desk.connection is not None)
+        run = self._live.run
+        self.setVisible(run is not None or self._live.connection is not None)
         for widget in (self.record, self.zero, self.publish):
             widget.setVisible(run is not None)
         self.leave.setText("Disconnect" if run is not None else "Cancel")
@@ -79,16 +79,16 @@ class LiveBar(QFrame):
 
     def show_now(self) -> None:
         """Write how everything is doing now."""
-        desk = self._desk
-        if desk.sensor is None:
+        live = self._live
+        if live.sensor is None:
             self.counts.setText("")
-            if desk.connection is not None:
-                self._say_state("connecting", desk.connection.text())
+            if live.connection is not None:
+                self._say_state("connecting", live.connection.text())
             return
         self.record.show_now()
-        status, counters = desk.sensor.stream.status(), desk.sensor.stream.counters()
+        status, counters = live.sensor.stream.status(), live.sensor.stream.counters()
         self._say_state(status.state, self._with_rate(status, counters.frames))
-        self.publish.setChecked(desk.publishing.on)
+        self.publish.setChecked(live.publishing.on)
         self._counts = "  ·  ".join([*counted(counters), self._zero_text(), *_problem(counters)])
         self.counts.setToolTip(self._counts)
         self._fit_counts()
@@ -120,16 +120,16 @@ class LiveBar(QFrame):
         column.addWidget(self.counts)
 
     def _connect(self) -> None:
-        desk = self._desk
-        desk.changed.connect(self.show_all)
-        desk.looked.connect(self.show_now)
-        self.zero.clicked.connect(desk.zero_now)
-        self.publish.clicked.connect(desk.toggle_publishing)
-        self.leave.clicked.connect(desk.disconnect_all)
+        live = self._live
+        live.changed.connect(self.show_all)
+        live.looked.connect(self.show_now)
+        self.zero.clicked.connect(live.zero_now)
+        self.publish.clicked.connect(live.toggle_publishing)
+        self.leave.clicked.connect(live.disconnect_all)
 
     def _make_sensors(self) -> None:
         """A button for each of two sensors; none for one."""
-        run = self._desk.run
+        run = self._live.run
         places = run.preset.sensors if run is not None and len(run.preset.sensors) > 1 else ()
         while self.sensors:
             button = self.sensors.pop()
@@ -143,8 +143,8 @@ class LiveBar(QFrame):
             )
             button.setCheckable(True)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.setChecked(number == self._desk.chosen)
-            button.clicked.connect(lambda _=False, number=number: self._desk.choose(number))
+            button.setChecked(number == self._live.chosen)
+            button.clicked.connect(lambda _=False, number=number: self._live.choose(number))
             self._row.insertWidget(1 + number, button)
             self.sensors.append(button)
 
@@ -165,7 +165,7 @@ class LiveBar(QFrame):
     _counted: deque[tuple[float, int]] | None = None
 
     def _zero_text(self) -> str:
-        sensor = self._desk.sensor
+        sensor = self._live.sensor
         if sensor is None or (sensor.zero.waiting and sensor.zero.offset_pa is None):
             return "gas pressure not zeroed yet"
         offset = self._units.gas_pressure.text(sensor.zero.offset_pa, signed=True)

@@ -1,4 +1,4 @@
-"""The operator's desk: which live session is on, and everything one does with it."""
+"""Which live session is connected, and what the user does with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.live.publishing import Publishing
 from bubbleviz_ui.live.recording_control import Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
-from bubbleviz_ui.live.sensor_pair import Pair
+from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.events import ChoicesChanged, Event, MarkersChanged
 
 LOOK_MS = 200
@@ -24,7 +24,7 @@ LOOK_MS = 200
 RECORDING_CHOICES = frozenset({"pre_roll_s", "record_folder", "publish_at"})
 
 
-class LiveDesk(QObject):
+class LiveController(QObject):
     """Connects, follows what is connected, and lets go of it.
 
     Attributes
@@ -45,7 +45,7 @@ class LiveDesk(QObject):
     changed = Signal()
     said = Signal(str, str)
 
-    def __init__(self, controller: Controller, pair: Pair) -> None:
+    def __init__(self, controller: Controller, pair: SensorPair) -> None:
         super().__init__()
         self._controller, self._pair = controller, pair
         self._background = Background("live")

@@ -13,7 +13,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.view3d.render_view import View
 
 
-class Freshness(QObject):
+class PictureAge(QObject):
     """Measures from stamp to picture; from the arrival where the robot has another clock."""
 
     def __init__(self, controller: Controller, view: View) -> None:

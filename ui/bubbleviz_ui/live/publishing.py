@@ -13,7 +13,7 @@ from bubbleviz.frames.message_encoding import Message
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz_ui.engine.background import Background
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.live.result_sender import Outlet
+from bubbleviz_ui.live.result_sender import ResultSender
 from bubbleviz_ui.model.choices import LOOPBACK
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Publishing(QObject):
         self.on = False
         self.endpoint = LOOPBACK
         self._publisher: ZenohPublisher | None = None
-        self._outlets: list[Outlet] = []
+        self._senders: list[ResultSender] = []
         self._forget: list[Callable[[], None]] = []
         self._lock = Lock()
         self._background = Background("publishing")
@@ -55,9 +55,9 @@ class Publishing(QObject):
         several = len(run.frames) > 1
         for frames, each in zip(run.frames, run.session.sensors, strict=True):
             send = _Sender(self, run)
-            outlet = Outlet(frames.stream, send, each.place.name if several else "")
-            self._outlets.append(outlet)
-            self._forget.append(frames.listen(outlet))
+            sender = ResultSender(frames.stream, send, each.place.name if several else "")
+            self._senders.append(sender)
+            self._forget.append(frames.listen(sender))
         self._background.do(lambda: _publisher(endpoint), self._on_open)
         self.changed.emit()
 
@@ -68,7 +68,7 @@ class Publishing(QObject):
         self.on = False
         while self._forget:
             self._forget.pop()()
-        self._outlets.clear()
+        self._senders.clear()
         with self._lock:
             publisher, self._publisher = self._publisher, None
         if publisher is not None:
@@ -77,8 +77,8 @@ class Publishing(QObject):
 
     def diagnose(self) -> None:
         """Have the diagnostics told that are due."""
-        for outlet in self._outlets:
-            outlet.diagnose()
+        for sender in self._senders:
+            sender.diagnose()
 
     def put(self, message: Message) -> None:
         """Publish a message, in any thread."""

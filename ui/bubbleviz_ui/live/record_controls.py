@@ -15,7 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.live.live_controller import LiveDesk
+from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState
 
 MOST_PRE_ROLL_S = 60.0
@@ -24,9 +24,9 @@ MOST_PRE_ROLL_S = 60.0
 class RecordControls(QWidget):
     """Button, pre-roll, folder; while it records elapsed time, size, messages and a note."""
 
-    def __init__(self, desk: LiveDesk) -> None:
+    def __init__(self, live: LiveController) -> None:
         super().__init__()
-        self._desk = desk
+        self._live = live
         self.button = QToolButton()
         self.button.setText("● Record")
         self.button.setCheckable(True)
@@ -35,7 +35,7 @@ class RecordControls(QWidget):
         self.pre_roll.setRange(0.0, MOST_PRE_ROLL_S)
         self.pre_roll.setDecimals(1)
         self.pre_roll.setSuffix(" s before")
-        self.pre_roll.setValue(desk.pre_roll_s)
+        self.pre_roll.setValue(live.pre_roll_s)
         self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
         self.folder = QToolButton()
         self.folder.setText("Folder…")
@@ -51,8 +51,8 @@ class RecordControls(QWidget):
         for widget in (self.progress, self.note, self.pre_roll, self.folder, self.button):
             row.addWidget(widget)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.button.clicked.connect(desk.toggle_recording)
-        self.pre_roll.valueChanged.connect(desk.set_pre_roll)
+        self.button.clicked.connect(live.toggle_recording)
+        self.pre_roll.valueChanged.connect(live.set_pre_roll)
         self.folder.clicked.connect(self._choose_folder)
         self.note.returnPressed.connect(self._save_note)
         self.note.editingFinished.connect(self.note.hide)
@@ -60,7 +60,7 @@ class RecordControls(QWidget):
 
     def show_now(self) -> None:
         """Write how the recording is going."""
-        state, busy = self._desk.recording.state(), self._desk.recording.busy
+        state, busy = self._live.recording.state(), self._live.recording.busy
         self._show_choices()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
@@ -74,7 +74,7 @@ class RecordControls(QWidget):
 
     def begin_note(self) -> None:
         """Write a note about this moment."""
-        if self._desk.recording.busy:
+        if self._live.recording.busy:
             self._noted_ns = time.time_ns()
             self.note.clear()
             self.note.show()
@@ -83,21 +83,21 @@ class RecordControls(QWidget):
     def _save_note(self) -> None:
         text = self.note.text().strip()
         if text:
-            self._desk.recording.mark(text, self._noted_ns)
+            self._live.recording.mark(text, self._noted_ns)
         self.note.clearFocus()
 
     def _choose_folder(self) -> None:
-        present = str(self._desk.recording.folder)
+        present = str(self._live.recording.folder)
         name = QFileDialog.getExistingDirectory(self, "Record into", present)
         if name:
-            self._desk.choose_folder(name)
+            self._live.choose_folder(name)
             self._show_choices()
 
     def _show_choices(self) -> None:
-        self.folder.setToolTip(f"Recordings go to {self._desk.recording.folder}")
-        if self.pre_roll.value() != self._desk.pre_roll_s:  # else what is being typed stays
+        self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")
+        if self.pre_roll.value() != self._live.pre_roll_s:  # else what is being typed stays
             with QSignalBlocker(self.pre_roll):
-                self.pre_roll.setValue(self._desk.pre_roll_s)
+                self.pre_roll.setValue(self._live.pre_roll_s)
 
 
 def progress(state: RecordingState) -> str:

@@ -1,4 +1,4 @@
-"""Results of one sensor out as ROS 2 messages. No Qt in here."""
+"""Sends the results of one sensor as ROS 2 messages. No Qt in here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 DIAGNOSTICS_S = 1.0
 
 
-class Outlet:
+class ResultSender:
     """Makes messages of the results of a stream.
 
     Parameters

@@ -19,7 +19,7 @@ from bubbleviz_ui.engine.requests import (
     Solved,
     Waited,
 )
-from bubbleviz_ui.engine.solved_sensor import Seat
+from bubbleviz_ui.engine.sensor_state import SensorState
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
 from bubbleviz_ui.model.demand import products
@@ -28,7 +28,7 @@ from bubbleviz_ui.model.rate_meter import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
 
 
-class Companion(QObject):
+class SecondSensor(QObject):
     """Asks a solver thread of its own for what is visible in the view, and no more.
 
     Time is the session's: while that stands still, it shows the frame of the same moment.
@@ -55,7 +55,7 @@ class Companion(QObject):
         self.solves = RateMeter()
         self.extra: frozenset[Product] = frozenset()
         self._session = session
-        self._seat: Seat | None = None
+        self._state: SensorState | None = None
         self._awaiting = False
         self._worker = Worker()
         self._worker.answered.connect(self._on_answer)
@@ -79,33 +79,33 @@ class Companion(QObject):
     @property
     def open(self) -> Opened | None:
         """What is open, with the result that is shown; None before the first."""
-        return None if self._seat is None else self._seat.opened
+        return None if self._state is None else self._state.opened
 
-    def give_up(self) -> Seat:
+    def give_up(self) -> SensorState:
         """Hand the solver thread over, with all that is known."""
-        seat = self._seat
-        if seat is None:
+        state = self._state
+        if state is None:
             raise RuntimeError("nothing is open yet")
         self._worker.answered.disconnect(self._on_answer)
-        return replace(seat, awaiting=self._awaiting)
+        return replace(state, awaiting=self._awaiting)
 
-    def take(self, seat: Seat) -> None:
+    def take(self, state: SensorState) -> None:
         """Go on with another solver thread, of the other sensor."""
-        self._seat, self._worker, self._awaiting = seat, seat.worker, seat.awaiting
+        self._state, self._worker, self._awaiting = state, state.worker, state.awaiting
         self._worker.answered.connect(self._on_answer)
         self.follow()
 
     def follow(self) -> None:
         """Do what the session does: go on, or show the frame of its moment."""
-        seat, session = self._seat, self._session
-        if seat is None or session.facts is None:
+        state, session = self._state, self._session
+        if state is None or session.facts is None:
             return
         if session.playing and not session.frozen:
-            self._ask_newest(seat)
+            self._ask_newest(state)
             return
-        frames = _frames(seat)
+        frames = _frames(state)
         time_s = float(session.facts.times_s[session.frame])
-        choices, number = session.choices, seat.opened.request.session
+        choices, number = session.choices, state.opened.request.session
         self._worker.ask(
             FrameRequest(
                 number,
@@ -121,20 +121,20 @@ class Companion(QObject):
     def close(self) -> None:
         """Stop the solver thread."""
         self._worker.close()
-        self._seat = None
+        self._state = None
 
     @property
     def _needed(self) -> frozenset[Product]:
         return products(replace(self._session.choices, panels=frozenset()))
 
-    def _ask_newest(self, seat: Seat) -> None:
+    def _ask_newest(self, state: SensorState) -> None:
         if self._awaiting:
             return
         self._awaiting = True
         choices = self._session.choices
         self._worker.ask(
             NewestRequest(
-                seat.opened.request.session,
+                state.opened.request.session,
                 self._needed | self.extra,
                 choices.kappa,
                 choices.cloud_points,
@@ -144,7 +144,7 @@ class Companion(QObject):
 
     def _on_answer(self, answer: Answer) -> None:
         if isinstance(answer, Opened):
-            self._seat = Seat(self._worker, answer, History(answer.facts.frames), False)
+            self._state = SensorState(self._worker, answer, History(answer.facts.frames), False)
             self.opened.emit()
             self.follow()
         elif isinstance(answer, Failed):
@@ -153,25 +153,25 @@ class Companion(QObject):
         elif isinstance(answer, Waited):
             self._awaiting = False
             self._go_on()
-        elif isinstance(answer, Solved) and self._seat is not None:
-            self._on_solved(answer, self._seat)
+        elif isinstance(answer, Solved) and self._state is not None:
+            self._on_solved(answer, self._state)
 
-    def _on_solved(self, answer: Solved, seat: Seat) -> None:
+    def _on_solved(self, answer: Solved, state: SensorState) -> None:
         if isinstance(answer.request, NewestRequest):
             self._awaiting = False
             self.solves.tick(time.perf_counter())
-            seat = self._seat = seat.with_newest(answer)
+            state = self._state = state.with_newest(answer)
         else:
-            seat = self._seat = seat.showing(answer)
-        self.shown.emit(seat.opened.result)
+            state = self._state = state.showing(answer)
+        self.shown.emit(state.opened.result)
 
     def _go_on(self) -> None:
-        if self._seat is not None and self._session.playing and not self._session.frozen:
-            self._ask_newest(self._seat)
+        if self._state is not None and self._session.playing and not self._session.frozen:
+            self._ask_newest(self._state)
 
 
-def _frames(seat: Seat) -> LiveFrames:
-    opener = seat.opened.request.open_source
+def _frames(state: SensorState) -> LiveFrames:
+    opener = state.opened.request.open_source
     if not isinstance(opener, LiveOpener):
-        raise TypeError("a companion is live")
+        raise TypeError("the second sensor of a session is live")
     return opener.frames

@@ -43,11 +43,11 @@ def _leaves_to_the_window(event: QKeyEvent) -> bool:
 
 def keep_keys(panel: QWidget) -> None:
     """Let every control of a panel be reached by Tab but not take the focus on a click."""
-    keeper = KeepKeys(panel)
+    key_filter = KeepKeys(panel)
     for kind in (QAbstractButton, QAbstractSlider, QComboBox):
         for widget in panel.findChildren(kind):
             widget.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            widget.installEventFilter(keeper)
+            widget.installEventFilter(key_filter)
     for text in (QAbstractSpinBox, QLineEdit):
         for box in panel.findChildren(text):
-            box.installEventFilter(keeper)
+            box.installEventFilter(key_filter)

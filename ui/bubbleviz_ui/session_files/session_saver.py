@@ -53,7 +53,7 @@ def user_file() -> Path:
     return Path(QStandardPaths.writableLocation(place)) / "session.json"
 
 
-class SessionKeeper(QObject):
+class SessionSaver(QObject):
     """Session files of one window.
 
     Attributes
@@ -304,11 +304,11 @@ class SessionKeeper(QObject):
 
     def _live(self, sensor: str | None) -> SessionPreset | None:
         """Live sensors that are connected and shown, the chosen one with its present sensor."""
-        desk = self._window.desk
-        if desk.run is None or not self._is_live:
+        controller = self._window.live_controller
+        if controller.run is None or not self._is_live:
             return None
-        live = with_paths(desk.run.preset, absolute)
-        return live if sensor is None else with_sensor(live, desk.chosen, sensor)
+        live = with_paths(controller.run.preset, absolute)
+        return live if sensor is None else with_sensor(live, controller.chosen, sensor)
 
     @property
     def _is_live(self) -> bool:
@@ -326,7 +326,7 @@ class SessionKeeper(QObject):
         else:
             self._tell_problems()
             if saved.live is not None:
-                self._window.desk.connect_to(saved.live)
+                self._window.live_controller.connect_to(saved.live)
 
     def _sensor_opener(
         self, opener: Callable[[Sensor], object], name: str | None
@@ -356,7 +356,8 @@ class SessionKeeper(QObject):
     def _forget_absent(self) -> None:
         """The user has opened something else, or what was absent came."""
         if self._absent is not None and not self._is_live:
-            self._window.desk.cancel()  # it would come in place of what the user has opened
+            # else it would come in place of what the user has opened
+            self._window.live_controller.cancel()
         self._absent = None
 
     def _on_failed(self, failed: Failed) -> None:
@@ -374,7 +375,7 @@ class SessionKeeper(QObject):
         pending, live = self._pending, self._to_connect
         self._to_connect = None
         if live is not None:
-            self._window.desk.connect_to(live)
+            self._window.live_controller.connect_to(live)
             return
         self._pending = None
         if pending is not None and self._is_open(pending):

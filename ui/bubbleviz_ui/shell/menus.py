@@ -45,7 +45,7 @@ class Menus:
         self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
         self._add(menu, "Open &truth of a simulation…", self._open_truth)
         self._recent(menu.addMenu("Open &recent"))
-        self._add(menu, "Re&load", self._window.keeper.reload, "F5")
+        self._add(menu, "Re&load", self._window.session_saver.reload, "F5")
         menu.addSeparator()
         self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
         self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
@@ -56,16 +56,16 @@ class Menus:
         self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
 
     def _recent(self, menu: QMenu) -> None:
-        keeper = self._window.keeper
+        session_saver = self._window.session_saver
         menu.setProperty(UNLISTED, True)
 
         def fill() -> None:
             menu.clear()
-            for path in keeper.recent:
+            for path in session_saver.recent:
                 menu.addAction(path).triggered.connect(partial(self._window.open_file, Path(path)))
-            menu.setEnabled(bool(keeper.recent))
+            menu.setEnabled(bool(session_saver.recent))
 
-        keeper.recent_changed.connect(fill)
+        session_saver.recent_changed.connect(fill)
         fill()
 
     def _help(self, menu: QMenu) -> None:
@@ -113,16 +113,16 @@ class Menus:
         self._add(menu, "Back to &now", lambda: state.freeze(False), "N")
 
     def _live(self, menu: QMenu) -> None:
-        window, desk = self._window, self._window.desk
+        window, live = self._window, self._window.live_controller
         self._add(menu, "&Connect…", window.show_connect, "Ctrl+L")
-        self._add(menu, "&Disconnect", desk.disconnect_all, "Ctrl+Shift+L")
+        self._add(menu, "&Disconnect", live.disconnect_all, "Ctrl+Shift+L")
         menu.addSeparator()
-        self._add(menu, "&Record / stop recording", desk.toggle_recording, "Ctrl+R")
+        self._add(menu, "&Record / stop recording", live.toggle_recording, "Ctrl+R")
         self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
-        self._add(menu, "&Publish results / stop", desk.toggle_publishing, "Ctrl+Shift+R")
+        self._add(menu, "&Publish results / stop", live.toggle_publishing, "Ctrl+Shift+R")
         self._add(menu, "Publish &at…", self._publish_at)
-        self._add(menu, "Gas pressure &zero now", desk.zero_now, "Z")
-        self._add(menu, "The &other sensor", desk.choose_other, "B")
+        self._add(menu, "Gas pressure &zero now", live.zero_now, "Z")
+        self._add(menu, "The &other sensor", live.choose_other, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window
@@ -255,7 +255,7 @@ class Menus:
     def _open_session(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self._window, "Open session", "", SESSIONS)
         if name:
-            self._window.keeper.open(Path(name))
+            self._window.session_saver.open(Path(name))
 
     def _save_session(self) -> None:
         name, _ = QFileDialog.getSaveFileName(
@@ -263,7 +263,9 @@ class Menus:
         )
         if name:
             path = Path(name)
-            self._window.keeper.save_as(path if path.suffix else path.with_suffix(SESSION_SUFFIX))
+            self._window.session_saver.save_as(
+                path if path.suffix else path.with_suffix(SESSION_SUFFIX)
+            )
 
     def _screenshot(self) -> None:
         name, _ = QFileDialog.getSaveFileName(

@@ -22,7 +22,7 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
 
 
-class CompanionScene:
+class SecondScene:
     """Draws the results of a second sensor into the view, on the scales of the first.
 
     Parameters

@@ -1,4 +1,4 @@
-"""One sensor's place in the window: its solver thread and what is known so far."""
+"""One sensor of a session: its solver thread and what is known so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bubbleviz_ui.model.frame_history import History, grown
 
 
 @dataclass(frozen=True)
-class Seat:
+class SensorState:
     """What is handed over when the panels turn to the other sensor.
 
     Attributes
@@ -30,7 +30,7 @@ class Seat:
     history: History
     awaiting: bool
 
-    def with_newest(self, answer: Solved) -> Seat:
+    def with_newest(self, answer: Solved) -> SensorState:
         """One frame further; the history is the same object, one frame longer."""
         facts, frame = self.opened.facts, answer.result.frame
         times = grown(facts.times_s, frame.index + 1, np.nan)
@@ -40,7 +40,7 @@ class Seat:
         longer = replace(self.opened, facts=replace(facts, times_s=times))
         return replace(self, opened=longer).showing(answer)
 
-    def showing(self, answer: Solved) -> Seat:
+    def showing(self, answer: Solved) -> SensorState:
         """With another result on show."""
         opened = replace(
             self.opened,
