@@ -14,18 +14,18 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.camera.pixels import PixelModel
-from bubbleviz.camera.view import MembraneView
+from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.components import without_small
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.inverse.patch import PatchFinder
-from bubbleviz.membrane.build import build_mesh, reference_tension
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.objects import RigidObject
+from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.patch.components import without_small
+from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bubbleviz.errors import InputError
-from bubbleviz.preset_files import presets_folder
-from bubbleviz.tomlfile import checked, named_file, read_toml
+from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.files.toml_files import checked, named_file, read_toml
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: outside 0.1 mm … 1 m somebody mixed up mm and m."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bubbleviz.frames.noise import DepthNoise
-from bubbleviz.frames.synthetic import SyntheticSource
-from bubbleviz.objects import load_object
-from bubbleviz.posefile import parse_pose
+from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz.simulate import write_simulation
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 HEIGHTS = (0.060, 0.044, 0.042, 0.042, 0.060)
 """Of the cylinder's flat end above the rim: clear of the dome (50 mm), pressed in, and clear."""

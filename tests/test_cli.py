@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.metadata import EntryPoints
 from pathlib import Path
 
 import click
@@ -12,10 +13,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.cli import OneLineErrors, main
+from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.writer import RecordingWriter
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor
 
 HEAVY = (
@@ -42,7 +43,8 @@ def recording(tmp_path: Path) -> Path:
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys; from bubbleviz.cli import main; main(['--help'], standalone_mode=False); "
+        "import sys; from bubbleviz.cli.command_line import main\n"
+        "main(['--help'], standalone_mode=False); "
         f"print('LOADED', [m for m in {HEAVY!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -51,20 +53,57 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_every_command_has_help() -> None:
-    for name in main.commands:
+    names = main.list_commands(click.Context(main))
+    assert {"bench", "open", "window"} < set(names)
+    for name in names:
         done = CliRunner().invoke(main, [name, "--help"])
         assert done.exit_code == 0
         assert "Usage:" in done.stdout
 
 
-def test_the_window_is_not_imported_by_commands_without_one() -> None:
+def loaded_after_help(which: str) -> str:
+    """What is imported of what is heavy, and of the window, after the help of some commands."""
     code = (
-        "import sys; from bubbleviz.cli import main\n"
-        "for name in main.commands: main([name, '--help'], standalone_mode=False)\n"
-        f"print('LOADED', [m for m in {(*HEAVY, 'ui')!r} if m in sys.modules])"
+        "import click, sys; from bubbleviz.cli.command_line import main\n"
+        f"for name in {which}: main([name, '--help'], standalone_mode=False)\n"
+        f"print('LOADED', [m for m in {(*HEAVY, 'bubbleviz_ui')!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.rstrip().endswith("LOADED []")
+    return done.stdout.splitlines()[-1]
+
+
+def test_the_window_is_not_imported_by_commands_without_one() -> None:
+    assert loaded_after_help("main.commands") == "LOADED []"
+
+
+def test_the_windows_commands_have_help_without_qt() -> None:
+    every = "main.list_commands(click.Context(main))"
+    assert loaded_after_help(every) == "LOADED ['bubbleviz_ui']"
+
+
+INSTALL = 'pip install "bubbleviz[window]"'
+
+
+@pytest.mark.parametrize("words", [[], ["open", "x.mcap"], ["bench", "window", "--synthetic"]])
+def test_without_the_window_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    none = EntryPoints([])
+    monkeypatch.setattr("bubbleviz.cli.command_line.entry_points", lambda **_: none)
+    done = CliRunner().invoke(main, words, prog_name="bubbleviz")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert INSTALL in done.stderr
+
+
+@pytest.mark.parametrize("library", ["PySide6", "pyvistaqt"])
+def test_without_a_library_of_the_window_one_line_says_what_to_install(library: str) -> None:
+    code = (
+        f"import sys; sys.modules[{library!r}] = None\n"
+        "from bubbleviz.cli.command_line import main; main(['bench', 'window', '--synthetic'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert library in done.stderr and INSTALL in done.stderr
 
 
 def test_info(recording: Path) -> None:
@@ -97,7 +136,7 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(
 
 def test_a_truncated_recording_through_the_real_command(recording: Path) -> None:
     recording.write_bytes(recording.read_bytes()[:-40])
-    command = [sys.executable, "-c", "from bubbleviz.cli import main; main()", "info"]
+    command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "info"]
     done = subprocess.run([*command, str(recording)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
@@ -144,9 +183,9 @@ def pico_recording(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ...]]]:
-    """What the commands ask of ui.app and ui.benchmark, in place of doing it."""
-    import ui.app
-    import ui.benchmark
+    """What the commands ask of the window and its benchmark, in place of doing it."""
+    import bubbleviz_ui.app
+    import bubbleviz_ui.bench.replay_rate
 
     asked: list[tuple[str, tuple[object, ...]]] = []
 
@@ -160,10 +199,10 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
 
         return asking
 
-    monkeypatch.setattr(ui.app, "run_window", record("window", 0))
-    monkeypatch.setattr(ui.app, "screenshot", record("screenshot", None))
+    monkeypatch.setattr(bubbleviz_ui.app, "run_window", record("window", 0))
+    monkeypatch.setattr(bubbleviz_ui.app, "screenshot", record("screenshot", None))
     measured = {"median_fps": 31.25, "solve_ms": float("nan")}
-    monkeypatch.setattr(ui.benchmark, "replay_fps", record("bench", measured))
+    monkeypatch.setattr(bubbleviz_ui.bench.replay_rate, "replay_fps", record("bench", measured))
     return asked
 
 
@@ -180,7 +219,7 @@ def test_without_a_command_the_synthetic_sensor(windows: Asked) -> None:
 def test_the_windows_exit_code_is_the_commands(
     windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
 ) -> None:
-    monkeypatch.setattr("ui.app.run_window", lambda *_, **__: 3)
+    monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
     assert CliRunner().invoke(main, []).exit_code == 3
     assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
 
@@ -212,7 +251,7 @@ def test_open_at_a_frame_and_screenshot(
 def test_open_hands_the_scene_to_the_window_and_the_picture(
     windows: Asked, pico_recording: Path, tmp_path: Path
 ) -> None:
-    from ui.presets import load_scene
+    from bubbleviz_ui.model.scene_presets import load_scene
 
     words = ["open", str(pico_recording), "--scene", "cloud"]
     assert CliRunner().invoke(main, words).exit_code == 0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from bubbleviz.calibration.robust import robust_sigma
-from bubbleviz.calibration.segment import away_from_edges
-from bubbleviz.calibration.surface_fit import Ellipsoid
+from bubbleviz.calibration.robust_statistics import robust_sigma
+from bubbleviz.calibration.surface.cap_fit import Ellipsoid
+from bubbleviz.calibration.surface.segmentation import away_from_edges
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.calibration.pixels import PixelStatistics
-from bubbleviz.calibration.robust import robust_sigma, tukey_weights
+from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
+from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights
 from bubbleviz.frames.frame import Frame
 
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.view import MembraneView
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.source import FrameSource
-from bubbleviz.frames.synthetic import simulation_mesh
-from bubbleviz.membrane.forward import ForwardModel
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.objects import RigidObject, load_object
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.posefile import parse_pose
+from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
+from bubbleviz.simulation.synthetic_source import simulation_mesh
 
 
 @dataclass(frozen=True)

@@ -16,27 +16,32 @@ from typing import TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.contact_free import ContactFree, find_contact_free
-from bubbleviz.calibration.frame_ranges import Ranges, as_ranges, numbers, tidy
-from bubbleviz.calibration.identify import (
+from bubbleviz.calibration.identification import (
     Identification,
     assemble,
     check_dome,
     measure_chamber,
     rest_gauge_pressure,
 )
-from bubbleviz.calibration.motion import check_still
-from bubbleviz.calibration.pixels import PixelStatistics, select_pixels
-from bubbleviz.calibration.progress import Progress, quiet
 from bubbleviz.calibration.rectification import Level, rectify
-from bubbleviz.calibration.samples import Samples, collect
-from bubbleviz.calibration.sensor_files import written
-from bubbleviz.calibration.surfaces import Name, Surfaces, fit_surfaces, segment_membrane
-from bubbleviz.calibration.uncertainty import TensionEstimate, estimate_tension
+from bubbleviz.calibration.rest.contact_free import ContactFree, find_contact_free
+from bubbleviz.calibration.rest.dome_motion import check_still
+from bubbleviz.calibration.rest.frame_ranges import Ranges, as_ranges, numbers, tidy
+from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
+from bubbleviz.calibration.rest.rest_frames import Samples, collect
+from bubbleviz.calibration.sensor_writer import written
+from bubbleviz.calibration.surface.reference_surface import (
+    Name,
+    Surfaces,
+    fit_surfaces,
+    segment_membrane,
+)
+from bubbleviz.calibration.tension.tension_estimate import TensionEstimate, estimate_tension
 from bubbleviz.calibration.validation import KnownPress, Validation
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.source import FrameSource
+from bubbleviz.progress import Progress, quiet
 from bubbleviz.sensor import Sensor
 
 _KEPT = 3  # results of a step: the present one, the one undone, and one more

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -282,7 +282,7 @@ class RangeObserver:
         """
         some = np.flatnonzero(triangles[linear.hits.triangle])
         nodes = self.mesh.deformed(displacement_m)
-        moved = self._caster.again(nodes, self.mesh.normals, linear.hits.of(some))
+        moved = self._caster.recast(nodes, self.mesh.normals, linear.hits.of(some))
         offset = linear.offset_m.copy()
         offset[some] = self._offset(moved, displacement_m)
         return Linearisation(linear.hits.with_others(some, moved), offset)

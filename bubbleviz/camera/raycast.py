@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.deferred import import_without
+from bubbleviz.lazy_imports import import_without
 from bubbleviz.membrane.mesh import cross, triangles_across
 
 _WALK = 4
@@ -128,7 +128,7 @@ class RayCaster:
     def _across(self) -> np.ndarray:
         return triangles_across(self.triangles)
 
-    def again(self, nodes: np.ndarray, normals: np.ndarray, hits: Hits) -> Hits:
+    def recast(self, nodes: np.ndarray, normals: np.ndarray, hits: Hits) -> Hits:
         """Hits of the same rays after the nodes moved a little: each walks to its triangle.
 
         A ray whose triangle is several further away ends on the plane of one close by.

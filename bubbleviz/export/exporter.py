@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from bubbleviz.files.result_writer import UNKNOWN
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Estimate, Result
-from bubbleviz.results import UNKNOWN
 
 
 class Exporter(Protocol):

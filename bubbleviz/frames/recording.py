@@ -13,11 +13,7 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Messages, Topic
 from bubbleviz.frames.bags.bag import damage
-from bubbleviz.frames.decode import decode_depth, pressure_of, wrench_of
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.series import Series
-from bubbleviz.frames.topics import (
+from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     POINT_CLOUD,
     PRESSURE,
@@ -26,6 +22,10 @@ from bubbleviz.frames.topics import (
     find_intrinsics,
     first_of_type,
 )
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_of
+from bubbleviz.frames.point_cloud import decode_cloud
+from bubbleviz.frames.time_series import Series
 
 _SAMPLED_ABOVE = 4096
 _GARBAGE_NS = 3_600_000_000_000

@@ -10,12 +10,12 @@ import numpy as np
 from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.detection import detection_threshold
-from bubbleviz.inverse.normal import NormalEquations
+from bubbleviz.inverse.normal_equations import NormalEquations
 from bubbleviz.inverse.plausibility import GAS_LINEAR, GAS_NOISE, contradicts_gas, explains
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solver import DEFAULT, make_solver
+from bubbleviz.inverse.solvers.inverse_solver import DEFAULT, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status

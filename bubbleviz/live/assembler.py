@@ -8,16 +8,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.frames.decode import decode_depth, decode_intrinsics, pressure_of, wrench_of
+from bubbleviz.frames.depth_topics import (
+    CAMERA_INFO,
+    IMAGE,
+    POINT_CLOUD,
+    PRESSURE,
+    WRENCH,
+    common_prefix,
+)
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_decoding import (
+    decode_depth,
+    decode_intrinsics,
+    pressure_of,
+    wrench_of,
+)
 from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.topics import CAMERA_INFO, IMAGE, POINT_CLOUD, PRESSURE, WRENCH, common_prefix
 from bubbleviz.live.counters import Counters
-from bubbleviz.live.decode import decode
-from bubbleviz.live.message import RawMessage
-from bubbleviz.live.samples import Samples
+from bubbleviz.live.deserialise import decode
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.signal_buffer import Samples
 from bubbleviz.live.stamps import StampClock
-from bubbleviz.live.topics import TopicNames
+from bubbleviz.live.topic_names import TopicNames
 
 WAIT_NS = 20_000_000
 """How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bubbleviz.deferred import import_without
 from bubbleviz.errors import InputError
+from bubbleviz.lazy_imports import import_without
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.objects import RigidObject
+from bubbleviz.rigid_object import RigidObject
 
 
 class GapFinder:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from bubbleviz.pose.contact import ContactPoints
-from bubbleviz.pose.model import ObjectModel
-from bubbleviz.pose.motion import motion_between, moved, rows, way_at
+from bubbleviz.pose.contact_points import ContactPoints
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.rigid_motion import motion_between, moved, rows, way_at
 
 INLIER_M = 1.5e-3
 """A contact point this close to the object agrees with it: three deviations of the estimate."""

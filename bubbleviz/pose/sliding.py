@@ -13,10 +13,10 @@ import numpy as np
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.pose.contact import ContactPoints
-from bubbleviz.pose.motion import about, motion_between
-from bubbleviz.pose.pressed import AROUND_M, PressedMembrane
-from bubbleviz.pose.uncertainty import Directions
+from bubbleviz.pose.contact_points import ContactPoints
+from bubbleviz.pose.observability import Directions
+from bubbleviz.pose.pressed_membrane import AROUND_M, PressedMembrane
+from bubbleviz.pose.rigid_motion import about, motion_between
 
 _TRUST = 0.3
 """Share of the pixels' information that is left: what the facets of the model get wrong lasts until
@@ -65,7 +65,7 @@ class Slide:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class PredictedImage:
     """The depth image that the object would make, linear around a pose.
 
     Attributes
@@ -119,7 +119,7 @@ class Sliding:
 
     def forget(self) -> None:
         """Look anew at the next frame."""
-        self._outlook: Outlook | None = None
+        self._predicted: PredictedImage | None = None
 
     def step(
         self,
@@ -147,11 +147,11 @@ class Sliding:
         pull : (6,) array
             Gradient of what is known at `T_B_O`.
         """
-        outlook = self._at(T_B_O, contact, directions)
-        residual = outlook.residual_m(self._observer.pixel_residuals(depth_m), T_B_O)
+        predicted = self._at(T_B_O, contact, directions)
+        residual = predicted.residual_m(self._observer.pixel_residuals(depth_m), T_B_O)
         seen = np.isfinite(residual)
-        J = outlook.jacobian[seen] @ about(contact.center, outlook.center) @ directions.motions
-        weight = outlook.every * _TRUST * _weights(residual[seen])
+        J = predicted.jacobian[seen] @ about(contact.center, predicted.center) @ directions.motions
+        weight = predicted.every * _TRUST * _weights(residual[seen])
         H, g = (J.T * weight) @ J, -J.T @ (weight * residual[seen])
         H[np.diag_indices(6)] += directions.determined / _MODEL_DEVIATION_M**2
         # Schur complement of the determined directions.
@@ -165,18 +165,22 @@ class Sliding:
         ended = bool(np.abs(step).max() < _VALID * edge)
         return Slide(motions @ step, inverse.T @ H @ inverse, ended)
 
-    def _at(self, T_B_O: np.ndarray, contact: ContactPoints, directions: Directions) -> Outlook:
+    def _at(
+        self, T_B_O: np.ndarray, contact: ContactPoints, directions: Directions
+    ) -> PredictedImage:
         """The linear model around a pose, or the last one where it still holds."""
-        known = self._outlook
+        known = self._predicted
         if known is not None:
             way = motion_between(known.T_B_O, T_B_O, contact.center)
             ways = np.linalg.solve(directions.motions, way)
             if np.abs(ways).max() < _VALID * self.mesh.edge_length:
                 return known
-        self._outlook = self._looked(T_B_O, contact, directions)
-        return self._outlook
+        self._predicted = self._looked(T_B_O, contact, directions)
+        return self._predicted
 
-    def _looked(self, T_B_O: np.ndarray, contact: ContactPoints, directions: Directions) -> Outlook:
+    def _looked(
+        self, T_B_O: np.ndarray, contact: ContactPoints, directions: Directions
+    ) -> PredictedImage:
         """Derivatives over wide steps in the open directions."""
         mesh, motions, free = self.mesh, directions.motions, ~directions.determined
         press = self._pressed.press(T_B_O, contact)
@@ -198,7 +202,7 @@ class Sliding:
         hits = caster.cast(mesh.deformed(press.displacement_m), mesh.normals)
         pixel = pixel[hits.ray]
         J = np.einsum("bi,bik->bk", hits.sensitivity, slopes[triangles[hits.triangle]])
-        return Outlook(
+        return PredictedImage(
             T_B_O=T_B_O,
             center=contact.center,
             pixel=pixel,

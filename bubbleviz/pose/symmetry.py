@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.pose.model import ObjectModel
+from bubbleviz.pose.object_model import ObjectModel
 
 _ALIKE = 2e-3
 """Distance over the object's size below which surfaces are the same."""

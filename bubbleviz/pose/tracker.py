@@ -11,17 +11,17 @@ import numpy as np
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator
-from bubbleviz.inverse.normal import NormalEquations
+from bubbleviz.inverse.normal_equations import NormalEquations
 from bubbleviz.inverse.resolution import information_density
-from bubbleviz.objects import RigidObject
-from bubbleviz.pose.contact import ContactPoints, contact_points
-from bubbleviz.pose.filter import START_DEVIATION, Motion
-from bubbleviz.pose.model import ObjectModel, check_size
-from bubbleviz.pose.motion import motion_between
+from bubbleviz.pose.contact_points import ContactPoints, contact_points
+from bubbleviz.pose.dual_stage import Solution, Solver
+from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
+from bubbleviz.pose.object_model import ObjectModel, check_size
 from bubbleviz.pose.registration import Precision, Registration
-from bubbleviz.pose.solution import Solution, Solver
-from bubbleviz.pose.start import StartFinder
+from bubbleviz.pose.rigid_motion import motion_between
+from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
+from bubbleviz.rigid_object import RigidObject
 
 LEAST_FITNESS = 0.5
 """Share of the patch below which it is not this object at this pose that touches."""

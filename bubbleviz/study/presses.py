@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.objects import RigidObject
-from bubbleviz.study import objects
+from bubbleviz.rigid_object import RigidObject
+from bubbleviz.study import object_shapes
 
 GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
 HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
@@ -54,7 +54,7 @@ class Press:
 
 def made(name: str) -> RigidObject:
     """Object of a generator's name."""
-    generator = getattr(objects, name)
+    generator = getattr(object_shapes, name)
     obj: RigidObject = generator()
     return obj
 

@@ -18,15 +18,15 @@ import psutil
 import pytest
 from small_press import write_press
 
-from bubbleviz.batch.find import find_recordings
-from bubbleviz.batch.job import Job, Settings, run_job
-from bubbleviz.batch.processes import run_in_processes
-from bubbleviz.batch.row import Row
-from bubbleviz.batch.summary import BatchSummary
+from bubbleviz.batch.batch_job import Job, Settings, run_job
+from bubbleviz.batch.batch_summary import BatchSummary
+from bubbleviz.batch.find_recordings import find_recordings
+from bubbleviz.batch.local_processes import run_in_processes
+from bubbleviz.batch.summary_row import Row
+from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.errors import InputError
-from bubbleviz.estimate import estimate_recording
 
-COMMAND = [sys.executable, "-c", "from bubbleviz.cli import main; main()", "batch"]
+COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
 FILES = {"result.npz", "result.csv", "summary.json"}
 
@@ -284,7 +284,7 @@ def test_a_process_that_dies_costs_its_own_recording_only(
 def test_blas_has_one_thread_in_a_worker(tmp_path: Path) -> None:
     code = (
         "import os, threading\n"
-        "from bubbleviz.batch.worker import serve\n"
+        "from bubbleviz.batch.job_process import serve\n"
         "class Pipe:\n"
         "    def recv(self): raise EOFError\n"
         "serve(Pipe(), os.getppid())\n"

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 
-from bubbleviz.batch import cluster
-from bubbleviz.batch.cluster import check_cluster
-from bubbleviz.batch.job import Job, Settings, run_job
-from bubbleviz.batch.run import run_batch
+from bubbleviz.batch import dask_cluster
+from bubbleviz.batch.batch_job import Job, Settings, run_job
+from bubbleviz.batch.dask_cluster import check_cluster
+from bubbleviz.commands.batch import run_batch
 from bubbleviz.errors import InputError
 
 
@@ -56,7 +56,7 @@ def test_results_are_those_of_this_process(
 
 @pytest.fixture
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "TIMEOUT_S", 1.0)
+    monkeypatch.setattr(dask_cluster, "TIMEOUT_S", 1.0)
 
 
 @pytest.mark.usefixtures("_impatient")

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.noise import DepthNoise
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
 
 GAUGE = 2585.5
 

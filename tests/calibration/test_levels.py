@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.calibration.command import identify as command
-from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.rectification import Level, rectify
-from bubbleviz.calibration.sensor_files import written
-from bubbleviz.camera.pixels import PixelModel, RangeLine
+from bubbleviz.calibration.sensor_writer import written
+from bubbleviz.camera.pixel_model import PixelModel, RangeLine
+from bubbleviz.cli.identify_command import identify as command
 from bubbleviz.errors import InputError
-from bubbleviz.frames.noise import DepthNoise
-from bubbleviz.frames.synthetic import SyntheticSource
-from bubbleviz.frames.writer import RecordingWriter
-from bubbleviz.objects import load_object
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 from .domes import Dome
 

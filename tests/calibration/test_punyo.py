@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.contact_free import find_contact_free
-from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.residuals import measure_residuals
-from bubbleviz.calibration.sensor_files import file_hash, write_sensor
-from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.calibration.rest.contact_free import find_contact_free
+from bubbleviz.calibration.sensor_writer import file_hash, write_sensor
+from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 

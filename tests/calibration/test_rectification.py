@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identify import identify
+from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.rectification import Level, fit_rectification
 from bubbleviz.errors import InputError
 

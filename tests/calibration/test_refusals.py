@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identify import identify
-from bubbleviz.calibration.progress import Cancelled
+from bubbleviz.calibration.identification import identify
 from bubbleviz.errors import InputError
+from bubbleviz.progress import Cancelled
 
 from .twin import ATMOSPHERE, FREE, make_twin, nominal_sensor
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.correlation import mean_inflation
-from bubbleviz.calibration.depth_statistics import measure_depth
-from bubbleviz.calibration.pixels import PixelStatistics
-from bubbleviz.calibration.rim import rim_height
-from bubbleviz.calibration.robust import robust_sigma, tukey_weights
-from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.calibration.rest.depth_statistics import measure_depth
+from bubbleviz.calibration.rest.noise_correlation import mean_inflation
+from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
+from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights
+from bubbleviz.calibration.surface.rim_height import rim_height
+from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 
 

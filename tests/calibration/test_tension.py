@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.calibration.bootstrap import ScoreTable, draw_errors, tile_numbers, tile_side
-from bubbleviz.calibration.identify import identify
-from bubbleviz.calibration.surface_fit import Ellipsoid
-from bubbleviz.calibration.tension import (
+from bubbleviz.calibration.identification import identify
+from bubbleviz.calibration.surface.cap_fit import Ellipsoid
+from bubbleviz.calibration.tension.bootstrap import ScoreTable, draw_errors, tile_numbers, tile_side
+from bubbleviz.calibration.tension.young_laplace import (
     balance_gradient,
     balance_tension,
     cap_tension,
     ellipsoid_curvature,
 )
-from bubbleviz.frames.noise import DepthNoise
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap
+from bubbleviz.simulation.depth_noise import DepthNoise
 
 from .domes import GAUGE, oval, sphere
 

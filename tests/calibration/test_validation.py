@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from bubbleviz.calibration.tension.wrench_tension import tension_by_wrench
 from bubbleviz.calibration.validation import validate
-from bubbleviz.calibration.wrench_tension import tension_by_wrench
 from bubbleviz.errors import InputError
-from bubbleviz.frames.noise import DepthNoise
-from bubbleviz.frames.synthetic import SyntheticSource
-from bubbleviz.objects import load_object
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 TENSION = 105.0
 

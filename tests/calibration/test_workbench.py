@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.collected import CollectedFrames
-from bubbleviz.calibration.compare import compare
-from bubbleviz.calibration.frame_ranges import as_ranges, in_words, numbers, tidy, without
-from bubbleviz.calibration.identify import identify
-from bubbleviz.calibration.progress import Cancelled
-from bubbleviz.calibration.save import save
-from bubbleviz.calibration.sensor_files import written
+from bubbleviz.calibration.identification import identify
+from bubbleviz.calibration.rest.collected_frames import CollectedFrames
+from bubbleviz.calibration.rest.frame_ranges import as_ranges, in_words, numbers, tidy, without
+from bubbleviz.calibration.save_identification import save
+from bubbleviz.calibration.sensor_comparison import compare
+from bubbleviz.calibration.sensor_writer import written
 from bubbleviz.calibration.workbench import Settings, Step, Workbench
 from bubbleviz.errors import InputError
+from bubbleviz.progress import Cancelled
 
 from .domes import sphere
 
@@ -159,7 +159,7 @@ def test_collected_frames_are_saved_with_a_report(dome, tmp_path):
 
 def test_a_report_that_cannot_be_written_leaves_no_sensor(dome, tmp_path, monkeypatch):
     found = identify(dome, dome.sensor, range(12), nodes=NODES)
-    import bubbleviz.calibration.save as module
+    import bubbleviz.calibration.save_identification as module
 
     def full_disk(*_):
         raise InputError("report: cannot be written (disk full)")

@@ -12,8 +12,8 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 ATMOSPHERE, GAUGE = 101_325.0, 5_000.0

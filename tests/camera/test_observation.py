@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import RangeObserver, facet_error
 from bubbleviz.camera.operators import interpolation_matrix, range_jacobian
-from bubbleviz.camera.pixels import PixelModel
+from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.camera.view import MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.sensor import load_sensor
 
 SENSOR = load_sensor("pico_flexx_75mm")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_press import write_press, write_small_sensor
 
-from bubbleviz.estimate import estimate_recording
+from bubbleviz.commands.estimate import estimate_recording
 
 
 @pytest.fixture(scope="session")

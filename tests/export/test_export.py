@@ -18,12 +18,12 @@ import pyvista
 from click.testing import CliRunner, Result
 from PIL import Image
 
-from bubbleviz.calibration.progress import Cancelled
-from bubbleviz.cli import main
+from bubbleviz.cli.command_line import main
+from bubbleviz.commands.export import export_recording
 from bubbleviz.errors import InputError
-from bubbleviz.export.plan import ExportPlan
-from bubbleviz.export.run import export_recording
+from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.frames.recording import Recording
+from bubbleviz.progress import Cancelled
 
 Arrays = dict[str, np.ndarray]
 
@@ -225,7 +225,7 @@ def test_only_the_stages_needed_run(
 def test_depth_pictures_load_no_solver(tmp_path: Path, press: Path, sensor: Path) -> None:
     words = [str(press), "--sensor", str(sensor), "--out", str(tmp_path / "d"), "--what", "depth"]
     code = (
-        "import sys; from bubbleviz.cli import main\n"
+        "import sys; from bubbleviz.cli.command_line import main\n"
         f"main({['export', *words]!r}, standalone_mode=False)\n"
         "print([m for m in ('open3d', 'osqp', 'clarabel', 'pyarrow', 'pyvista', 'PySide6')"
         " if m in sys.modules])"

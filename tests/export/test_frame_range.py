@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bubbleviz.commands.estimate import parse_frames
 from bubbleviz.errors import InputError
-from bubbleviz.estimate import parse_frames
 
 bound = st.none() | st.integers(0, 40)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.video import open_mp4, write_mp4
+from bubbleviz.export.mp4_writer import open_mp4, write_mp4
 
 
 def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:

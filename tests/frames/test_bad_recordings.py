@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
 
+from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
-from bubbleviz.frames.info import recording_info
 from bubbleviz.frames.recording import Recording
 
 

@@ -11,8 +11,8 @@ from bagmaker import HEIGHT, PERIOD, START, WIDTH, BagMaker, depth_image, fill, 
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bubbleviz.commands.info import recording_info
 from bubbleviz.frames.gaps import find_gaps
-from bubbleviz.frames.info import recording_info
 
 
 @given(

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.camera.view import MembraneView
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.membrane.build import build_mesh
-from bubbleviz.membrane.forward import Contact, ForwardModel
+from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.objects import load_object
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 
 SENSOR = load_sensor("pico_flexx_75mm")

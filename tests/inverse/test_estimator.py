@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import active_set
 from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.solvers import active_set
 from tests.inverse.conftest import SENSOR, TENSION, estimator, press
 
 

@@ -14,16 +14,16 @@ from scipy.spatial.distance import cdist
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.operators import range_jacobian
-from bubbleviz.inverse.landmark_hessian import LandmarkHessian, farthest_points
-from bubbleviz.inverse.normal import NormalEquations
-from bubbleviz.inverse.patch import area_above
-from bubbleviz.inverse.pivoting import DenseQuadratic, nonnegative_qp
+from bubbleviz.inverse.normal_equations import NormalEquations
 from bubbleviz.inverse.problem import Equilibrium
-from bubbleviz.inverse.reduced_hessian import ReducedHessian
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian, farthest_points
+from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
+from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.patch.patch_finder import area_above
 from tests.inverse.conftest import CAMERA, SENSOR, TENSION
 
 MESH = build_mesh(SENSOR, 200)

@@ -32,8 +32,8 @@ from wire import (
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.frames.frame import Frame
 from bubbleviz.live.assembler import WAIT_NS, FrameAssembler
-from bubbleviz.live.message import RawMessage, stamp_of
-from bubbleviz.live.topics import TopicNames
+from bubbleviz.live.raw_message import RawMessage, stamp_of
+from bubbleviz.live.topic_names import TopicNames
 
 
 def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:

@@ -30,12 +30,12 @@ from wire import (
     number_of,
 )
 
+from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
-from bubbleviz.frames.info import recording_info
 from bubbleviz.frames.recording import Recording
-from bubbleviz.live.mcap_file import McapFile
-from bubbleviz.live.message import RawMessage
-from bubbleviz.live.recorder import MARKERS, Recorder
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.mcap_file import McapFile
+from bubbleviz.live.sinks.recorder import MARKERS, Recorder
 
 INFO = "sensor_msgs/msg/CameraInfo"
 
@@ -183,7 +183,7 @@ STREAM = """
 import sys, time
 sys.path.insert(0, {tests!r})
 from wire import NOW, depth, gas
-from bubbleviz.live.recorder import Recorder
+from bubbleviz.live.sinks.recorder import Recorder
 recorder = Recorder()
 recorder.start({path!r})
 k = 0
@@ -239,8 +239,8 @@ def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(tmp_path: Pat
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         import numpy as np
         from wire import IMAGE, NOW, PERIOD, image, arrived
-        from bubbleviz.live.recorder import Recorder
-        from bubbleviz.frames.messages import ros2_types
+        from bubbleviz.live.sinks.recorder import Recorder
+        from bubbleviz.frames.message_encoding import ros2_types
         ros2_types()
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (2_500_000, 2_500_000))

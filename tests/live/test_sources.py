@@ -29,16 +29,16 @@ from wire import (
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.synthetic import SyntheticSource
-from bubbleviz.live.dual_nut import finger_pose, grip_poses, oversized_nut
-from bubbleviz.live.message import RawMessage
-from bubbleviz.live.opening import open_stream
-from bubbleviz.live.recorder import Recorder
-from bubbleviz.live.replay import Replay
-from bubbleviz.live.session import LiveSession
-from bubbleviz.live.session_file import SensorPlace, SessionPreset, load_session
-from bubbleviz.live.stream import LiveStream
+from bubbleviz.live.live_session import LiveSession
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.session_preset import SensorPlace, SessionPreset, load_session
+from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.replay import Replay
 from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.simulation.dual_nut import finger_pose, grip_poses, oversized_nut
+from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 Eventually = Callable[[Callable[[], object]], None]
 
@@ -361,7 +361,7 @@ def test_without_a_camera_one_line_says_so(small_sensor: Sensor) -> None:
 
 def test_streams_end_when_their_source_fails(small_sensor: Sensor, eventually: Eventually) -> None:
     """A simulation that cannot be: the object cuts the rim. The stream says so and ends."""
-    from bubbleviz.live.synthetic import SyntheticLive
+    from bubbleviz.live.sources.synthetic_live import SyntheticLive
 
     def make() -> SyntheticSource:
         poses = np.tile(np.eye(4), (2, 1, 1))

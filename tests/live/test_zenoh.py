@@ -21,15 +21,15 @@ from robot import KEYS, TOKENS, attachment, open_session
 from wire import HEIGHT, IMAGE, WIDTH, image, number_of
 
 from bubbleviz.errors import InputError
-from bubbleviz.live import zenoh_keys
-from bubbleviz.live.message import RawMessage
-from bubbleviz.live.opening import open_stream
-from bubbleviz.live.recorder import Recorder
-from bubbleviz.live.soak import free_port
-from bubbleviz.live.stream import LiveStream
-from bubbleviz.live.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.zenoh_session import SessionOptions
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.sources import zenoh_keys
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.bench.live_soak import free_port
 
 Eventually = Callable[[Callable[[], object]], None]
 SHORT, FULL = 5, 20

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from bubbleviz.live.message import RawMessage
+from bubbleviz.live.raw_message import RawMessage
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HEIGHT, WIDTH = 48, 64

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian, young_laplace_tension
-from bubbleviz.membrane.surface import EllipsoidalCap, mesh_cap, spherical_cap
 
 A, H = 0.075, 0.050
 SPHERE = (A**2 + H**2) / (2 * H)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.cli import main
+from bubbleviz.cli.command_line import main
+from bubbleviz.files.pose_reader import read_path
+from bubbleviz.files.pose_writer import PoseRow, write_poses
 from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose.export import PoseRow, write_poses
-from bubbleviz.posefile import read_path
 from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import load_sensor
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.pose.contact import ContactPoints
-from bubbleviz.pose.model import ObjectModel
-from bubbleviz.pose.motion import about, motion_between, moved, rows
+from bubbleviz.pose.contact_points import ContactPoints
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.observability import directions
 from bubbleviz.pose.registration import Precision, Prior, Registration
-from bubbleviz.pose.uncertainty import directions
+from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.study.presses import made
 
 PRECISION = Precision(1e12, 3e-3)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.noise import DepthNoise
-from bubbleviz.frames.synthetic import SyntheticSource
-from bubbleviz.objects import RigidObject
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose.motion import motion_between, moved
+from bubbleviz.pose.rigid_motion import motion_between, moved
 from bubbleviz.result import Pose
+from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.study.presses import made
 
 PRODUCTS = frozenset({"pose"})

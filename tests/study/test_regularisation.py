@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bubbleviz.sensor import load_sensor
-from bubbleviz.study import regularisation
-from bubbleviz.study.accuracy import with_nodes
+from bubbleviz.study.accuracy import regularisation
+from bubbleviz.study.accuracy.accuracy_study import with_nodes
 from bubbleviz.study.presses import Press
 
 

@@ -16,16 +16,16 @@ from pytestqt.qtbot import QtBot
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
 from window_driver import Driver
 
-from bubbleviz.frames.source import FrameSource
-from bubbleviz.frames.synthetic import default_press
+from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.sensor import Sensor
-from ui.controller import Controller
-from ui.main_window import MainWindow
-from ui.session import application
-from ui.sources import MadeOnce
-from ui.state import SessionState
-from ui.view import View
-from ui.worker import Worker
+from bubbleviz.simulation.synthetic_source import default_press
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.source_openers import CachedSource
+from bubbleviz_ui.main_window import MainWindow
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.window_session import application
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +36,7 @@ def sensor() -> Sensor:
 @pytest.fixture(scope="session")
 def press(sensor: Sensor) -> FrameSource:
     """The window's own synthetic press on a small sensor."""
-    return MadeOnce(default_press(sensor))
+    return CachedSource(default_press(sensor))
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.view import MembraneView
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 FIRST_CONTACT = 4

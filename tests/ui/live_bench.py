@@ -14,10 +14,10 @@ from fakes import small_sensor
 from mcap.reader import make_reader
 from window_driver import Driver
 
-from bubbleviz.live.session_file import SensorPlace, SessionPreset
+from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
-from ui.live.connection import LiveRun
-from ui.live.desk import LiveDesk
+from bubbleviz_ui.live.connection import LiveRun
+from bubbleviz_ui.live.live_controller import LiveController
 
 ROBOT = Path(__file__).parents[1] / "live" / "robot.py"
 WIDTH, HEIGHT = 64, 48
@@ -81,18 +81,18 @@ def two(folder: Path, source: str = "synthetic:?frames=6") -> SessionPreset:
 
 @dataclass
 class Bench(Driver):
-    """A window and its live desk."""
+    """A window and its live sources."""
 
     folder: Path
 
     @property
-    def desk(self) -> LiveDesk:
-        return self.window.desk
+    def live_controller(self) -> LiveController:
+        return self.window.live_controller
 
     @property
     def run(self) -> LiveRun:
-        assert self.desk.run is not None
-        return self.desk.run
+        assert self.live_controller.run is not None
+        return self.live_controller.run
 
     @property
     def shown(self) -> int:
@@ -102,7 +102,7 @@ class Bench(Driver):
 
     def connect(self, preset: SessionPreset) -> None:
         """Connect and wait for pictures of frames that come live."""
-        self.desk.connect_to(preset)
+        self.live_controller.connect_to(preset)
         self.follow()
 
     def follow(self, frames: int = 3) -> None:
@@ -120,12 +120,12 @@ class Bench(Driver):
 
     def record(self) -> None:
         """Press the record button and wait until it writes."""
-        self.desk.choose_folder(self.folder)
+        self.live_controller.choose_folder(self.folder)
         self.window.live.record.button.click()
         self.wait(lambda: self.status().messages > 5)
 
     def status(self) -> Any:
-        state = self.desk.recording.state()
+        state = self.live_controller.recording.state()
         assert state is not None
         return state.status
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.view import MembraneView
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.build import build_mesh
+from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.sensor import Sensor
 
 REST, FRAMES = 20, 30

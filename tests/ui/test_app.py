@@ -15,7 +15,7 @@ from window_driver import Driver, warm
 
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import load_sensor
-from ui.sources import recording
+from bubbleviz_ui.engine.source_openers import recording
 
 HERE = Path(__file__).parent
 PROGRAM = """
@@ -24,8 +24,8 @@ sys.path.insert(0, {here!r})
 from pathlib import Path
 from fakes import small_sensor
 from bubbleviz.errors import InputError
-from ui.app import run_window, screenshot
-from ui.benchmark import replay_fps
+from bubbleviz_ui.app import run_window, screenshot
+from bubbleviz_ui.bench.replay_rate import replay_fps
 try:
     {what}
 except InputError as error:
@@ -36,8 +36,8 @@ WINDOW = """
 import os, signal, sys
 sys.path.insert(0, {here!r})
 from fakes import small_sensor
-from ui.app import screen_for_pictures
-from ui.session import window_session
+from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.window_session import window_session
 with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None) as session:
     window, view, state = session.window, session.window.view, session.state
     window.show()
@@ -191,7 +191,7 @@ def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press: Pat
 
 @pytest.mark.parametrize("name", ["DISPLAY"])
 def test_a_display_that_does_not_answer_is_none(name: str) -> None:
-    from ui.display import has_display
+    from bubbleviz_ui.shell.display import has_display
 
     assert not has_display({name: ":4711"})
     assert not has_display({name: ""})

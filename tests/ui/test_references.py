@@ -7,7 +7,7 @@ import sys
 
 MANY_CALLS = """
 import sys
-from ui.session import application
+from bubbleviz_ui.window_session import application
 app = application()
 for _ in range(int(sys.argv[1])):
     app.sendPostedEvents()

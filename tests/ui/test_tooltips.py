@@ -14,7 +14,7 @@ from PySide6.QtWidgets import (
 )
 from window_driver import Driver
 
-from ui.panels.status import TIPS
+from bubbleviz_ui.panels.status_bar import TIPS
 
 Drive = Callable[..., Driver]
 CONTROLS = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox)

@@ -14,9 +14,9 @@ from PySide6.QtWidgets import QApplication, QWidget
 from window_driver import Driver
 
 from bubbleviz.sensor import Sensor
-from ui import theme
-from ui.events import FrameChanged
-from ui.scene.colours import rgb
+from bubbleviz_ui.model.events import FrameChanged
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_maps import rgb
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton

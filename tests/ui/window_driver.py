@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from PySide6.QtCore import QPoint
 from pytestqt.qtbot import QtBot
 
 from bubbleviz.pipeline import Pipeline
-from ui.main_window import MainWindow
-from ui.state import SessionState
+from bubbleviz_ui.main_window import MainWindow
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.view3d.colour_maps import rgb
 
 PATIENCE_MS = 30_000
 
@@ -57,3 +59,17 @@ def warm(pixels: np.ndarray) -> np.ndarray:
     """Row and column of strong orange and red, left of the colour bars."""
     red, green, blue = (pixels[:, : int(0.85 * pixels.shape[1]), k].astype(int) for k in range(3))
     return np.argwhere((red > 130) & (red > 2 * blue) & (red > green + 30))
+
+
+def in_view(driver: Driver, point_m: np.ndarray) -> QPoint:
+    """Where a point in B is drawn, in Qt's pixels."""
+    view = driver.window.view
+    view.renderer.SetWorldPoint(*point_m, 1.0)
+    view.renderer.WorldToDisplay()
+    x, y, _ = view.renderer.GetDisplayPoint()
+    return QPoint(round(x), round(view.height() - 1 - y))
+
+
+def near(pixels: np.ndarray, place: QPoint, colour: str) -> bool:
+    part = pixels[place.y() - 8 : place.y() + 9, place.x() - 8 : place.x() + 9]
+    return bool(np.all(part == rgb(colour), axis=2).any())

@@ -15,7 +15,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
 from bubbleviz.frames.bags.cut_mcap import MAGIC, OUR_LIBRARY, CutMcapReader, library_of
 from bubbleviz.frames.bags.storage import Entries, Storage
-from bubbleviz.frames.decode import header_stamp_ns
+from bubbleviz.frames.message_decoding import header_stamp_ns
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Bag:
     def _open_ros1(self) -> None:
         from rosbags.rosbag1 import Reader
 
-        from bubbleviz.frames.bags.ros1 import Ros1Storage
+        from bubbleviz.frames.bags.ros1_storage import Ros1Storage
 
         reader = Reader(self.path)
         reader.open()
@@ -161,8 +161,8 @@ class Bag:
     def _open_ros2(self) -> None:
         from rosbags.rosbag2.reader import DirectoryReader
 
-        from bubbleviz.frames.bags.mcap import McapStorage
-        from bubbleviz.frames.bags.sqlite import SqliteStorage
+        from bubbleviz.frames.bags.mcap_storage import McapStorage
+        from bubbleviz.frames.bags.sqlite_storage import SqliteStorage
 
         readers = []
         if (self.path / "metadata.yaml").exists():

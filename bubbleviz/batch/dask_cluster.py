@@ -1,0 +1,106 @@
+"""Jobs on a Dask cluster, whose workers see the same files under the same paths."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from bubbleviz.batch.batch_job import Job, run_job
+from bubbleviz.batch.summary_row import Row
+from bubbleviz.errors import InputError
+from bubbleviz.wording import how_to_install
+
+TIMEOUT_S = 5.0
+
+
+def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Row]:
+    """Rows of jobs as they end, in any order; closing the iterator cancels those not begun.
+
+    Raises
+    ------
+    InputError
+        The optional library is missing, no scheduler answers, or it is lost on the way.
+    """
+    with _client(address) as client:
+        from distributed import CancelledError, as_completed
+
+        futures = client.map(run_job, jobs, pure=False)
+        by_key = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+        try:
+            for future in as_completed(futures, loop=client.loop):
+                if client.status != "running" or future.status == "cancelled":
+                    raise _lost(address)
+                yield _row(future, by_key[future.key])
+        except (CancelledError, OSError) as error:
+            raise _lost(address) from error
+        finally:
+            if client.status == "running":
+                client.cancel(futures)
+
+
+def check_cluster(address: str) -> None:
+    """Raise InputError unless a scheduler with workers answers; ask before long work."""
+    with _client(address):
+        pass
+
+
+def _row(future: Any, job: Job) -> Row:
+    if future.status == "finished":
+        return future.result()
+    error = future.exception()
+    reason = " ".join(str(error).split())[:300]
+    return Row(job.name, "failed", error=f"{job.recording}: {type(error).__name__}: {reason}")
+
+
+@contextmanager
+def _client(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            f"--scheduler {address}: a cluster needs Dask's distributed; "
+            f"{how_to_install('cluster')}, or leave --scheduler out"
+        ) from error
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # one sentence says it
+    try:
+        # A Client that finds nobody prints a traceback and waits when it is deleted: ask before.
+        if asyncio.run(_kind_of_server(address)) != "Scheduler":
+            raise ValueError("another kind of server")
+        client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
+    except Exception as error:  # another kind of server makes Dask raise anything
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers within {TIMEOUT_S:.0f} s; start one "
+            "with `dask scheduler`, or check address and port"
+        ) from error
+    try:
+        _wait_for_workers(client, address)
+        yield client
+    finally:
+        client.close(timeout=TIMEOUT_S)
+
+
+async def _kind_of_server(address: str) -> str:
+    from distributed import rpc
+
+    async with rpc(address, timeout=TIMEOUT_S) as server:
+        identity = await asyncio.wait_for(server.identity(), TIMEOUT_S)
+    return str(identity.get("type"))
+
+
+def _wait_for_workers(client: Any, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=TIMEOUT_S)
+    except TimeoutError as error:
+        raise InputError(
+            f"--scheduler {address}: the scheduler has no workers; start `dask worker {address}` "
+            "where the recordings are"
+        ) from error
+
+
+def _lost(address: str) -> InputError:
+    return InputError(
+        f"--scheduler {address}: the scheduler is gone; start it and go on with --resume"
+    )

@@ -1,0 +1,327 @@
+"""From contact-free frames to a sensor: the steps in their order.
+
+Each step is a call of its own, with frozen results: `find_contact_free`, `collect`,
+`rest_gauge_pressure`, `check_still`, `fit_surfaces`, `check_dome`, `estimate_tension`,
+`select_pixels`, `measure_chamber`, `assemble`. A window runs them one by one, and any of them
+again with another choice; `identify` runs them all. A `Progress` sees how far each is, and stops
+it by raising `Cancelled`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.calibration.checks import check_no_dent, check_seen, seen_share
+from bubbleviz.calibration.rest.contact_free import find_contact_free
+from bubbleviz.calibration.rest.depth_statistics import DepthStatistics
+from bubbleviz.calibration.rest.dome_motion import check_still
+from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
+from bubbleviz.calibration.rest.rest_frames import Samples, collect
+from bubbleviz.calibration.robust_statistics import robust_sigma
+from bubbleviz.calibration.surface.free_form import FreeForm
+from bubbleviz.calibration.surface.reference_surface import (
+    Fits,
+    Name,
+    Surfaces,
+    cap_over_rim,
+    fit_surfaces,
+)
+from bubbleviz.calibration.tension.chamber_volume import (
+    ChamberEstimate,
+    MembraneTracker,
+    estimate_chamber,
+)
+from bubbleviz.calibration.tension.tension_estimate import TensionEstimate, estimate_tension
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.membrane.cap_mesh import mesh_cap
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+
+_PRESSED_FRAMES = 10  # for the chamber
+_SEEN_NODES = 2_000
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A sensor as its own contact-free frames describe it.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Of shape "spherical_cap" where the sphere was chosen, else "mesh", whose files do not
+        exist before `write_sensor`.
+    given : Sensor
+        The sensor file it started from.
+    samples : Samples
+    surfaces : Surfaces
+    pixels : PixelStatistics
+    tension : TensionEstimate
+    chamber : ChamberEstimate or None
+        None where the source has no press with gas pressure.
+    seen : float
+        Share of the dome's area that the camera sees.
+    wander_m : float
+        How far the dome moves over the frames beyond noise, m.
+    """
+
+    sensor: Sensor
+    given: Sensor
+    samples: Samples
+    surfaces: Surfaces
+    pixels: PixelStatistics
+    tension: TensionEstimate
+    chamber: ChamberEstimate | None
+    seen: float
+    wander_m: float
+
+    @property
+    def mesh(self) -> MembraneMesh:
+        """Reference surface in B."""
+        return self.surfaces.mesh
+
+    @property
+    def fits(self) -> Fits:
+        """The analytic surfaces."""
+        return self.surfaces.fits
+
+    @property
+    def surface(self) -> FreeForm:
+        """The free-form surface."""
+        return self.surfaces.free_form
+
+    @property
+    def statistics(self) -> DepthStatistics:
+        """Of every pixel."""
+        return self.samples.statistics
+
+    @property
+    def tension_n_per_m(self) -> float:
+        """γ0, N/m."""
+        return self.tension.tension.value
+
+    @property
+    def source_name(self) -> str:
+        """Name of the recording."""
+        return self.samples.source_name
+
+    @property
+    def camera(self) -> DepthCamera:
+        """The camera in B."""
+        return DepthCamera.of(self.sensor.camera)
+
+    @property
+    def modelled_range_m(self) -> np.ndarray:
+        """Range of the rays cast on the reference surface, (H, W), m; NaN where they miss."""
+        return self.statistics.range_m - self.surfaces.residual_m
+
+
+def identify(
+    source: FrameSource,
+    sensor: Sensor,
+    contact_free: Sequence[int] | None = None,
+    *,
+    nodes: int = 1000,
+    surface: Name | None = None,
+    progress: Progress = quiet,
+) -> Identification:
+    """Identify a sensor from contact-free frames.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Recording that starts without contact. A press later in it, with gas pressure, gives the
+        chamber's volume.
+    sensor : Sensor
+        Name, camera pose (its rim plane and axes are kept), gauge pressure, chamber volume; what
+        the recording tells better (intrinsics, gas pressure) is taken from there.
+    contact_free : sequence of int, optional
+        Frames to use; found by themselves where not given.
+    nodes : int
+        Target number of nodes of the mesh.
+    surface : {"sphere", "ellipsoid", "free-form"}, optional
+        The operator's choice, in place of the data's.
+    progress : Progress
+
+    Raises
+    ------
+    InputError
+        Whatever makes the answer worthless: too few contact-free frames, frames of another
+        camera or in another unit, no gauge pressure, no dome, half of it unseen, a moving
+        camera, contact all along.
+    """
+    try:
+        return _identify(source, sensor, contact_free, nodes, surface, progress)
+    except InputError as error:  # of a step that does not know the recording
+        if source.name in str(error):
+            raise
+        raise InputError(f"{source.name}: {error}") from error
+
+
+def _identify(
+    source: FrameSource,
+    sensor: Sensor,
+    contact_free: Sequence[int] | None,
+    nodes: int,
+    surface: Name | None,
+    progress: Progress,
+) -> Identification:
+    chosen = contact_free
+    if chosen is None:
+        chosen = find_contact_free(source, progress).frames
+    samples = collect(source, sensor, chosen, progress)
+    gauge = rest_gauge_pressure(samples, sensor)
+    wander = check_still(samples)
+    surfaces = fit_surfaces(samples, nodes, surface, progress)
+    seen = check_dome(samples, surfaces)
+    tension = estimate_tension(samples, surfaces, gauge, progress=progress)
+    pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
+    chamber = measure_chamber(source, samples, surfaces, pixels, tension, progress)
+    progress("done", 1.0)
+    return assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
+
+
+def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:
+    """Gauge pressure of the contact-free frames, Pa: measured, or the sensor file's."""
+    pneumatics = sensor.pneumatics
+    if samples.gas_pressure_pa is None:
+        return pneumatics.gauge_pressure_pa
+    rest = float(np.median(samples.gas_pressure_pa))
+    gauge = rest - pneumatics.atmospheric_pressure_pa
+    if gauge <= 0.0:
+        raise InputError(
+            f"{samples.source_name}: gas pressure {rest:.0f} Pa is not above the atmospheric"
+            f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the latter, or inflate"
+        )
+    return gauge
+
+
+def check_dome(samples: Samples, surfaces: Surfaces) -> float:
+    """Refuse a dome pressed in or half unseen; share of it that is seen."""
+    name, cap, camera = samples.source_name, surfaces.fits.cap.ellipsoid, surfaces.camera
+    mesh = mesh_cap(cap_over_rim(cap), _SEEN_NODES)
+    mesh = MembraneMesh(mesh.nodes + cap.centre_m * (1.0, 1.0, 0.0), mesh.triangles, mesh.rim)
+    seen = seen_share(mesh, camera, surfaces.membrane)
+    check_seen(name, seen)
+    ranges = samples.statistics.range_m
+    points = camera.center + ranges[..., None] * camera.directions.reshape(*ranges.shape, 3)
+    residual = cap.distance(points.reshape(-1, 3)).reshape(ranges.shape)
+    pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)
+    reach = samples.statistics.correlation_length_px
+    check_no_dent(name, residual, surfaces.membrane, reach, pixel_m, cap)
+    return seen
+
+
+def measure_chamber(
+    source: FrameSource,
+    samples: Samples,
+    surfaces: Surfaces,
+    pixels: PixelStatistics,
+    tension: TensionEstimate,
+    progress: Progress = quiet,
+) -> ChamberEstimate | None:
+    """Chamber from later frames in which the gas pressure holds near its largest.
+
+    None where there is no gas pressure, or no press that moves it ten times its noise.
+    """
+    free = samples.gas_pressure_pa
+    if free is None:
+        return None
+    rest = float(np.median(free))
+    later = range(max(samples.frames) + 1, len(source))
+    rises = []
+    for k in later:
+        value = source[k].gas_pressure_pa
+        rises.append(np.nan if value is None else value - rest)
+        progress("measuring the chamber", 0.5 * (k - later.start) / len(later))
+    rise = np.array(rises)
+    if not np.isfinite(rise).any() or np.nanmax(rise) < 10.0 * max(robust_sigma(free), 1e-9):
+        return None
+    held = np.flatnonzero(rise > 0.9 * np.nanmax(rise))
+    picked = held[np.unique(np.linspace(0, len(held) - 1, _PRESSED_FRAMES).astype(int))]
+    tracker = MembraneTracker(
+        surfaces.mesh,
+        surfaces.camera,
+        pixels,
+        tension.tension.value,
+        surfaces.free_form.smoothing,
+    )
+    return estimate_chamber(tracker, [source[later[k]] for k in picked], rest, progress)
+
+
+def assemble(
+    sensor: Sensor,
+    samples: Samples,
+    surfaces: Surfaces,
+    pixels: PixelStatistics,
+    tension: TensionEstimate,
+    chamber: ChamberEstimate | None,
+    seen: float,
+    wander_m: float,
+) -> Identification:
+    """Put what the steps found into a sensor."""
+    measured = chamber.chamber_volume_m3(surfaces.mesh.cap_volume()) if chamber else None
+    volume = sensor.pneumatics.chamber_volume_m3 if measured is None else measured
+    pneumatics = sensor.pneumatics.model_copy(
+        update={
+            "gauge_pressure_pa": round(tension.gauge_pressure_pa, 1),
+            "chamber_volume_m3": float(f"{volume:.3g}"),
+            "tension_n_per_m": round(tension.tension.value, 3),
+        }
+    )
+    update = {
+        "membrane": _membrane_section(surfaces),
+        "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
+        "camera": _camera_section(sensor.camera, surfaces.camera, samples.statistics, pixels),
+        "calibration": None,
+    }
+    return Identification(
+        sensor=sensor.model_copy(update=update),
+        given=sensor,
+        samples=samples,
+        surfaces=surfaces,
+        pixels=pixels,
+        tension=tension,
+        chamber=chamber,
+        seen=seen,
+        wander_m=wander_m,
+    )
+
+
+def _membrane_section(surfaces: Surfaces) -> Membrane:
+    if surfaces.chosen != "sphere":
+        nodes = len(surfaces.mesh.nodes)
+        return Membrane(shape="mesh", mesh_file="membrane.ply", nodes=nodes)
+    cap = cap_over_rim(surfaces.fits.sphere.ellipsoid)
+    return Membrane(
+        shape="spherical_cap",
+        rim_radius_m=round(cap.rim_semi_axes_m[0], 7),
+        height_m=round(cap.height_m, 7),
+        nodes=len(surfaces.mesh.nodes),
+    )
+
+
+def _camera_section(
+    section: Camera, camera: DepthCamera, statistics: DepthStatistics, pixels: PixelStatistics
+) -> Camera:
+    own = camera.intrinsics
+    relative = np.median(statistics.noise_m[pixels.mask] / statistics.range_m[pixels.mask])
+    return section.model_copy(
+        update={
+            "width": own.width,
+            "height": own.height,
+            "fx": own.fx,
+            "fy": own.fy,
+            "cx": own.cx,
+            "cy": own.cy,
+            "distortion_model": own.distortion_model,
+            "distortion": tuple(own.distortion),
+            "position_m": tuple(round(float(x), 6) for x in camera.T_B_C[:3, 3]),
+            "noise_relative": max(float(f"{relative:.3g}"), 1e-6),
+        }
+    )

@@ -1,0 +1,1 @@
+"""What an identification says in the end: verdict, numbers, images, HTML."""

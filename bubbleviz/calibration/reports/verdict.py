@@ -1,0 +1,135 @@
+"""What an identification is worth, in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from bubbleviz.calibration.identification import Identification
+
+Grade = Literal["good", "usable", "doubtful"]
+
+_GOOD, _USABLE = 0.02, 0.05  # relative half-width of γ0: below a force sensor's; worth a warning
+_WELL_SEEN = 0.8
+_FEW_FRAMES = 30
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Grade and sentences.
+
+    Attributes
+    ----------
+    grade : {"good", "usable", "doubtful"}
+    summary : str
+        One sentence.
+    advice : tuple of str
+        What was found and what to do about it, most important first.
+    """
+
+    grade: Grade
+    summary: str
+    advice: tuple[str, ...]
+
+
+def judge(found: Identification) -> Verdict:
+    """Judge an identification by its own numbers."""
+    tension = found.tension.tension
+    relative = tension.half_width / tension.value
+    warnings = _warnings(found)
+    grade: Grade = "good"
+    if relative > _GOOD or warnings:
+        grade = "usable"
+    if relative > _USABLE:
+        grade = "doubtful"
+    summary = (
+        f"{grade}: γ0 = {tension.value:.2f} N/m, 95 % interval {tension.low:.2f} to"
+        f" {tension.high:.2f} ({_percent(relative)} either way), at {_kpa(found)} gauge pressure"
+    )
+    return Verdict(grade, summary, (_surface(found), *warnings, *_notes(found)))
+
+
+def _surface(found: Identification) -> str:
+    surfaces = found.surfaces
+    miss = {name: 1e3 * rms for name, rms in surfaces.left_out_rms_m.items()}
+    if surfaces.chosen == "sphere":
+        return (
+            f"The dome is spherical: nothing else predicts it better than the sphere, which"
+            f" misses by {miss['sphere']:.2g} mm rms."
+        )
+    if surfaces.chosen == "ellipsoid":
+        return (
+            f"Dome not spherical: the sphere misses by {miss['sphere']:.2g} mm; use the"
+            f" ellipsoid ({miss['ellipsoid']:.2g} mm)."
+        )
+    return (
+        f"Dome not spherical: the sphere misses by {miss['sphere']:.2g} mm, the ellipsoid by"
+        f" {miss['ellipsoid']:.2g} mm; use the free-form surface ({miss['free-form']:.2g} mm)."
+    )
+
+
+def _warnings(found: Identification) -> list[str]:
+    """What makes a result less than good."""
+    tension, fits = found.tension, found.fits
+    out = []
+    if found.samples.gas_pressure_pa is None:
+        out.append(
+            "The recording has no gas pressure: γ0 rests on the sensor file's gauge pressure, and"
+            f" is wrong by as many percent as it is (100 Pa: {100 * tension.per_pascal:.2f} N/m)."
+            " Record the pressure, or measure it."
+        )
+    given = found.given.pneumatics.gauge_pressure_pa
+    change = tension.gauge_pressure_pa / given - 1.0
+    if abs(change) > _USABLE:
+        out.append(
+            f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
+            " the sensor file's: inflate alike, and make sure that nothing touches the sensor."
+        )
+    if found.seen < _WELL_SEEN:
+        out.append(
+            f"{_percent(1.0 - found.seen)} of the dome is not seen: there the surface is the"
+            " fitted cap's continuation, and contact is only inferred."
+        )
+    height = tension.dimensions["height_m"].value
+    if abs(fits.rim_height_m) > max(3.0 * fits.rim_height_sigma_m, _GOOD * height):
+        out.append(
+            f"The edge of the cloud lies {1e3 * fits.rim_height_m:+.1f} mm from the drawing's rim"
+            " plane: either the rim is hidden, or the camera's position is off by as much."
+        )
+    if found.samples.statistics.frames < _FEW_FRAMES:
+        out.append(f"Only {found.samples.statistics.frames} frames: record {_FEW_FRAMES} or more.")
+    return out
+
+
+def _notes(found: Identification) -> list[str]:
+    tension = found.tension
+    part = max(tension.parts, key=lambda name: tension.parts[name])
+    cause = {
+        "pixels": "noise and fixed pattern of the pixels: more frames, or a better rectification",
+        "frames": "drift from frame to frame: let gas and camera settle",
+        "gas_pressure": "noise of the gas pressure: record longer",
+        "facets": "the flat facets of the mesh: more nodes",
+        "surface": "shape that is hidden or finer than the fit: uncover the rim",
+    }[part]
+    least = tension.least_squares_n_per_m
+    notes = [
+        f"Most of the interval comes from {cause}.",
+        f"The interval does not hold the zero of the pressure sensor: 1 % of the gauge pressure is"
+        f" 1 % of γ0, {tension.per_pascal * tension.gauge_pressure_pa / 100:.2f} N/m.",
+    ]
+    if abs(least / tension.tension.value - 1.0) > _GOOD / 2.0:
+        notes.append(
+            f"The mean curvature is not the same everywhere: no one tension holds this shape"
+            f" exactly. Least squares in place of the balance gives {least:.2f} N/m."
+        )
+    if found.chamber is None:
+        notes.append("The chamber's volume is as given: press the sensor in a later recording.")
+    return notes
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def _kpa(found: Identification) -> str:
+    return f"{1e-3 * found.tension.gauge_pressure_pa:.3f} kPa"

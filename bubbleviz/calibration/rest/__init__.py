@@ -1,0 +1,1 @@
+"""The sensor at rest: contact-free frames, depth statistics, pixels to trust."""

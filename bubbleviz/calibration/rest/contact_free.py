@@ -1,0 +1,141 @@
+"""Find the contact-free frames at the start of a recording, with or without gas pressure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.calibration.rest.depth_statistics import MIN_FRAMES
+from bubbleviz.calibration.robust_statistics import robust_sigma
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.progress import Progress, quiet
+
+SIGNIFICANT = 6.0
+"""Standard deviations: noise does not get there in a recording's lifetime."""
+
+_TILE_PX = 8
+_COVERED = 0.01  # share of the view that a contact must move to count
+_SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
+_LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
+
+
+@dataclass(frozen=True)
+class ContactFree:
+    """The leading contact-free frames of a recording.
+
+    Attributes
+    ----------
+    frames : range
+        Indices 0 … end − 1.
+    depth_score : (F,) array
+        How many standard deviations the most changed 1 % of the view is from rest, per frame.
+    pressure_score : (F,) array or None
+        The same for the gas pressure; None where the recording has none.
+    ended_by : {"depth", "pressure", "recording"}
+        What saw the contact first; `recording`: none came.
+    """
+
+    frames: range
+    depth_score: np.ndarray
+    pressure_score: np.ndarray | None
+    ended_by: str
+
+
+def find_contact_free(source: FrameSource, progress: Progress = quiet) -> ContactFree:
+    """Leading frames in which neither the depth nor the gas pressure has left its rest state.
+
+    The recording must start without contact: a contact that is there from the first frame and
+    never changes cannot be told from the dome's own shape.
+
+    Raises
+    ------
+    InputError
+        Fewer than 5 frames before something moves.
+    """
+    tiles, pressures = _summaries(source, progress)
+    depth_score = _score(tiles)
+    depth_end = _first_change(depth_score)
+    end, ended_by = (depth_end, "depth") if depth_end < len(tiles) else (len(tiles), "recording")
+    pressure_score = None
+    if pressures is not None:
+        pressure_score = _score(pressures[:, None])
+        pressure_end = _first_change(pressure_score)
+        if pressure_end < end:
+            end, ended_by = pressure_end, "pressure"
+    if end < MIN_FRAMES:
+        raise InputError(
+            f"{source.name}: only {end} contact-free frames at its start; record at least"
+            f" {MIN_FRAMES} before touching the sensor, or name them"
+        )
+    return ContactFree(range(end), depth_score, pressure_score, ended_by)
+
+
+def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.ndarray | None]:
+    """Depth of every tile (F, K) in m and gas pressure (F,) in Pa, None if a frame lacks it."""
+    if len(source) < MIN_FRAMES:
+        raise InputError(f"{source.name}: {len(source)} frames; record at least {MIN_FRAMES}")
+    tiles, pressures = [], []
+    for k in range(len(source)):
+        frame = source[k]
+        tiles.append(_tile_depths(frame.depth_m))
+        pressures.append(frame.gas_pressure_pa)
+        progress("finding contact-free frames", (k + 1) / len(source))
+    known = np.array([np.nan if p is None else p for p in pressures])
+    return np.array(tiles), known if np.isfinite(known).all() else None
+
+
+def _tile_depths(depth: np.ndarray) -> np.ndarray:
+    """Interquartile mean of the depth in each 8×8 tile, m; NaN where half of it has no return.
+
+    As safe from false returns as the median, and not tied to the camera's quantum.
+    """
+    rows, columns = (side // _TILE_PX * _TILE_PX for side in depth.shape)
+    blocks = depth[:rows, :columns].reshape(rows // _TILE_PX, _TILE_PX, -1, _TILE_PX)
+    samples = np.sort(blocks.transpose(0, 2, 1, 3).reshape(-1, _TILE_PX**2), axis=1)
+    count = np.isfinite(samples).sum(axis=1)[:, None]
+    order = np.arange(_TILE_PX**2)
+    middle = (order >= count // 4) & (order < count - count // 4)
+    total = np.sum(samples, axis=1, where=middle, dtype=np.float64)
+    mean = total / np.maximum(middle.sum(axis=1), 1)
+    return np.where(2 * count[:, 0] >= _TILE_PX**2, mean, np.nan)
+
+
+def _score(values: np.ndarray) -> np.ndarray:
+    """Standard deviations by which the most changed 1 % of the columns are from rest, (F,)."""
+    values = values[:, np.isfinite(values).all(axis=0)]
+    if values.shape[1] == 0:
+        return np.zeros(len(values))
+    lag = min(_LAG, len(values) - 1)
+    differences = values[lag:] - values[:-lag]
+    sigma = np.array([robust_sigma(column, center=0.0) for column in differences.T]) / np.sqrt(2.0)
+    typical = float(np.median(sigma))
+    # Quantised columns may never change at all: they are no better than their like, and a
+    # simulated one that never does is no better than its digits.
+    sigma = np.maximum(sigma, max(typical, np.finfo(float).eps * float(np.abs(values).max())))
+    end = MIN_FRAMES
+    score = np.zeros(len(values))
+    for _ in range(4):  # the rest state from more and more frames, as they prove to be at rest
+        rest = np.median(values[:end], axis=0)
+        score = np.quantile(np.abs(values - rest) / sigma, 1.0 - _COVERED, axis=1)
+        found = max(MIN_FRAMES, _first_change(score))
+        if found == end:
+            break
+        end = found
+    return score
+
+
+def _first_change(score: np.ndarray) -> int:
+    """First frame of a sustained departure from rest; the number of frames where there is none."""
+    high = score > SIGNIFICANT
+    runs = np.lib.stride_tricks.sliding_window_view(high, min(_SUSTAINED, len(high))).all(axis=1)
+    starts = np.flatnonzero(runs)
+    if not len(starts):
+        return len(score)
+    end = int(starts[0])
+    before = max(0, end - 2 * _LAG)
+    usual = float(score[: max(before, 1)].max())
+    while end > before and score[end - 1] > usual:  # its beginning, before it was certain
+        end -= 1
+    return end

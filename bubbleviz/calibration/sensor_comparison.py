@@ -1,0 +1,146 @@
+"""Two sensor files side by side: numbers, and the range each expects in every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.sensor import Sensor
+
+Kind = Literal["tension", "pressure", "length", "fine length", "volume", "area", "count"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of two sensors, SI.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        What it is, and so its unit: N/m, Pa, m, m³, m², pixels.
+    old, new : float or None
+    half_width : float or None
+        Half of the new one's 95 % interval.
+    """
+
+    name: str
+    kind: Kind
+    old: float | None
+    new: float | None
+    half_width: float | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The sensor in use against the identified one.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+    difference_m : (H, W) array
+        Range the new sensor expects of the untouched membrane minus the old one's, surface and
+        bias together, m; NaN where either says nothing.
+    """
+
+    rows: tuple[Row, ...]
+    difference_m: np.ndarray
+
+    @property
+    def largest_m(self) -> float:
+        """Difference that only one pixel in a hundred exceeds, m."""
+        known = np.abs(self.difference_m[np.isfinite(self.difference_m)])
+        return max(float(np.percentile(known, 99.0)), 1e-6) if known.size else 1e-6
+
+
+def compare(old: Sensor, new: Identification) -> Comparison:
+    """Compare the sensor in use with what its own frames say.
+
+    Raises
+    ------
+    InputError
+        The old sensor's files are unreadable, or of another camera.
+    """
+    intrinsics, mask = new.camera.intrinsics, new.pixels.mask
+    if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
+        raise InputError(f"{old.name}: of another camera; nothing to compare by pixel")
+    mesh, pixels = build_mesh(old), _pixels(old)
+    view = MembraneView(DepthCamera.of(old.camera, intrinsics), mesh)
+    before = _expected(view.range_image(np.zeros(len(mesh.nodes))), pixels)
+    after = _expected(new.modelled_range_m, new.pixels)
+    measured = np.where(mask, new.statistics.range_m, np.nan)
+    misfits = [
+        Row(name, "fine length", _rms(measured - was), _rms(measured - now))
+        for name, was, now in zip(
+            ("rms misfit of surface", "rms misfit with bias"), before, after, strict=True
+        )
+    ]
+    noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))
+    used = None if pixels is None else float(pixels.mask.sum())
+    rows = (
+        *_numbers(old, mesh, new),
+        *misfits,
+        Row("noise of a pixel", "fine length", noise, float(np.median(new.pixels.noise_m[mask]))),
+        Row("pixels used", "count", used, float(mask.sum())),
+    )
+    return Comparison(rows, after[1] - before[1])
+
+
+def _expected(
+    surface_m: np.ndarray, pixels: PixelModel | PixelStatistics | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Range (H, W) of the surface alone, and with the bias in the pixels used, m."""
+    if pixels is None:
+        return surface_m, surface_m
+    return surface_m, np.where(pixels.mask, surface_m + pixels.bias_m, np.nan)
+
+
+def _numbers(old: Sensor, mesh: MembraneMesh, new: Identification) -> list[Row]:
+    """Rows that need no images."""
+    tension, was, now = new.tension, old.pneumatics, new.sensor.pneumatics
+    own = tension.tension
+    height = tension.dimensions["height_m"].half_width
+    sizes = _sizes(mesh)
+    return [
+        Row("γ0", "tension", reference_tension(old, mesh), own.value, own.half_width),
+        Row("gauge pressure", "pressure", was.gauge_pressure_pa, now.gauge_pressure_pa),
+        *(
+            Row(name, "length", sizes[name], size, height if name == "height" else None)
+            for name, size in _sizes(new.mesh).items()
+        ),
+        Row("membrane area", "area", float(mesh.areas.sum()), float(new.mesh.areas.sum())),
+        Row("volume under the cap", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
+        Row("chamber volume", "volume", was.chamber_volume_m3, now.chamber_volume_m3),
+    ]
+
+
+def _pixels(sensor: Sensor) -> PixelModel | None:
+    if sensor.calibration is None:
+        return None
+    shape = (sensor.camera.height, sensor.camera.width)
+    return PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)
+
+
+def _sizes(mesh: MembraneMesh) -> dict[str, float]:
+    """Height of the dome and half of the rim's extent along x and y, m."""
+    half = 0.5 * np.ptp(mesh.nodes[mesh.rim, :2], axis=0)
+    return {
+        "height": float(mesh.nodes[:, 2].max()),
+        "rim radius along x": float(half[0]),
+        "rim radius along y": float(half[1]),
+    }
+
+
+def _rms(values: np.ndarray) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else None

@@ -1,0 +1,187 @@
+"""Write an identified sensor: the sensor file, its mesh and its pixel images."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from bubbleviz.calibration.identification import Identification
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing, whole_file
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Calibration, Sensor, load_sensor, sensor_to_toml
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where an identification comes from.
+
+    Attributes
+    ----------
+    recording : str
+        Name of the recording.
+    recording_sha256 : str or None
+    sensor_file : str
+    date : str
+        ISO 8601, UTC.
+    report : str or None
+        Path of the report, from the sensor file's folder.
+    """
+
+    recording: str
+    recording_sha256: str | None
+    sensor_file: str
+    date: str
+    report: str | None = None
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, or of the files in a folder one after the other by name."""
+    path = Path(path)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for each in files:
+        with each.open("rb") as stream:
+            while chunk := stream.read(1 << 20):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+def output_files(out_toml: str | Path) -> tuple[Path, Path, Path]:
+    """Paths of the sensor file, its mesh and its pixel images; InputError where one is taken."""
+    path = Path(out_toml)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
+    paths = path, path.with_suffix(".ply"), path.with_suffix(".npz")
+    for each in paths:
+        refuse_existing(each)
+    return paths
+
+
+def write_sensor(
+    identification: Identification, out_toml: str | Path, origin: Origin | None = None
+) -> Sensor:
+    r"""Write `X.toml`, `X.npz` and, where it has one, `X.ply`, all or none; return the sensor.
+
+    The shipped Punyo preset is made by (move the old files away first)::
+
+        bubbleviz identify punyo_press_a --sensor OLD/punyo_oval_d405.toml \
+            --out presets/sensors/punyo_oval_d405.toml
+
+    which keeps the rim plane, camera axes and name of the old one.
+
+    Raises
+    ------
+    InputError
+        A file exists, or cannot be written; nothing is written then.
+    """
+    path, mesh_path, pixels_path = output_files(out_toml)
+    sensor = _described(identification, path, origin)
+    with ExitStack() as files:
+        # Published last to first: the sensor file comes last, when what it names is there.
+        toml = files.enter_context(whole_file(path))
+        if sensor.membrane.mesh_file is not None:
+            _write_ply(identification.mesh, files.enter_context(whole_file(mesh_path)))
+        identification.pixels.save(files.enter_context(whole_file(pixels_path)))
+        toml.write_text(_comment(identification) + sensor_to_toml(sensor), encoding="utf-8")
+    return sensor
+
+
+@contextmanager
+def written(identification: Identification) -> Iterator[Sensor]:
+    """The identified sensor as loaded from files that are gone afterwards."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "sensor.toml"
+        write_sensor(identification, file)
+        yield load_sensor(file)
+
+
+def _described(identification: Identification, path: Path, origin: Origin | None) -> Sensor:
+    sensor, tension = identification.sensor, identification.tension.tension
+    membrane = sensor.membrane
+    if membrane.mesh_file is not None:
+        membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
+    calibration = Calibration(
+        pixels_file=path.with_suffix(".npz").name,
+        recording=origin.recording if origin else identification.source_name,
+        recording_sha256=origin.recording_sha256 if origin else None,
+        report=origin.report if origin else None,
+        date=origin.date if origin else None,
+        tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
+    )
+    return sensor.model_copy(
+        update={
+            "membrane": membrane,
+            "calibration": calibration,
+            "folder": path.parent,
+            "file": path.name,
+        }
+    )
+
+
+def _comment(identification: Identification) -> str:
+    """Where the numbers come from, as comment lines."""
+    fits, surfaces, tension = (
+        identification.fits,
+        identification.surfaces,
+        identification.tension,
+    )
+    free = identification.samples.frames
+    axes = "/".join(f"{1e3 * x:.1f}" for x in fits.cap.ellipsoid.semi_axes_m)
+    misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
+    value = tension.tension
+    lines = [
+        f"Identified from {identification.source_name}, contact-free frames {free[0]}–{free[-1]}.",
+        "B: origin at the centre of the rim plane; the rim plane and the axes are the drawing's.",
+        "Rms by which parts of the cloud that a fit had not seen are missed: sphere"
+        f" {misses['sphere']},",
+        f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"
+        f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
+        "tension_n_per_m: Young–Laplace, summed over the surface so that its bumps do not bias"
+        f" it; 95 % within {value.low:.2f}…{value.high:.2f}",
+        f"while the gauge pressure is right; 100 Pa more of it would make it"
+        f" {100 * tension.per_pascal:.2f} N/m larger.",
+    ]
+    lines += _chamber_lines(identification)
+    return "".join(f"# {line}\n" for line in lines) + "\n"
+
+
+def _chamber_lines(identification: Identification) -> list[str]:
+    chamber, cap = identification.chamber, identification.mesh.cap_volume()
+    if chamber is None:
+        return ["chamber_volume_m3: as given; no press with gas pressure to measure it by."]
+    lines = [
+        "chamber_volume_m3: by the gas law on the press that follows. The gas pressure rose by"
+        f" {np.median(chamber.pressure_change_pa):.0f} Pa",
+        f"while the volume under the membrane ({100 * chamber.seen:.0f} % of it seen) changed by"
+        f" {1e6 * np.median(chamber.volume_change_m3):.2f} cm³: {1e6 * chamber.gas_volume_m3:.0f}"
+        f" cm³ of gas in all,",
+        f"{1e6 * cap:.0f} cm³ of it under the cap. The change is a dent less a bulge nearly as"
+        " large, so that 0.1 mm of common",
+        f"error in the depth makes {1e2 * chamber.sensitivity_m2:.0f} cm³ of difference"
+        f" (spread over the frames {1e6 * chamber.spread_m3:.0f} cm³).",
+    ]
+    if chamber.chamber_volume_m3(cap) is None:
+        lines.append(
+            "That leaves nothing for the chamber: the value given before is kept, unmeasured."
+        )
+    return lines
+
+
+def _write_ply(mesh: MembraneMesh, path: Path) -> None:
+    """Binary little-endian PLY, double precision, metres."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment membrane in the bubble frame B, metres\n"
+        f"element vertex {len(mesh.nodes)}\n"
+        "property double x\nproperty double y\nproperty double z\n"
+        f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(mesh.triangles), dtype=[("count", "u1"), ("nodes", "<i4", 3)])
+    faces["count"], faces["nodes"] = 3, mesh.triangles
+    path.write_bytes(header.encode() + mesh.nodes.astype("<f8").tobytes() + faces.tobytes())

@@ -1,0 +1,1 @@
+"""The reference surface: membrane pixels, cap fits, free form, rim."""

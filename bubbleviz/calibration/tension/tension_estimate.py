@@ -1,0 +1,327 @@
+"""γ0 and the dome's dimensions with 95 % intervals, and what the intervals are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.calibration.rest.noise_correlation import mean_inflation
+from bubbleviz.calibration.rest.rest_frames import Samples
+from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.calibration.surface.cap_fit import Ellipsoid, Freedom
+from bubbleviz.calibration.surface.reference_surface import (
+    Name,
+    Surfaces,
+    cap_over_rim,
+    mean_points,
+)
+from bubbleviz.calibration.tension.bootstrap import (
+    DRAWS,
+    ScoreTable,
+    draw_errors,
+    score_table,
+    tile_numbers,
+    tile_side,
+)
+from bubbleviz.calibration.tension.young_laplace import (
+    balance_gradient,
+    balance_tension,
+    cap_tension,
+)
+from bubbleviz.membrane.cap_mesh import mesh_cap
+from bubbleviz.membrane.stiffness import young_laplace_tension
+from bubbleviz.progress import Progress, quiet
+
+_CLIP = 3.0  # as the mean of a pixel is clipped
+_BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
+_FINE_NODES = 2_000  # of a mesh to integrate an analytic surface on
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its 95 % interval, all in one SI unit."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval's width."""
+        return 0.5 * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class TensionEstimate:
+    """γ0 of the contact-free shape by Young–Laplace.
+
+    Attributes
+    ----------
+    tension : Quantity
+        γ0, N/m, of the chosen surface.
+    dimensions : dict of str to Quantity
+        `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
+        `rim_semi_axis_x_m` … of an ellipsoid, m.
+    parts : dict of str to float
+        Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
+        pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
+        zero), `facets` (of the mesh that γ0 is used on) and `surface` (of a free form: shape that
+        was not seen or is finer than the fit, and all of what it moved γ0 by against the cap).
+    by_surface : dict of str to float
+        γ0 of every surface, N/m.
+    least_squares_n_per_m : float
+        γ0 of the mesh by least squares in place of the balance; less where the mean curvature
+        is not the same everywhere, so that no one tension is right.
+    gauge_pressure_pa : float
+    tiles, block : int
+        Tiles of pixels, and frames in each block, that were drawn.
+    """
+
+    tension: Quantity
+    dimensions: dict[str, Quantity]
+    parts: dict[str, float]
+    by_surface: dict[Name, float]
+    least_squares_n_per_m: float
+    gauge_pressure_pa: float
+    tiles: int
+    block: int
+
+    @property
+    def per_pascal(self) -> float:
+        """Change of γ0 per pascal by which the gauge pressure is wrong, m: γ0 is linear in it."""
+        return self.tension.value / self.gauge_pressure_pa
+
+
+def estimate_tension(
+    samples: Samples,
+    surfaces: Surfaces,
+    gauge_pressure_pa: float,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> TensionEstimate:
+    """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
+
+    Raises
+    ------
+    InputError
+        No tension holds the surface.
+    """
+    names, values, pixels, influence, residual, parameters = _linear(
+        samples, surfaces, gauge_pressure_pa
+    )
+    by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
+    table = _scores(samples, pixels, influence, residual, parameters, progress)
+    inflation = mean_inflation(samples.statistics.temporal_correlation)
+    block = max(1, round(_BLOCK_INFLATIONS * inflation))
+    draws = draw_errors(table, block, seed)
+    rng = np.random.default_rng([seed, 1])
+    facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
+    shape = 0.0
+    if surfaces.chosen == "free-form":
+        unseen = _shape_error(samples, surfaces, gauge_pressure_pa)
+        shape = float(np.hypot(unseen, by_surface["free-form"] - by_surface["ellipsoid"]))
+    parts = {
+        "pixels": draws.tiles[:, 0],
+        "frames": draws.frames[:, 0],
+        "gas_pressure": values[0] * _pressure_error(samples, gauge_pressure_pa) * _normal(rng),
+        "facets": 0.5 * gauge_pressure_pa * facets,
+        "surface": shape * _normal(rng),
+    }
+    total = draws.total + facets[:, None]
+    total[:, 0] = sum(parts.values())
+    quantities = {
+        name: _quantity(value, total[:, k])
+        for k, (name, value) in enumerate(zip(names, values, strict=True))
+    }
+    return TensionEstimate(
+        tension=quantities.pop("tension_n_per_m"),
+        dimensions=quantities,
+        parts={name: float(part.std()) for name, part in parts.items()},
+        by_surface=by_surface,
+        least_squares_n_per_m=young_laplace_tension(surfaces.mesh, gauge_pressure_pa),
+        gauge_pressure_pa=gauge_pressure_pa,
+        tiles=table.static.shape[0],
+        block=block,
+    )
+
+
+def _scores(
+    samples: Samples,
+    pixels: np.ndarray,
+    influence: np.ndarray,
+    residual: np.ndarray,
+    parameters: int,
+    progress: Progress,
+) -> ScoreTable:
+    """Score table of the z-depth that the frames hold."""
+    statistics, frames = samples.statistics, len(samples.depth_m)
+    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
+    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
+    side = tile_side(len(pixels), statistics.correlation_length_px)
+    return score_table(
+        samples.depth_m.reshape(frames, -1)[:, pixels],
+        statistics.range_m.ravel()[pixels] / to_depth,
+        _CLIP * noise / to_depth,
+        influence * to_depth[:, None],
+        residual / to_depth,
+        tile_numbers(pixels, samples.camera.intrinsics.width, side),
+        parameters,
+        progress,
+    )
+
+
+def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Name, float]:
+    """γ0 of every surface, N/m."""
+    fits = surfaces.fits
+    return {
+        "sphere": _sphere_numbers(gauge_pressure_pa)(fits.sphere.ellipsoid)["tension_n_per_m"],
+        "ellipsoid": _cap_numbers(fits.cap.ellipsoid, gauge_pressure_pa)(fits.cap.ellipsoid)[
+            "tension_n_per_m"
+        ],
+        "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
+    }
+
+
+Linear = tuple[list[str], list[float], np.ndarray, np.ndarray, np.ndarray, int]
+"""Names and values of Q numbers, pixels (P,), influence (P, Q), residual range (P,) and count of
+fitted parameters."""
+
+
+def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+    fits = surfaces.fits
+    freedom: Freedom = "aligned" if surfaces.chosen == "ellipsoid" else "sphere"
+    if surfaces.chosen == "free-form":
+        return _linear_free_form(samples, surfaces, gauge_pressure_pa)
+    if surfaces.chosen == "sphere":
+        own = fits.sphere.ellipsoid
+        numbers = _sphere_numbers(gauge_pressure_pa)
+    else:
+        own = fits.cap.ellipsoid
+        numbers = _cap_numbers(own, gauge_pressure_pa)
+    pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
+    now = numbers(own)
+    rows, facing, distance = _parameter_influence(samples, surfaces, own, freedom, pixels)
+    centre, _, _ = _parameter_influence(samples, surfaces, fits.sphere.ellipsoid, "sphere", pixels)
+    influence = np.concatenate([rows @ _gradient(numbers, own, freedom), centre[:, :3]], axis=1)
+    count = rows.shape[1]
+    return list(now), list(now.values()), pixels, influence, distance / facing, count
+
+
+def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+    free_form, mesh = surfaces.free_form, surfaces.free_form.mesh
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    apex = int(np.argmax(mesh.nodes[:, 2]))
+    gradients = np.zeros((len(mesh.nodes), 2))
+    gradients[:, 0] = balance_gradient(mesh, gauge_pressure_pa, arms)
+    gradients[apex, 1] = arms[apex, 2]
+    pixels = free_form.system.pixels
+    influence = free_form.influence(gradients)
+    influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
+    values = [balance_tension(mesh, gauge_pressure_pa), float(mesh.nodes[apex, 2])]
+    residual = np.nan_to_num(free_form.residual_m.ravel()[pixels])
+    return ["tension_n_per_m", "height_m"], values, pixels, influence, residual, 2
+
+
+def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
+    """Standard deviation of γ0, N/m, from the free form's own prior and noise.
+
+    Wahba's (1983) Bayesian interval of a smoothing spline, whose λ predicts what it has not
+    seen: it covers the rim and the unseen part, where only the prior speaks. Correlated pixels
+    count as fewer.
+    """
+    from scipy.sparse.linalg import splu
+
+    free_form = surfaces.free_form
+    mesh = free_form.mesh
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    gradient = balance_gradient(mesh, gauge_pressure_pa, arms)
+    variance = float(gradient @ splu(free_form.system.matrix).solve(gradient))
+    together = max(1.0, samples.statistics.correlated_pixels)
+    return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
+
+
+def _parameter_influence(
+    samples: Samples, surfaces: Surfaces, surface: Ellipsoid, freedom: Freedom, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Change of the parameters per change of range (P, p); cosine of ray on normal; distance."""
+    points = mean_points(samples, surfaces.camera, pixels)
+    distance, J = surface.distance(points), surface.derivatives(points, freedom)
+    sigma = robust_sigma(distance, center=0.0)
+    weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
+    slope = J.T @ (J * slopes[:, None])
+    facing = np.einsum("ij,ij->i", surface.normals(points), surfaces.camera.directions[pixels])
+    rows = -np.linalg.solve(slope, J.T).T * (weights * facing)[:, None]
+    return rows, facing, distance
+
+
+Numbers = Callable[[Ellipsoid], dict[str, float]]
+
+
+def _sphere_numbers(gauge_pressure_pa: float) -> Numbers:
+    def numbers(sphere: Ellipsoid) -> dict[str, float]:
+        radius, height = float(sphere.semi_axes_m[0]), float(sphere.centre_m[2])
+        return {
+            "tension_n_per_m": 0.5 * gauge_pressure_pa * radius,
+            "height_m": height + radius,
+            "radius_m": radius,
+            "rim_radius_m": float(np.sqrt(max(radius**2 - height**2, 0.0))),
+        }
+
+    return numbers
+
+
+def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float) -> Numbers:
+    mesh = mesh_cap(cap_over_rim(at), _FINE_NODES)
+    facets = mesh.nodes[mesh.triangles].mean(axis=1) + at.centre_m * (1.0, 1.0, 0.0)
+
+    def numbers(cap: Ellipsoid) -> dict[str, float]:
+        x, y, z = (float(a) for a in cap.semi_axes_m)
+        at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
+        return {
+            "tension_n_per_m": cap_tension(cap, facets, mesh.facet_areas, gauge_pressure_pa),
+            "height_m": float(cap.centre_m[2]) + z,
+            "semi_axis_x_m": x,
+            "semi_axis_y_m": y,
+            "semi_axis_z_m": z,
+            "rim_semi_axis_x_m": x * at_rim,
+            "rim_semi_axis_y_m": y * at_rim,
+        }
+
+    return numbers
+
+
+def _gradient(numbers: Numbers, at: Ellipsoid, freedom: Freedom) -> np.ndarray:
+    """Derivative of the numbers with respect to the parameters, (p, Q), by central differences."""
+    parameters = 4 if freedom == "sphere" else 6
+    columns = []
+    for step in 1e-6 * np.eye(parameters):
+        up, down = numbers(at.moved(step, freedom)), numbers(at.moved(-step, freedom))
+        columns.append((np.array(list(up.values())) - np.array(list(down.values()))) / 2e-6)
+    return np.array(columns)
+
+
+def _pressure_error(samples: Samples, gauge_pressure_pa: float) -> float:
+    """Relative standard error of the mean gas pressure over the frames."""
+    gas = samples.gas_pressure_pa
+    if gas is None:
+        return 0.0
+    rho = [1.0]
+    centred = gas - gas.mean()
+    power = float(np.mean(centred**2))
+    for lag in range(1, len(gas) // 2):
+        value = float(np.mean(centred[lag:] * centred[:-lag])) / power if power > 0.0 else 0.0
+        if value <= 0.0:
+            break
+        rho.append(value)
+    return float(np.sqrt(power * mean_inflation(np.array(rho)) / len(gas)) / gauge_pressure_pa)
+
+
+def _normal(rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal(DRAWS)
+
+
+def _quantity(value: float, errors: np.ndarray) -> Quantity:
+    low, high = np.percentile(errors, [2.5, 97.5])
+    return Quantity(value, value + float(low), value + float(high))

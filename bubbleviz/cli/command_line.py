@@ -1,0 +1,127 @@
+"""The command line: every command by name, loaded when it is asked for; errors on one line."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+from typing import Any, NoReturn
+
+import click
+
+import bubbleviz
+from bubbleviz.cli.batch_command import batch
+from bubbleviz.cli.export_command import export
+from bubbleviz.cli.identify_command import identify
+from bubbleviz.cli.live_commands import publish, record, watch
+from bubbleviz.cli.recording_commands import estimate, info, pose, simulate
+from bubbleviz.cli.study_commands import study
+from bubbleviz.errors import InputError, SolveError
+
+WINDOW_GROUP = "bubbleviz.commands"
+"""Entry points of the commands that the window brings."""
+WINDOW_COMMANDS = ("bench", "open", "window")
+WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
+INSTALL = 'is not installed; run pip install "bubbleviz[window]"'
+
+# The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+class OneLineErrors(click.Group):
+    """A command group whose errors are one line on stderr.
+
+    Exit code 2 for wrong usage and bad input, 1 for a problem without an answer, 130 for ^C.
+    """
+
+    def main(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, standalone_mode: bool = True, **extra: Any
+    ) -> Any:
+        """Run as `click.Group.main` does, with our own way of reporting errors."""
+        if not standalone_mode:
+            return super().main(args, standalone_mode=False, **extra)
+        try:
+            code = super().main(args, standalone_mode=False, **extra)
+        except InputError as error:
+            _fail(str(error), 2)
+        except SolveError as error:
+            _fail(str(error), 1)
+        except ModuleNotFoundError as error:
+            library = (error.name or "").split(".")[0]
+            if library not in WINDOW_LIBRARIES:
+                raise
+            _fail(f"{library}, a library of the window, {INSTALL}", 2)
+        except click.UsageError as error:
+            command = error.ctx.command_path if error.ctx else "bubbleviz"
+            _fail(f"{_in_one_line(error)}; see {command} --help", 2)
+        except click.ClickException as error:
+            _fail(error.format_message(), error.exit_code)
+        except click.Abort:
+            _fail("stopped", 130)
+        except ImportError as error:
+            if "shared object file" not in str(error):
+                raise
+            library = str(error).partition(":")[0]
+            _fail(f"{library} is not on this machine; run make setup, which names its package", 1)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _in_one_line(error: click.UsageError) -> str:
+    """What was wrong; click's own text for a group without a command is its whole help."""
+    if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+        return "Missing command"
+    return error.format_message().rstrip(".")
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    click.echo(f"bubbleviz: {' '.join(message.split())}", err=True)
+    sys.exit(code)
+
+
+class AllCommands(OneLineErrors):
+    """The backend's commands, and the window's, which are imported only when they are asked for."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        """Names of all commands that are installed."""
+        return sorted({*self.commands, *entry_points(group=WINDOW_GROUP).names})
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        """Load a command; None where there is none of that name.
+
+        Raises
+        ------
+        InputError
+            It is a command of the window, which is not installed.
+        """
+        if name in self.commands:
+            return self.commands[name]
+        for entry in entry_points(group=WINDOW_GROUP, name=name):
+            command: click.Command = entry.load()
+            return command
+        if name in WINDOW_COMMANDS:
+            raise InputError(f"the window {INSTALL}")
+        return None
+
+
+@click.group(cls=AllCommands, invoke_without_command=True)
+@click.version_option(bubbleviz.__version__)
+@click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
+@click.pass_context
+def main(context: click.Context, fresh: bool) -> Any:
+    """Calibrate, watch and debug Soft-bubble tactile sensors.
+
+    Without a command: the window as it was left, at first on a live synthetic sensor.
+    """
+    if context.invoked_subcommand is not None:
+        return 0
+    window = main.get_command(context, "window")
+    assert window is not None  # else an InputError
+    return context.invoke(window, fresh=fresh)
+
+
+for command in (
+    *(batch, estimate, export, identify, info, pose),
+    *(publish, record, simulate, study, watch),
+):
+    main.add_command(command)

@@ -1,0 +1,100 @@
+"""The commands record, watch and publish: one thin function each, heavy imports inside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+
+
+@click.command()
+@click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap or a folder.")
+@click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor that synthetic: simulates.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def record(source: str, out: Path, duration: float | None, sensor: str, as_json: bool) -> None:
+    """Record every message of a live source.
+
+    ^C ends the recording; the file is whole. Should the machine stop, it opens up to the last
+    second.
+    """
+    from bubbleviz.commands.record import record_source
+    from bubbleviz.sensor import load_sensor
+
+    summary = record_source(source, load_sensor(sensor), out, duration)
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+@click.command()
+@click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--publish", metavar="ENDPOINT", help="Publish results here: tcp/127.0.0.1:7448")
+@click.option("--publish-to", metavar="ENDPOINT", help="Publish results through this router.")
+@click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
+@click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--solver", help="Solver of the inverse problem.")
+@click.option("--object", "object_name", help="Object to track: a mesh or a preset.")
+@click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
+    """Solve a live source without a window, and publish or record the results."""
+    from bubbleviz.commands.watch import WatchOptions, watch_source
+    from bubbleviz.sensor import load_sensor
+
+    options = WatchOptions(
+        out=choices["out"],
+        publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"]),
+        duration_s=choices["duration"],
+        solver=choices["solver"],
+        object_name=choices["object_name"],
+        zero=zero,
+    )
+    summary = watch_source(source, load_sensor(sensor), options)
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+@click.command()
+@click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--listen", metavar="ENDPOINT", help="Subscribers connect here; loopback, 7447.")
+@click.option("--connect", metavar="ENDPOINT", help="Publish through this router instead.")
+@click.option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
+@click.option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
+@click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor that synthetic: simulates.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def publish(
+    source: str,
+    listen: str | None,
+    connect: str | None,
+    layout: Any,
+    domain: int,
+    duration: float | None,
+    sensor: str,
+    as_json: bool,
+) -> None:
+    """Publish a source over Zenoh, as a robot's ROS 2 nodes would."""
+    from bubbleviz.commands.publish import publish_source
+    from bubbleviz.sensor import load_sensor
+
+    if listen is None and connect is None:
+        listen = "tcp/127.0.0.1:7447"
+    place = _zenoh_place("--listen", listen, connect)
+    summary = publish_source(
+        source, load_sensor(sensor), place, layout=layout, domain=domain, duration_s=duration
+    )
+    click.echo(summary.to_json() if as_json else summary.to_text())
+
+
+def _zenoh_place(option: str, listen: str | None, connect: str | None) -> Any:
+    """Where to publish; None for nowhere."""
+    from bubbleviz.live.sources.zenoh_session import SessionOptions
+
+    if listen is not None and connect is not None:
+        raise click.UsageError("publish at a place or through a router, not both")
+    if listen is None and connect is None:
+        return None
+    return SessionOptions(f"{option} {listen or connect}", connect, listen)

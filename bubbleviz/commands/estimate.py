@@ -1,0 +1,287 @@
+"""The work of `bubbleviz estimate`: a recording through the pipeline into a file, no window."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bubbleviz
+from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing, whole_file
+from bubbleviz.files.result_writer import UNKNOWN, CsvWriter, ResultWriter
+from bubbleviz.frames.message_decoding import has_returns
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import check_fits
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
+
+
+@dataclass(frozen=True)
+class EstimateSummary:
+    """What `estimate` says about its run; None where there is no frame to say it about.
+
+    Attributes
+    ----------
+    recording, sensor, out, solver : str
+    frames : int
+        Number of frames solved.
+    status : dict
+        Number of frames by status.
+    kappa : float or None
+        None for the default threshold.
+    median_total_ms, p95_total_ms, median_solve_ms : float or None
+        Depth image in → patch out, and the solver alone, over all frames after the first, ms.
+    median_contact_total_ms : float or None
+        The same over those of them with a contact patch: most of the others need no QP.
+    rms_force_n : float or None
+        Root mean square of |force| over all frames with data, N.
+    median_contact_force_n, max_force_n : float or None
+        |force| over the frames with a contact patch, and the highest of all, N.
+    median_residual_rms_m, max_kkt_residual : float or None
+    """
+
+    recording: str
+    sensor: str
+    out: str
+    solver: str
+    frames: int
+    status: dict[str, int]
+    kappa: float | None
+    median_total_ms: float | None
+    p95_total_ms: float | None
+    median_contact_total_ms: float | None
+    median_solve_ms: float | None
+    rms_force_n: float | None
+    median_contact_force_n: float | None
+    max_force_n: float | None
+    median_residual_rms_m: float | None
+    max_kkt_residual: float | None
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys, SI units but for ms."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_text(self) -> str:
+        """A few lines for people, with units."""
+        status = ", ".join(f"{count} {name}" for name, count in self.status.items())
+        lines = [f"wrote   {self.out}", f"frames  {self.frames}: {status}"]
+        if self.median_contact_force_n is not None:
+            lines.append(
+                f"force   {self.median_contact_force_n:.3g} N median in contact, "
+                f"{self.max_force_n:.3g} N highest"
+            )
+        if self.median_total_ms is not None:
+            lines += [
+                "time    depth image in → patch out, first frame left out: "
+                f"{self.median_total_ms:.1f} ms median, {self.p95_total_ms:.1f} ms p95"
+            ]
+        if self.median_contact_total_ms is not None:
+            lines.append(f"        {self.median_contact_total_ms:.1f} ms median in contact")
+        return "\n".join(lines)
+
+
+def estimate_recording(
+    recording: str | Path,
+    sensor_name: str | Path,
+    out: Path,
+    csv: Path | None = None,
+    *,
+    kappa: float | None = None,
+    solver: str | None = None,
+    frames: str | None = None,
+    zero_gas: bool = False,
+) -> EstimateSummary:
+    """Solve the frames of a recording and write RESULT.npz, and RESULT.csv where asked for.
+
+    Parameters
+    ----------
+    recording, sensor_name : str or path
+    out, csv : Path
+        Neither may exist.
+    kappa : float, optional
+        Patch threshold over the mean contact pressure.
+    solver : str, optional
+    frames : str, optional
+        As in `parse_frames`.
+    zero_gas : bool
+        Shift the measured gas pressure so that the recording's first rest is the sensor file's.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together, or no frame has data.
+    """
+    _check_arguments(out, csv, kappa)
+    sensor = load_sensor(sensor_name)
+    with Recording(recording) as source:
+        check_fits(source, sensor, sensor_name)
+        chosen = parse_frames(frames, len(source), str(source.path))
+        pipeline = Pipeline(
+            sensor,
+            intrinsics=source.intrinsics,
+            kappa=kappa,
+            options=EstimatorOptions.named(solver),
+        )
+        made_by = {
+            "sensor_toml": sensor_to_toml(sensor),
+            "version": bubbleviz.__version__,
+            "solver": solver or pipeline.estimator.solver_name,
+        }
+        zero = _zero(source, pipeline) if zero_gas else None
+        if zero is not None:
+            made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
+        rows = _solve(source, chosen, pipeline, out, csv, made_by, zero)
+    return EstimateSummary(
+        recording=str(recording),
+        sensor=str(sensor_name),
+        out=str(out),
+        solver=made_by["solver"],
+        kappa=kappa,
+        **_statistics(rows),
+    )
+
+
+def parse_frames(text: str | None, count: int, name: str) -> range:
+    """Frames of `A:B` or `A:B:STEP` with B left out, as Python slices; all when None.
+
+    Parameters
+    ----------
+    text : str or None
+        A, B or both may be empty: the first, and the last, frame.
+    count : int
+        Number of frames there are.
+    name : str
+        Recording to name in an error.
+    """
+    if text is None:
+        return range(count)
+    parts = [part.strip() for part in text.split(":")]
+    if len(parts) not in (2, 3) or not all(p.isascii() and p.isdigit() for p in parts if p):
+        raise InputError(f'--frames "{text}": give A:B or A:B:STEP, such as 0:60 for 0 … 59')
+    start, stop, step = (
+        int(part) if part else default
+        for part, default in zip([*parts, ""][:3], (0, count, 1), strict=True)
+    )
+    if step < 1:
+        raise InputError(f'--frames "{text}": the step must be 1 or more')
+    if stop > count or start >= count:
+        raise InputError(
+            f'{name}: --frames "{text}" is outside its {count} frames; choose within 0:{count}'
+        )
+    if start >= stop:
+        raise InputError(f'--frames "{text}": holds no frame; choose A below B')
+    return range(start, stop, step)
+
+
+def _check_arguments(out: Path, csv: Path | None, kappa: float | None) -> None:
+    for path in filter(None, (out, csv)):
+        refuse_existing(path)
+    if csv is not None and csv.absolute() == out.absolute():
+        raise InputError(f"{out}: given for both --out and --csv; choose two names")
+    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
+        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+
+
+def _zero(source: Recording, pipeline: Pipeline) -> PressureZero:
+    """Of the whole recording, whatever frames are solved."""
+    return zero_of((source[k] for k in range(len(source))), pipeline, str(source.path))
+
+
+def _solve(
+    source: Recording,
+    chosen: range,
+    pipeline: Pipeline,
+    out: Path,
+    csv: Path | None,
+    made_by: dict[str, str],
+    zero: PressureZero | None = None,
+) -> list[dict[str, Any]]:
+    """Rows of the frames, once both files are written."""
+    from tqdm import tqdm
+
+    pipeline.prepare(PRODUCTS)  # set-up is not part of the first frame's time
+    seen = False
+    with ExitStack() as stack:
+        shape = source.size[::-1]
+        archive = stack.enter_context(whole_file(out))
+        table = stack.enter_context(whole_file(csv)) if csv else None
+        writer = stack.enter_context(ResultWriter(archive, pipeline.mesh, len(chosen), shape))
+        lines = stack.enter_context(CsvWriter(table)) if table else None
+        for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
+            frame = source[index] if zero is None else zero.applied(source[index])
+            seen = seen or has_returns(frame.depth_m)
+            row = writer.add(pipeline.process(frame, PRODUCTS))
+            if lines:
+                lines.add(row)
+        _check_any_data(writer.rows, source.path, seen)
+        writer.finish(**made_by)
+        return writer.rows
+
+
+def _check_any_data(rows: list[dict[str, Any]], path: Path, seen: bool) -> None:
+    statuses = {row["status"] for row in rows}
+    if statuses - set(UNKNOWN):
+        return
+    if "implausible" in statuses:
+        raise InputError(
+            f"{path}: no frame asked for looks like this sensor's membrane; choose its own sensor "
+            "file, and check that depths are in metres (32FC1) or millimetres (16UC1)"
+        )
+    if not seen:
+        raise InputError(
+            f"{path}: all-zero depth image in every frame asked for; uncover or check the camera"
+        )
+    raise InputError(
+        f"{path}: no measured pixel lies on the membrane in any frame asked for; "
+        "choose the sensor file of this recording"
+    )
+
+
+def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Values of the summary that come from the frames."""
+    known = [row for row in rows if row["status"] not in UNKNOWN]
+    touching = [row for row in known if row["patch_area_m2"] > 0.0]
+    warm = rows[1:]
+    warm_touching = [row["total_ms"] for row in warm if row["patch_area_m2"] > 0.0]
+    return {
+        "frames": len(rows),
+        "status": dict(Counter(row["status"] for row in rows)),
+        "median_total_ms": _over(np.median, [row["total_ms"] for row in warm]),
+        "p95_total_ms": _over(_p95, [row["total_ms"] for row in warm]),
+        "median_contact_total_ms": _over(np.median, warm_touching),
+        "median_solve_ms": _over(np.median, [row["solve_ms"] for row in warm]),
+        "rms_force_n": _over(_rms, _forces(known)),
+        "median_contact_force_n": _over(np.median, _forces(touching)),
+        "max_force_n": _over(np.max, _forces(known)),
+        "median_residual_rms_m": _over(np.median, [row["residual_rms_m"] for row in known]),
+        "max_kkt_residual": _over(np.max, [row["kkt_residual"] for row in known]),
+    }
+
+
+def _forces(rows: list[dict[str, Any]]) -> list[float]:
+    return [float(np.linalg.norm(row["force_n"])) for row in rows]
+
+
+def _over(statistic: Any, values: list[float]) -> float | None:
+    """Statistic of finite values; None where there are none, as JSON has no NaN."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(statistic(finite)) if finite else None
+
+
+def _p95(values: list[float]) -> float:
+    return float(np.percentile(values, 95.0))
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,128 @@
+"""The work of `bubbleviz export`: frames through the pipeline into files, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.errors import InputError
+from bubbleviz.export.export_plan import ExportPlan
+from bubbleviz.files.output_files import whole_file
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import check_fits
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.sensor import load_sensor
+from bubbleviz.wording import count_of
+
+
+@dataclass(frozen=True)
+class ExportSummary:
+    """What an export did.
+
+    Attributes
+    ----------
+    out : str
+    kinds : tuple of str
+    frames, files : int
+        How many were read, and written.
+    stages : dict
+        How often each stage of the pipeline ran; a stage that no kind needs is not there.
+    """
+
+    out: str
+    kinds: tuple[str, ...]
+    frames: int
+    files: int
+    stages: Mapping[str, int]
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys."""
+        return json.dumps(asdict(self), indent=2, ensure_ascii=False)
+
+    def to_text(self) -> str:
+        """A few lines for people."""
+        ran = ", ".join(name for name in self.stages if name != "total") or "none"
+        return (
+            f"wrote   {self.out}: {', '.join(self.kinds)} of {count_of(self.frames, 'frame')}, "
+            f"{count_of(self.files, 'file')}\nstages  {ran}"
+        )
+
+
+def export_recording(
+    recording: str | Path,
+    sensor_name: str | Path,
+    plan: ExportPlan,
+    *,
+    frames: str | None = None,
+    kappa: float | None = None,
+    solver: str | None = None,
+    progress: Progress = quiet,
+) -> ExportSummary:
+    """Export frames of a recording; see `export_frames` and, for `frames`, `parse_frames`.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together.
+    """
+    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
+        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+    sensor = load_sensor(sensor_name)
+    with Recording(recording) as source:
+        check_fits(source, sensor, sensor_name)
+        chosen = parse_frames(frames, len(source), str(source.path))
+        options = EstimatorOptions.named(solver)
+        pipeline = Pipeline(sensor, intrinsics=source.intrinsics, kappa=kappa, options=options)
+        return export_frames(source, chosen, pipeline, plan, progress)
+
+
+def export_frames(
+    source: FrameSource,
+    chosen: range,
+    pipeline: Pipeline,
+    plan: ExportPlan,
+    progress: Progress = quiet,
+) -> ExportSummary:
+    """Run the stages that the plan's kinds need on some frames, and write the files.
+
+    Parameters
+    ----------
+    source : FrameSource
+    chosen : range
+        Indices of the frames.
+    pipeline : Pipeline
+        For this export alone: it warm-starts from frame to frame.
+    plan : ExportPlan
+    progress : Progress
+        Told after each frame.
+
+    Raises
+    ------
+    InputError
+        `plan.out` exists or cannot be written, or a frame cannot be read; nothing is left then.
+    Cancelled
+        By `progress`; nothing is left then.
+    """
+    with whole_file(plan.out) as temporary:
+        if plan.is_folder:
+            temporary.mkdir()
+        exporters = plan.exporters(pipeline, temporary)
+        products = frozenset().union(*(each.products for each in exporters))
+        pipeline.prepare(products)  # set-up is not part of the first frame's time
+        for done, index in enumerate(chosen, 1):
+            result = pipeline.process(source[index], products)
+            for each in exporters:
+                each.add(result)
+            progress("exporting", done / len(chosen))
+        for each in exporters:
+            each.finish()
+        files = len(list(temporary.iterdir())) if plan.is_folder else 1
+    stages = dict(pipeline.counts)
+    return ExportSummary(str(plan.out), plan.kinds, len(chosen), files, stages)

@@ -1,0 +1,168 @@
+"""The work of `bubbleviz pose`: a recording through the pipeline into POSES.csv, no window."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing, whole_file
+from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.files.pose_writer import PoseCsvWriter, PoseRow
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import check_fits
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import load_sensor
+
+PRODUCTS: frozenset[Product] = frozenset({"pose"})
+
+
+@dataclass(frozen=True)
+class PoseSummary:
+    """What `pose` says about its run; None where there is no frame to say it about.
+
+    Attributes
+    ----------
+    recording, sensor, object, out : str
+    frames : int
+    status : dict
+        Number of frames by status.
+    median_fitness, median_rmse_m : float or None
+        Over the frames with a pose.
+    median_total_ms, p95_total_ms : float or None
+        Depth image in → pose out over the frames after the first with a pose, ms.
+    """
+
+    recording: str
+    sensor: str
+    object: str
+    out: str
+    frames: int
+    status: dict[str, int]
+    median_fitness: float | None
+    median_rmse_m: float | None
+    median_total_ms: float | None
+    p95_total_ms: float | None
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys, SI units but for ms."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_text(self) -> str:
+        """A few lines for people, with units."""
+        status = ", ".join(f"{count} {name}" for name, count in self.status.items())
+        lines = [f"wrote   {self.out}", f"frames  {self.frames}: {status}"]
+        if self.median_fitness is not None and self.median_rmse_m is not None:
+            lines.append(
+                f"fit     {100 * self.median_fitness:.0f} % of the patch on the object, "
+                f"rmse {1e3 * self.median_rmse_m:.2f} mm (medians)"
+            )
+        if self.median_total_ms is not None:
+            lines.append(
+                f"time    depth image in → pose out while tracking: {self.median_total_ms:.1f} ms "
+                f"median, {self.p95_total_ms:.1f} ms p95"
+            )
+        return "\n".join(lines)
+
+
+def pose_recording(
+    recording: str | Path,
+    sensor_name: str | Path,
+    object_name: str | Path,
+    out: Path,
+    *,
+    init: str | None = None,
+    unit: Literal["m", "mm"] | None = None,
+    solver: str | None = None,
+    frames: str | None = None,
+) -> PoseSummary:
+    """Follow an object through the frames of a recording and write POSES.csv.
+
+    Parameters
+    ----------
+    recording, sensor_name, object_name : str or path
+    out : Path
+        May not exist.
+    init : str, optional
+        T_B_O in the first frame as `parse_pose` reads it; searched for by default.
+    unit : {"m", "mm"}, optional
+        Unit of the object's file.
+    solver : str, optional
+        Of the inverse problem.
+    frames : str, optional
+        As in `parse_frames`.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together, or no frame has a pose.
+    """
+    refuse_existing(out)
+    start = None if init is None else parse_pose(init)
+    obj = load_object(object_name, unit)
+    sensor = load_sensor(sensor_name)
+    with Recording(recording) as source:
+        check_fits(source, sensor, sensor_name)
+        chosen = parse_frames(frames, len(source), str(source.path))
+        pipeline = Pipeline(
+            sensor, intrinsics=source.intrinsics, options=EstimatorOptions.named(solver)
+        )
+        pipeline.follow(obj, start)
+        rows = _follow(source, chosen, pipeline, out)
+    return PoseSummary(
+        recording=str(recording),
+        sensor=str(sensor_name),
+        object=str(object_name),
+        out=str(out),
+        frames=len(rows),
+        status=dict(Counter(row.status for row in rows)),
+        **_statistics([row for row in rows if row.status == "ok"]),
+    )
+
+
+def _follow(source: Recording, chosen: range, pipeline: Pipeline, out: Path) -> list[PoseRow]:
+    from tqdm import tqdm
+
+    rows = []
+    with whole_file(out) as temporary, PoseCsvWriter(temporary) as writer:
+        for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
+            row = PoseRow.of(pipeline.process(source[index], PRODUCTS))
+            writer.add(row)
+            rows.append(row)
+        _check_any(rows, source.path)
+    return rows
+
+
+def _check_any(rows: list[PoseRow], path: Path) -> None:
+    """Refuse a run without a single pose, with the reason most frames had."""
+    if any(row.status == "ok" for row in rows):
+        return
+    why = Counter(row.status for row in rows).most_common(1)[0][0]
+    raise InputError(f"{path}: no pose in any frame asked for: {_REASONS[why]}")
+
+
+_REASONS = {
+    "no_contact": "nothing touches the membrane; choose frames with contact",
+    "few_points": "the contact patch has fewer points than a pose needs; press deeper",
+    "no_data": "no estimate of the membrane to trust; try bubbleviz estimate first",
+    "lost": "the object does not fit the contact; check the object, its unit and --init",
+}
+
+
+def _statistics(good: list[PoseRow]) -> dict[str, float | None]:
+    """Medians over the frames with a pose."""
+    times = [row.total_ms for row in good[1:]]
+    return {
+        "median_fitness": float(np.median([row.fitness for row in good])),
+        "median_rmse_m": float(np.median([row.rmse_m for row in good])),
+        "median_total_ms": float(np.median(times)) if times else None,
+        "p95_total_ms": float(np.percentile(times, 95.0)) if times else None,
+    }

@@ -1,0 +1,85 @@
+"""The work of `bubbleviz publish`: any source onto Zenoh, as a robot would."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass
+
+from bubbleviz.commands.stop_signals import stopped_by_signals
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.zenoh_keys import Layout
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.sensor import Sensor
+
+LINGER_S = 0.5
+"""How long the session stays open after the last message, so that it goes out."""
+
+
+@dataclass(frozen=True)
+class PublishSummary:
+    """What `publish` says about its run.
+
+    Attributes
+    ----------
+    source, endpoint : str
+    sent : dict
+        Messages by topic.
+    """
+
+    source: str
+    endpoint: str
+    sent: dict[str, int]
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys."""
+        return json.dumps(asdict(self), indent=2, ensure_ascii=False)
+
+    def to_text(self) -> str:
+        """A line for each topic."""
+        return "\n".join(f"{count:>8}  {topic}" for topic, count in self.sent.items())
+
+
+def publish_source(
+    source: str,
+    sensor: Sensor,
+    place: SessionOptions,
+    *,
+    layout: Layout = "rmw",
+    domain: int = 0,
+    duration_s: float | None = None,
+) -> PublishSummary:
+    """Publish every message of a source until the duration is over, it ends, or ^C.
+
+    Subscribers that are slow are waited for: nothing is lost on the way.
+
+    Raises
+    ------
+    InputError
+        The source cannot be opened, nobody can listen there, or no router is there.
+    """
+    sent: Counter[str] = Counter()
+    live = open_stream(source, sensor, any_size=True).source
+    with (
+        stopped_by_signals() as stop,
+        ZenohPublisher(place, layout=layout, domain=domain, wait=True) as publisher,
+    ):
+
+        def send(message: RawMessage) -> None:
+            publisher.put(message.topic, message.type, message.payload, message.stamp_ns)
+            sent[message.topic] += 1
+
+        live.start(send)
+        try:
+            began = None
+            while not stop.wait(0.02) and live.link() != "ended":
+                began = began or (time.monotonic() if sent else None)
+                if duration_s and began and time.monotonic() - began >= duration_s:
+                    break
+        finally:
+            live.stop()
+        stop.wait(LINGER_S)
+    return PublishSummary(source, place.connect or place.listen or "", dict(sent))

@@ -1,0 +1,99 @@
+"""The work of `bubbleviz simulate`: a recording of a simulated press, and the truth behind it."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.files.output_files import refuse_existing, whole_file
+from bubbleviz.files.pose_reader import parse_pose, read_path
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
+
+
+def simulated_press(
+    sensor: str | Path,
+    object_name: str | Path,
+    pose: str | Path,
+    noise: DepthNoise,
+    *,
+    frames: int = 1,
+    rate_hz: float = 30.0,
+    seed: int = 0,
+) -> SyntheticSource:
+    """Source of the frames that the command line describes.
+
+    Parameters
+    ----------
+    sensor, object_name : str or path
+        File or preset.
+    pose : str or Path
+        A `Path` is a CSV with a pose for each frame; text is one pose, kept for `frames` frames.
+    noise : DepthNoise
+    frames : int
+    rate_hz : float
+        Where the CSV has no times.
+    seed : int
+    """
+    obj, times = load_object(object_name), None
+    if isinstance(pose, Path):
+        poses, times = read_path(pose)
+    else:
+        poses = np.repeat(parse_pose(pose)[None], frames, axis=0)
+    return SyntheticSource(load_sensor(sensor), obj, poses, noise, rate_hz, seed, times_s=times)
+
+
+def write_simulation(source: SyntheticSource, out: Path, truth: Path | None = None) -> int:
+    """Write all frames of a source, and TRUTH.npz where it is asked for; count of frames.
+
+    Raises
+    ------
+    InputError
+        A file exists or cannot be written.
+    SolveError
+        No equilibrium at a pose; nothing is written.
+    """
+    from tqdm import tqdm
+
+    for path in filter(None, (out, truth)):
+        refuse_existing(path)
+    truths: list[Truth] = []
+    with ExitStack() as stack:
+        temporary = stack.enter_context(whole_file(truth)) if truth else None
+        writer = stack.enter_context(RecordingWriter(out))
+        for index in tqdm(range(len(source)), unit="frame", disable=None):  # only on a terminal
+            writer.write(source[index])
+            if temporary:
+                truths.append(source.truth(index))
+        if temporary:
+            with temporary.open("wb") as file:
+                arrays: dict[str, Any] = truth_arrays(source, truths)
+                np.savez_compressed(file, **arrays)
+    return len(source)
+
+
+def truth_arrays(source: SyntheticSource, truths: list[Truth]) -> dict[str, np.ndarray]:
+    """Arrays of TRUTH.npz: the names of RESULT.npz, on the simulation's mesh, and T_B_O."""
+    mesh = source.mesh
+    touched = [np.isfinite(t.center_of_pressure_m[0]) for t in truths]
+    return {
+        "frame": np.arange(len(truths)),
+        "time_s": source.times_s[: len(truths)],
+        "status": np.where(touched, "ok", "no_contact"),
+        "nodes_m": mesh.nodes,
+        "normals": mesh.normals,
+        "triangles": mesh.triangles,
+        "rim": mesh.rim,
+        "T_B_O": source.poses[: len(truths)],
+        **{
+            field.name: np.stack([getattr(truth, field.name) for truth in truths])
+            for field in fields(Truth)
+        },
+    }

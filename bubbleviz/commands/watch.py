@@ -1,0 +1,272 @@
+"""The work of `bubbleviz watch`: a live source solved without a window, results out."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.calibration.pressure_zero import PressureZero, rest_pressure_pa, zeroed
+from bubbleviz.commands.stop_signals import stopped_by_signals
+from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import RESULTS
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_encoding import Message
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.live.latency import LatencyMeter
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live.sinks.result_messages import ResultMessages
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.sources.open_stream import open_stream, patience_s
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Sensor
+
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
+"""There is a pose only where the pipeline follows an object."""
+CAMERA_S = 0.5
+"""How long the first frames may come without camera info before the sensor file's counts."""
+DIAGNOSTICS_S = 1.0
+
+
+@dataclass(frozen=True)
+class WatchOptions:
+    """Choices of `watch`.
+
+    Attributes
+    ----------
+    out : Path or None
+        Where to record what arrives and what comes out.
+    publish : SessionOptions or None
+        Where to publish results; None publishes nothing.
+    duration_s : float or None
+        From the first frame; None until ^C.
+    solver : str or None
+    object_name : str or None
+        Object to track, a mesh file or preset.
+    zero : bool
+        Whether the gas pressure is zeroed on the first contact-free frames.
+    """
+
+    out: Path | None = None
+    publish: SessionOptions | None = None
+    duration_s: float | None = None
+    solver: str | None = None
+    object_name: str | None = None
+    zero: bool = True
+
+
+@dataclass(frozen=True)
+class WatchSummary:
+    """What `watch` says about its run.
+
+    Attributes
+    ----------
+    frames : int
+        Frames solved.
+    status : dict
+        Number of them by status.
+    rate_hz : float
+    max_force_n : float
+    latency_median_s, latency_p95_s : float or None
+        Stamp, or arrival where the stamps are of another clock, to result.
+    pressure_offset_pa : float or None
+        Taken from the measured gas pressure.
+    counters : dict
+    """
+
+    frames: int
+    status: dict[str, int]
+    rate_hz: float
+    max_force_n: float
+    latency_median_s: float | None
+    latency_p95_s: float | None
+    pressure_offset_pa: float | None
+    counters: dict[str, Any]
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_text(self) -> str:
+        """A few lines for people, with units."""
+        status = ", ".join(f"{count} {name}" for name, count in self.status.items())
+        lines = [
+            f"frames   {self.frames}: {status}; {self.rate_hz:.1f} Hz",
+            f"force    {self.max_force_n:.3g} N highest",
+        ]
+        if self.latency_median_s is not None and self.latency_p95_s is not None:
+            lines.append(
+                f"latency  {1e3 * self.latency_median_s:.1f} ms median, "
+                f"{1e3 * self.latency_p95_s:.1f} ms p95"
+            )
+        if self.pressure_offset_pa is not None:
+            lines.append(f"zero     {self.pressure_offset_pa:+.1f} Pa taken from the gas pressure")
+        return "\n".join(lines)
+
+
+class Watcher:
+    """Solves the newest frame of a stream, over and over.
+
+    Parameters
+    ----------
+    stream : LiveStream
+        Started.
+    pipeline : Pipeline
+    zero : PressureZero or None
+    """
+
+    def __init__(self, stream: LiveStream, pipeline: Pipeline, zero: PressureZero | None) -> None:
+        self.stream, self.pipeline, self.zero = stream, pipeline, zero
+        self.latency = LatencyMeter()
+        self.last: Result | None = None
+
+    def step(self, timeout_s: float) -> Result | None:
+        """Solve the newest frame; None when none came in time."""
+        frame = self.stream.take(timeout_s)
+        if frame is None:
+            return None
+        if self.zero is not None:
+            frame = zeroed(frame, self.zero, self.pipeline)
+        self.last = self.pipeline.process(frame, PRODUCTS)
+        self.latency.add(frame, time.time_ns())
+        return self.last
+
+
+def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSummary:
+    """Solve a live source until the duration is over, the source ends, or ^C.
+
+    Raises
+    ------
+    InputError
+        The source, the file or the endpoint cannot be opened, or no depth image came.
+    """
+    with ExitStack() as stack:
+        stop = stack.enter_context(stopped_by_signals())
+        stream = open_stream(source, sensor)
+        obj = None if options.object_name is None else load_object(options.object_name)
+        recorder = _recorder(stack, stream, options.out)
+        publisher = _publisher(stack, options.publish)
+        stack.enter_context(stream)
+        first = _first_frame(stream, stop, patience_s(source))
+        if first is None:
+            raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
+        named = EstimatorOptions.named(options.solver)
+        pipeline = Pipeline(sensor, intrinsics=first.intrinsics, options=named)
+        pipeline.prepare(PRODUCTS)
+        pipeline.follow(obj)
+        zero = PressureZero(rest_pressure_pa(sensor)) if options.zero else None
+        watcher = Watcher(stream, pipeline, zero)
+        out = _Out(ResultMessages(pipeline.mesh, RESULTS), publisher, recorder)
+        return _watch(watcher, out, stop, options.duration_s)
+
+
+class _Out:
+    """Where messages of results go."""
+
+    def __init__(
+        self,
+        messages: ResultMessages,
+        publisher: ZenohPublisher | None,
+        recorder: Recorder | None,
+    ) -> None:
+        self.messages, self._publisher, self._recorder = messages, publisher, recorder
+
+    def send(self, message: Message) -> None:
+        topic, kind, payload, stamp = message
+        if self._publisher is not None:
+            self._publisher.put(topic, kind, payload, stamp)
+        if self._recorder is not None:
+            self._recorder.push(RawMessage(topic, kind, payload, stamp, time.time_ns()))
+
+
+def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> WatchSummary:
+    from tqdm import tqdm
+
+    statuses: Counter[str] = Counter()
+    forces = [0.0]
+    began = told = time.monotonic()
+    with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
+        while not stop.is_set() and watcher.stream.source.link() != "ended":
+            if duration_s is not None and time.monotonic() - began >= duration_s:
+                break
+            result = watcher.step(0.1)
+            if result is not None and result.estimate is not None and result.patch is not None:
+                statuses[result.estimate.status] += 1
+                forces.append(float(np.linalg.norm(result.patch.force_n)))
+                for message in out.messages.of(result):
+                    out.send(message)
+                bar.update()
+            if time.monotonic() - told >= DIAGNOSTICS_S:
+                told = time.monotonic()
+                status, counters = watcher.stream.status(), watcher.stream.counters()
+                out.send(out.messages.diagnostics(time.time_ns(), status, counters, watcher.last))
+                bar.set_postfix_str(f"{forces[-1]:.2f} N, {status.text}")
+    elapsed = time.monotonic() - began
+    latency = watcher.latency.report()
+    return WatchSummary(
+        frames=statuses.total(),
+        status=dict(statuses),
+        rate_hz=statuses.total() / elapsed,
+        max_force_n=float(np.nanmax(forces)),
+        latency_median_s=None if latency is None else latency.median_s,
+        latency_p95_s=None if latency is None else latency.p95_s,
+        pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,
+        counters=watcher.stream.counters().as_dict(),
+    )
+
+
+def _first_frame(stream: LiveStream, stop: Any, patience: float) -> Frame | None:
+    """A frame with camera info, or without where none comes."""
+    began, frame = time.monotonic(), None
+    deadline: float | None = None
+    while not stop.is_set() and stream.source.link() != "ended":
+        frame = stream.take(0.1) or frame
+        now = time.monotonic()
+        if frame is None:
+            if now - began > patience:
+                return None
+            continue
+        deadline = deadline or now + CAMERA_S
+        if frame.intrinsics is not None or now > deadline:
+            return frame
+    return frame
+
+
+def _seen(stream: LiveStream) -> str:
+    counters = stream.counters()
+    if counters.problem:
+        return counters.problem
+    offered = ", ".join(topic.name for topic in stream.topics())
+    return f"topics there: {offered}" if offered else "no topics were found"
+
+
+def _recorder(stack: ExitStack, stream: LiveStream, out: Path | None) -> Recorder | None:
+    if out is None:
+        return None
+    recorder = Recorder()
+    recorder.start(out)
+
+    def finish() -> None:
+        status = recorder.stop()
+        if status.problem:
+            raise InputError(status.problem)
+
+    stack.callback(finish)
+    stream.listen(recorder.push)
+    return recorder
+
+
+def _publisher(stack: ExitStack, place: SessionOptions | None) -> ZenohPublisher | None:
+    return None if place is None else stack.enter_context(ZenohPublisher(place))

@@ -1,0 +1,137 @@
+"""A closer look at one frame than its result gives: what nobody looks at is not computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.diagnostics.frame_images import FrameImages
+from bubbleviz.diagnostics.kappa_curve import KappaCurve, kappa_curve
+from bubbleviz.patch.components import Component, components
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result
+
+Look = Literal["depth", "change", "residual", "noise", "used", "kappa_curve", "components"]
+"""An image (H, W) by its name, or the curve of areas over κ."""
+
+OUTERMOST = 0.5
+"""Per cent of the pixels at either end that colours need not tell apart."""
+
+NEEDS: dict[Look, frozenset[Product]] = {
+    "depth": frozenset(),
+    "change": frozenset(),
+    "residual": frozenset({"estimate"}),
+    "noise": frozenset(),
+    "used": frozenset(),
+    "kappa_curve": frozenset({"estimate"}),
+    "components": frozenset({"estimate", "patch"}),
+}
+"""Products of the pipeline that a look is made of."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was looked at.
+
+    Attributes
+    ----------
+    images : dict
+        (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used`
+        bool.
+    ends : dict
+        Between them lie all but the outermost values of each image.
+    kappa_curve : KappaCurve or None
+    components : tuple of Component
+        Parts of the patch, those too, that are left out for their size.
+    """
+
+    images: dict[str, np.ndarray] = field(default_factory=dict)
+    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
+    kappa_curve: KappaCurve | None = None
+    components: tuple[Component, ...] = ()
+
+
+class Inspector:
+    """Looks closer at the results of a pipeline; counts its stages as `look <name>`.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+
+    def look(
+        self, result: Result, looks: frozenset[Look], truth: np.ndarray | None = None
+    ) -> Inspection:
+        """Make what is asked for of a result; what the result lacks products for is left out.
+
+        Parameters
+        ----------
+        result : Result
+        looks : frozenset of Look
+        truth : (H, W) bool array, optional
+            True pixels of the patch, in a simulation.
+        """
+        images: dict[str, np.ndarray] = {}
+        curve, parts = None, tuple[Component, ...]()
+        for name in sorted(looks):
+            self._pipeline.counts[f"look {name}"] += 1
+            if name == "kappa_curve":
+                if result.estimate is not None:
+                    view = self._view if truth is not None else None
+                    curve = kappa_curve(self._pipeline.mesh, result.estimate, truth, view)
+                continue
+            if name == "components":
+                parts = self._components(result)
+                continue
+            image = self._image(name, result)
+            if image is not None:
+                images[name] = image
+        return Inspection(
+            images, {name: _ends(image) for name, image in images.items()}, curve, parts
+        )
+
+    def _components(self, result: Result) -> tuple[Component, ...]:
+        if result.estimate is None:
+            return ()
+        whole = self._pipeline.whole_patch(result.estimate)
+        return components(self._pipeline.mesh, result.estimate, whole)
+
+    def _image(self, name: Look, result: Result) -> np.ndarray | None:
+        depth, estimate = result.frame.depth_m, result.estimate
+        if name == "depth":
+            return depth
+        if name == "change":
+            return self._images.change(depth)
+        if name == "used":
+            return self._images.used(depth)
+        if name == "noise":
+            return self._images.noise
+        if estimate is None or estimate.status not in ("ok", "no_contact"):
+            return None
+        return self._images.residual(depth, estimate.displacement_m)
+
+    @cached_property
+    def _images(self) -> FrameImages:
+        pipeline = self._pipeline
+        return FrameImages(self._view, pipeline.sensor.camera.noise_relative, pipeline.pixels)
+
+    @cached_property
+    def _view(self) -> MembraneView:
+        return MembraneView(self._pipeline.camera, self._pipeline.mesh)
+
+
+def _ends(image: np.ndarray) -> tuple[float, float]:
+    """Range of almost all values of an image, by some ten thousand of them."""
+    values = image.ravel()[:: max(1, image.size // 10_000)].astype(float)
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return 0.0, 1.0
+    low, high = np.percentile(values, [OUTERMOST, 100.0 - OUTERMOST])
+    return float(low), float(high)

@@ -1,0 +1,83 @@
+"""What another patch threshold would make of a frame: area, and agreement with a known truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.patch_finder import area_above, mean_pressure
+from bubbleviz.result import Estimate
+
+KAPPAS = np.geomspace(0.1, 100.0, 61)
+"""Thresholds as multiples of the mean contact pressure (V-C)."""
+
+
+@dataclass(frozen=True)
+class KappaCurve:
+    """Patches of one frame at many thresholds.
+
+    Attributes
+    ----------
+    kappa : (k,) array
+        Multiples of the mean contact pressure, rising.
+    area_m2 : (k,) array
+        Area of the patch on the reference surface.
+    histogram_m2 : (k − 1,) array
+        Area whose pressure lies between one threshold and the next.
+    iou : (k,) array or None
+        Intersection over union of the patch's pixels with the true ones; None without a truth.
+    """
+
+    kappa: np.ndarray
+    area_m2: np.ndarray
+    histogram_m2: np.ndarray
+    iou: np.ndarray | None = None
+
+
+def kappa_curve(
+    mesh: MembraneMesh,
+    estimate: Estimate,
+    truth: np.ndarray | None = None,
+    view: MembraneView | None = None,
+) -> KappaCurve:
+    """Curve of an estimate; of zeros without contact pressure.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    estimate : Estimate
+    truth : (H, W) bool array, optional
+        True pixels of the patch.
+    view : MembraneView, optional
+        Needed to compare with the truth.
+    """
+    pressure = estimate.contact_pressure_pa
+    levels = KAPPAS * mean_pressure(mesh, pressure)
+    areas = np.zeros(len(KAPPAS))
+    if pressure.any():
+        areas = np.array([area_above(mesh, pressure, level) for level in levels])
+    iou = None
+    if truth is not None and view is not None:
+        iou = _ious(view, estimate, truth, levels)
+    histogram = np.zeros(len(KAPPAS) - 1)
+    if pressure.any():
+        histogram, _ = np.histogram(pressure, levels, weights=mesh.areas)
+    return KappaCurve(KAPPAS, areas, histogram, iou)
+
+
+def _ious(
+    view: MembraneView, estimate: Estimate, truth: np.ndarray, levels: np.ndarray
+) -> np.ndarray:
+    """IoU of the pixels above each level, from one cast of all rays."""
+    hits = view.hits(estimate.displacement_m)
+    corners = estimate.contact_pressure_pa[view.mesh.triangles[hits.triangle]]
+    seen = np.einsum("ij,ij->i", hits.barycentric, corners)
+    right = np.sort(seen[truth.ravel()[hits.ray]])
+    everything = np.sort(seen)
+    hit = len(right) - np.searchsorted(right, levels, "right")
+    found = len(everything) - np.searchsorted(everything, levels, "right")
+    union = found + np.count_nonzero(truth) - hit
+    return np.divide(hit, union, out=np.ones(len(levels)), where=union > 0)

@@ -1,0 +1,141 @@
+"""What to export and where to, before anything is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.errors import InputError
+from bubbleviz.export.exporter import Exporter
+from bubbleviz.export.plot_files import write_plots
+from bubbleviz.export.ply_export import MembranePlyExporter, PatchPlyExporter
+from bubbleviz.export.png_export import DepthPngExporter, PressurePngExporter
+from bubbleviz.export.table_export import TableExporter, require_parquet, write_csv, write_parquet
+from bubbleviz.export.vtk_export import VtkExporter
+from bubbleviz.files.output_files import refuse_existing
+from bubbleviz.pipeline import Pipeline
+
+_FILES: dict[str, tuple[str, Callable[..., None]]] = {
+    ".csv": ("table", write_csv),
+    ".parquet": ("parquet", write_parquet),
+    ".png": ("plots", write_plots),
+    ".svg": ("plots", write_plots),
+    ".pdf": ("plots", write_plots),
+}
+"""Kind and writer of an export that is one file, by its suffix."""
+
+_IN_A_FOLDER = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
+"""Suffix of the file of such a kind in a folder with others."""
+
+_SERIES = ("vtk", "ply", "patch", "depth", "pressure")
+_SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
+KINDS = ("table", "parquet", "plots", *_SERIES)
+_SEVERAL = {"png": ("depth", "pressure")}
+
+
+@dataclass(frozen=True)
+class ExportPlan:
+    """Kinds of files to make and where.
+
+    Attributes
+    ----------
+    out : Path
+        A file, or the folder that holds them all.
+    kinds : tuple of str
+        Of `KINDS`.
+    is_folder : bool
+    poses : dict
+        Pose columns for the table by frame index, see `bubbleviz.export.pose_columns`.
+    """
+
+    out: Path
+    kinds: tuple[str, ...]
+    is_folder: bool
+    poses: dict[int, dict[str, Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        out: str | Path,
+        what: Sequence[str] = (),
+        poses: dict[int, dict[str, Any]] | None = None,
+    ) -> ExportPlan:
+        """Plan for an output path; a suffix of one file says what it holds.
+
+        Raises
+        ------
+        InputError
+            Unknown kinds, kinds that the suffix cannot hold, or `out` cannot be made.
+        """
+        out, kinds = Path(out), _kinds(what)
+        refuse_existing(out)
+        plan = cls(out, kinds, True, poses or {})
+        if out.suffix.lower() in _FILES:
+            kind = _FILES[out.suffix.lower()][0]
+            if kinds not in ((), (kind,)):
+                raise InputError(
+                    f"{out}: a {out.suffix} file holds {kind}, not {', '.join(kinds)}; give a "
+                    "name without suffix for a folder"
+                )
+            plan = cls(out, (kind,), False, poses or {})
+        elif out.suffix.lower() == ".mp4":
+            raise InputError(f"{out}: a video of the view is written by the window; open it there")
+        elif out.suffix.lower() in _SERIES_SUFFIXES:
+            raise InputError(f"{out}: a series is a folder of files; give a name without suffix")
+        elif not kinds:
+            raise InputError(
+                f"{out}: what to export? Give a file that ends in .csv, .parquet, .png, .svg or "
+                f".pdf, or --what: {', '.join(KINDS)}"
+            )
+        if "parquet" in plan.kinds:
+            require_parquet(out)
+        return plan
+
+    def exporters(self, pipeline: Pipeline, at: Path) -> list[Exporter]:
+        """What makes the files; a folder's are named after it.
+
+        Parameters
+        ----------
+        pipeline : Pipeline
+            Whose results they will get.
+        at : Path
+            Temporary place of `out`; a folder exists already.
+        """
+        if not self.is_folder:
+            return [self._one_file(at)]
+        name = self.out.name
+        made: list[Exporter] = []
+        for kind in self.kinds:
+            if kind in _IN_A_FOLDER:
+                made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}"))
+            else:
+                made.append(_series(kind, at, name, pipeline))
+        return made
+
+    def _one_file(self, path: Path) -> Exporter:
+        return TableExporter(path, _FILES[path.suffix.lower()][1], self.poses or None)
+
+
+def _series(kind: str, folder: Path, name: str, pipeline: Pipeline) -> Exporter:
+    mesh = pipeline.mesh
+    if kind == "vtk":
+        return VtkExporter(folder, name, mesh)
+    if kind == "ply":
+        return MembranePlyExporter(folder, name, mesh)
+    if kind == "depth":
+        return DepthPngExporter(folder, name, pipeline.camera, mesh)
+    view = MembraneView(pipeline.camera, mesh)
+    if kind == "patch":
+        return PatchPlyExporter(folder, name, view)
+    return PressurePngExporter(folder, name, view, pipeline.sensor.pneumatics.gauge_pressure_pa)
+
+
+def _kinds(what: Sequence[str]) -> tuple[str, ...]:
+    """Kinds asked for, once each, in their own order."""
+    asked = {kind for word in what for kind in _SEVERAL.get(word, (word,))}
+    for kind in sorted(asked - set(KINDS)):
+        raise InputError(f'--what "{kind}": unknown; choose of {", ".join((*KINDS, *_SEVERAL))}')
+    return tuple(kind for kind in KINDS if kind in asked)

@@ -1,0 +1,54 @@
+"""A table of frames as plots over time, for print and reports."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.export.table_export import Table
+
+_PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
+    ("force, N", 1.0, {"force_magnitude_n": "|force|", "force_z_n": "z"}),
+    ("gas pressure change, Pa", 1.0, {"gas_pressure_change_pa": ""}),
+    ("patch area, mm²", 1e6, {"patch_area_m2": ""}),
+    (
+        "centre of pressure, mm",
+        1e3,
+        {"center_of_pressure_x_m": "x", "center_of_pressure_y_m": "y"},
+    ),
+    ("residual rms, mm", 1e3, {"residual_rms_m": ""}),
+    ("time, ms", 1.0, {"solve_ms": "solver", "total_ms": "depth in → patch out"}),
+)
+"""Label, factor from SI, and columns with their names, of each plot."""
+
+
+def write_plots(table: Table, path: Path) -> None:
+    """Plots below each other on one time axis, as PNG, SVG or PDF by suffix; contact is shaded."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 11.0), layout="constrained")
+    times = np.array(table["time_s"])
+    every: Any = figure.subplots(len(_PLOTS), 1, sharex=True)
+    for axes, (label, factor, columns) in zip(every, _PLOTS, strict=True):
+        for column, name in columns.items():
+            axes.plot(times, factor * np.array(table[column]), ".-", label=name, lw=1.0, ms=3.0)
+        for start, end in contact_intervals(table):
+            axes.axvspan(start, end, color="0.9", lw=0.0, zorder=0)
+        axes.set_ylabel(label, fontsize=9)
+        axes.grid(alpha=0.3)
+        if len(columns) > 1:
+            axes.legend(fontsize=8, loc="upper right")
+    every[0].set_title("grey: contact found", fontsize=9, loc="right")
+    every[-1].set_xlabel("time, s")
+    figure.savefig(path, dpi=130)
+
+
+def contact_intervals(table: Table) -> list[tuple[float, float]]:
+    """First and last time, s, of each run of frames with a contact patch."""
+    frames = zip(table["time_s"], table["patch_area_m2"], strict=True)
+    runs = groupby(frames, key=lambda frame: frame[1] > 0.0)
+    times = [[time for time, _ in run] for touching, run in runs if touching]
+    return [(run[0], run[-1]) for run in times]

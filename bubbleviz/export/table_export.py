@@ -1,0 +1,105 @@
+"""Per-frame tables: the numbers of each frame, units in the names of the columns."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.export.exporter import estimate_of
+from bubbleviz.files.result_writer import COLUMNS, summary_row
+from bubbleviz.pipeline import Product
+from bubbleviz.result import Result
+from bubbleviz.wording import how_to_install
+
+Table = dict[str, list[Any]]
+"""Values of all frames by column."""
+
+Write = Callable[[Table, Path], None]
+
+
+class TableExporter:
+    """Collects a row a frame, and at the end hands the table to a writer.
+
+    Parameters
+    ----------
+    path : Path
+    write : callable
+        `write_csv`, `write_parquet` or `bubbleviz.export.plot_files.write_plots`.
+    poses : mapping, optional
+        Pose columns by frame index, as `bubbleviz.export.pose_columns.read_poses` gives them.
+    """
+
+    products: frozenset[Product] = frozenset({"estimate", "patch"})
+
+    def __init__(
+        self, path: Path, write: Write, poses: Mapping[int, dict[str, Any]] | None = None
+    ) -> None:
+        self._path, self._write, self._poses = path, write, poses
+        self._rows: list[dict[str, Any]] = []
+
+    def add(self, result: Result) -> None:
+        """Take the next frame."""
+        row = table_row(result)
+        if self._poses is not None:
+            row |= _pose_columns(self._poses, result.frame.index)
+        self._rows.append(row)
+
+    def finish(self) -> None:
+        """Write the table."""
+        self._write({name: [row[name] for row in self._rows] for name in self._rows[0]}, self._path)
+
+
+def table_row(result: Result) -> dict[str, Any]:
+    """Plain numbers and texts of one frame by column, SI units, times in ms.
+
+    The columns of RESULT.csv, then the size of the force, the gas pressure as measured (absolute;
+    NaN where the recording has none) and the iterations of the solver.
+    """
+    summary, estimate = summary_row(result), estimate_of(result)
+    row: dict[str, Any] = {}
+    for key, names in COLUMNS.items():
+        row |= dict(zip(names or (key,), np.atleast_1d(summary[key]).tolist(), strict=True))
+    measured = result.frame.gas_pressure_pa
+    row["force_magnitude_n"] = float(np.linalg.norm(summary["force_n"]))
+    row["gas_pressure_pa"] = float("nan") if measured is None else measured
+    row["iterations"] = estimate.iterations
+    return row
+
+
+def write_csv(table: Table, path: Path) -> None:
+    """Write CSV, UTF-8, a header line; `nan` for what is not known."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        writer.writerows(zip(*table.values(), strict=True))
+
+
+def write_parquet(table: Table, path: Path) -> None:
+    """Write Parquet; integers, doubles and strings."""
+    require_parquet(path)
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.table(table), path)
+
+
+def require_parquet(path: Path) -> None:
+    """Raise InputError where the optional library is missing; ask before long work."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            f"{path}: Parquet needs pyarrow; {how_to_install('parquet')}, or choose .csv"
+        ) from error
+
+
+def _pose_columns(poses: Mapping[int, dict[str, Any]], index: int) -> dict[str, Any]:
+    """Columns of a frame's pose; NaN for a frame without one."""
+    columns = next(iter(poses.values()))
+    nothing = {name: "" if isinstance(value, str) else np.nan for name, value in columns.items()}
+    return poses.get(index, nothing)

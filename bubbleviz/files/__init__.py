@@ -1,0 +1,1 @@
+"""Files people write and read: TOML, meshes, poses, results, presets."""

@@ -1,0 +1,125 @@
+"""Poses as text: one on the command line, a path of them in a CSV file."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+
+COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+FARTHEST_M = 2.0
+
+
+def parse_pose(text: str) -> np.ndarray:
+    """4×4 transform from "x y z qx qy qz qw" (m, quaternion xyzw of unit length)."""
+    words = text.replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 7:
+        raise InputError(f'pose "{text}": give seven numbers, x y z in m and qx qy qz qw')
+    try:
+        return pose_matrix(np.array(numbers))
+    except InputError as error:
+        raise InputError(f'pose "{text}": {error}') from None
+
+
+def pose_matrix(numbers: np.ndarray) -> np.ndarray:
+    """4×4 transform from x, y, z in m and a unit quaternion xyzw, shape (7,)."""
+    from scipy.spatial.transform import Rotation
+
+    position, quaternion = numbers[:3], numbers[3:]
+    if not np.isfinite(numbers).all():
+        raise InputError("not finite numbers; correct them")
+    if np.abs(position).max() > FARTHEST_M:
+        raise InputError("more than 2 m from the bubble; is it in millimetres? use metres")
+    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-3:
+        raise InputError("the quaternion is not of unit length; give qx qy qz qw")
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    T[:3, 3] = position
+    return T
+
+
+def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
+    """x, y, z in m and the unit quaternion xyzw of a transform (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z = (float(v) for v in T[:3, 3])
+    qx, qy, qz, qw = (float(q) for q in Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+    return x, y, z, qx, qy, qz, qw
+
+
+def pose_of_angles(position_m: np.ndarray, angles_rad: np.ndarray) -> np.ndarray:
+    """4×4 transform from a position (3,) and turns (3,) about fixed x, then y, then z."""
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", angles_rad).as_matrix()
+    T[:3, 3] = position_m
+    return T
+
+
+def angles_of_pose(T: np.ndarray) -> np.ndarray:
+    """Turns (3,) in rad about fixed x, then y, then z that make up the rotation of T (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+
+
+def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Poses (F, 4, 4) and, where the file has them, times (F,) in s.
+
+    Reads the columns x_m, y_m, z_m, qx, qy, qz, qw and time_s; others, as POSES.csv has, are
+    left.
+
+    Raises
+    ------
+    InputError
+        Names the file and the line.
+    """
+    path = Path(path)
+    rows = read_rows(path)
+    if not rows:
+        raise InputError(f"{path}: no poses; give a line for each frame below the header")
+    missing = [name for name in COLUMNS if name not in rows[0]]
+    if missing:
+        raise InputError(f"{path}: no column {missing[0]}; the header needs {','.join(COLUMNS)}")
+    poses = np.empty((len(rows), 4, 4))
+    for k, row in enumerate(rows):
+        try:
+            poses[k] = pose_matrix(np.array([float(row[name] or "nan") for name in COLUMNS]))
+        except (InputError, ValueError) as error:
+            raise InputError(f"{path}: line {k + 2}: {error}") from None
+    return poses, _times(path, rows)
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Lines of a CSV file by the names in its header.
+
+    Raises
+    ------
+    InputError
+        It cannot be read as CSV.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as CSV ({error}); check the path") from error
+
+
+def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
+    if "time_s" not in rows[0]:
+        return None
+    try:
+        times = np.array([float(row["time_s"] or "nan") for row in rows])
+    except ValueError as error:
+        raise InputError(f"{path}: time_s: {error}; give seconds") from None
+    if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
+        raise InputError(f"{path}: time_s does not grow from line to line; correct it")
+    return times - times[0]

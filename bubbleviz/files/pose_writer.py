@@ -1,0 +1,124 @@
+"""Poses as files: POSES.csv of the contract, and TUM trajectories."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.files.output_files import whole_file
+from bubbleviz.result import Pose, Result
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """One line of POSES.csv; NaN where there is no number.
+
+    A `lost` frame has the last good pose.
+    """
+
+    frame: int
+    time_s: float
+    status: str
+    x_m: float
+    y_m: float
+    z_m: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+    fitness: float
+    rmse_m: float
+    stage1_rmse_m: float
+    total_ms: float
+
+    @classmethod
+    def of(cls, result: Result) -> PoseRow:
+        """Line of a frame whose pose was asked for."""
+        if result.pose is None:
+            raise ValueError("the product pose was not asked for")
+        pose = result.pose
+        one, two = pose.stage_one, pose.stage_two
+        x, y, z, qx, qy, qz, qw = _numbers(pose)
+        return cls(
+            frame=result.frame.index,
+            time_s=result.frame.time_s,
+            status=pose.status,
+            x_m=x,
+            y_m=y,
+            z_m=z,
+            qx=qx,
+            qy=qy,
+            qz=qz,
+            qw=qw,
+            fitness=two.fitness if two else np.nan,
+            rmse_m=two.rmse_m if two else np.nan,
+            stage1_rmse_m=one.rmse_m if one else np.nan,
+            total_ms=result.times_ms["total"],
+        )
+
+
+def _numbers(pose: Pose) -> list[float]:
+    """Position in m and quaternion xyzw with w ≥ 0."""
+    T = pose.T_B_O
+    if not np.isfinite(T).all():
+        return [np.nan] * 7
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    return [*T[:3, 3].tolist(), *quaternion.tolist()]
+
+
+class PoseCsvWriter:
+    """Writes POSES.csv line by line.
+
+    Parameters
+    ----------
+    path : Path
+        Give the temporary path of `whole_file`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w", newline="", encoding="utf-8")
+        self._writer = csv.DictWriter(self._file, [field.name for field in fields(PoseRow)])
+        self._writer.writeheader()
+
+    def __enter__(self) -> PoseCsvWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def add(self, row: PoseRow) -> None:
+        """Write the line of a frame."""
+        self._writer.writerow(asdict(row))
+
+
+def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]) -> int:
+    """Write POSES.csv, or a TUM trajectory of the frames that are `ok`; count of lines.
+
+    A TUM line is `time x y z qx qy qz qw`, s and m.
+
+    Raises
+    ------
+    InputError
+        The file exists or cannot be written.
+    """
+    count = 0
+    with whole_file(path) as temporary:
+        if form == "csv":
+            with PoseCsvWriter(temporary) as writer:
+                for count, row in enumerate(rows, 1):  # noqa: B007
+                    writer.add(row)
+            return count
+        lines = [_tum(row) for row in rows if row.status == "ok"]
+        temporary.write_text("".join(lines), encoding="utf-8")
+        return len(lines)
+
+
+def _tum(row: PoseRow) -> str:
+    numbers = (row.time_s, row.x_m, row.y_m, row.z_m, row.qx, row.qy, row.qz, row.qw)
+    return " ".join(f"{number:.9g}" for number in numbers) + "\n"

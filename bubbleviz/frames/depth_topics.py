@@ -1,0 +1,95 @@
+"""Which topics of a recording hold the depth images and what belongs to them."""
+
+from __future__ import annotations
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.frames.bags import Bag, Topic
+from bubbleviz.frames.bags.bag import damage
+from bubbleviz.frames.message_decoding import DEPTH_ENCODINGS, decode_intrinsics
+
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+PRESSURE = "sensor_msgs/msg/FluidPressure"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+RESULTS = "/bubbleviz/"
+"""What the topics of our own results begin with: no measurement, though of the same types."""
+
+
+def find_depth(bag: Bag, name: str | None = None) -> Topic:
+    """Topic of the depth images: `name`, or the first image topic with a depth encoding.
+
+    A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Where none has
+    depth, point clouds are.
+    """
+    candidates = of_type(bag, IMAGE, name)
+    candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
+    encodings = {topic.name: bag.messages(topic).message(0).encoding for topic in candidates}
+    for topic in candidates:
+        if encodings[topic.name] in DEPTH_ENCODINGS:
+            return topic
+    clouds = of_type(bag, POINT_CLOUD, name)
+    if clouds:
+        return clouds[0]
+    if candidates:
+        first = candidates[0].name
+        raise InputError(
+            f"{bag.path}: no depth image: {first} has encoding {encodings[first][:40]!r}; "
+            f"record depth with {' or '.join(DEPTH_ENCODINGS)}"
+        )
+    raise InputError(
+        f"{bag.path}: no depth image topic ({IMAGE}); record the depth camera"
+        if name is None
+        else f"{bag.path}: no depth images on topic {name}; see bubbleviz info"
+    )
+
+
+def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
+    """Topics of a message type that have messages, all or the one of that name."""
+    return [
+        topic
+        for topic in bag.topics
+        if topic.type == kind
+        and topic.count
+        and (topic.name == name or (name is None and not topic.name.startswith(RESULTS)))
+    ]
+
+
+def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") -> Topic | None:
+    """Topic of a message type, that nearest to `near` by name.
+
+    None where there is none, InputError where `name` is not one.
+    """
+    topics = of_type(bag, kind, name)
+    topics.sort(key=lambda topic: common_prefix(topic.name, near), reverse=True)
+    if name is not None and not topics:
+        raise InputError(f"{bag.path}: no {kind} on topic {name}; see bubbleviz info")
+    return topics[0] if topics else None
+
+
+def find_intrinsics(
+    bag: Bag, depth: Topic, size: tuple[int, int], name: str | None = None
+) -> Intrinsics | None:
+    """Intrinsics from the CameraInfo beside `depth` that has its image size (width, height).
+
+    None where the recording has no CameraInfo for this camera.
+    """
+    if name is not None:
+        first_of_type(bag, CAMERA_INFO, name)
+    infos = of_type(bag, CAMERA_INFO, name)
+    infos.sort(key=lambda topic: common_prefix(topic.name, depth.name), reverse=True)
+    for topic in infos:
+        message = bag.messages(topic).message(0)
+        if (message.width, message.height) == size:
+            with damage(bag.path, f"the camera info on {topic.name}"):
+                return decode_intrinsics(message)
+    return None
+
+
+def common_prefix(a: str, b: str) -> int:
+    """Number of name parts that two topics share from the left."""
+    parts = zip(a.split("/"), b.split("/"), strict=False)
+    return next((k for k, (x, y) in enumerate(parts) if x != y), 99)

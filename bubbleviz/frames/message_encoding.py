@@ -1,0 +1,135 @@
+"""Frames to the ROS 2 messages that carry them, serialised as CDR."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.frames.bags.bag import typestore
+from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
+from bubbleviz.frames.frame import Frame
+
+Encoding = Literal["32FC1", "16UC1"]
+
+NAMES = {
+    IMAGE: "depth/image_raw",
+    CAMERA_INFO: "depth/camera_info",
+    PRESSURE: "pressure",
+    WRENCH: "wrench",
+}
+"""Topic of each kind of message, behind the prefix."""
+
+
+class Message(NamedTuple):
+    """A serialised message: topic, type as `sensor_msgs/msg/Image`, CDR bytes, stamp in ns."""
+
+    topic: str
+    type: str
+    payload: bytes
+    stamp_ns: int
+
+
+def ros2_types() -> Any:
+    """Message types of ROS 2 by name, as rosbags has them."""
+    return typestore(ros1=False)
+
+
+def make_header(stamp_ns: int, frame_id: str) -> Any:
+    """`std_msgs/Header` of a time and a frame of reference."""
+    kinds = ros2_types().types
+    time = kinds["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    return kinds["std_msgs/msg/Header"](time, frame_id)
+
+
+def make_wrench(header: Any, values: np.ndarray) -> Any:
+    """`geometry_msgs/WrenchStamped` of force in N and torque in N·m, (6,)."""
+    kinds = ros2_types().types
+    vector, wrench = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Wrench"]
+    numbers = [float(value) for value in values]
+    return kinds[WRENCH](header, wrench(vector(*numbers[:3]), vector(*numbers[3:])))
+
+
+def serialise(message: Any, kind: str) -> bytes:
+    """CDR of a message object of rosbags."""
+    return bytes(ros2_types().serialize_cdr(message, kind))
+
+
+class FrameMessages:
+    """Makes the messages of frames: depth and, where there are, camera info, pressure and wrench.
+
+    Parameters
+    ----------
+    encoding : {"32FC1", "16UC1"}
+        Depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m.
+    prefix : str
+        What the topic names begin with.
+    frame_id : str
+        Name of the camera's frame in the headers.
+    """
+
+    def __init__(
+        self,
+        encoding: Encoding = "32FC1",
+        prefix: str = "/bubble",
+        frame_id: str = "bubble_depth_optical_frame",
+    ) -> None:
+        self._encoding, self._prefix, self._frame_id = encoding, prefix.rstrip("/"), frame_id
+
+    def of(self, frame: Frame, stamp_ns: int | None = None) -> Iterator[Message]:
+        """Messages of a frame, stamped `stamp_ns`, its own stamp, or its `time_s` where that is 0.
+
+        The depth image comes last: what belongs to it is there when it arrives.
+        """
+        stamp = stamp_ns or frame.stamp_ns or max(round(frame.time_s * 1e9), 1)  # 0: unset
+        header = make_header(stamp, self._frame_id)
+        if frame.intrinsics is not None:
+            yield self._message(CAMERA_INFO, _camera_info(header, frame.intrinsics), stamp)
+        if frame.gas_pressure_pa is not None:
+            pressure = ros2_types().types[PRESSURE]
+            value = pressure(header, fluid_pressure=frame.gas_pressure_pa, variance=0.0)
+            yield self._message(PRESSURE, value, stamp)
+        if frame.wrench is not None:
+            yield self._message(WRENCH, make_wrench(header, frame.wrench), stamp)
+        yield self._message(IMAGE, self._image(header, frame.depth_m), stamp)
+
+    def _message(self, kind: str, message: Any, stamp: int) -> Message:
+        return Message(f"{self._prefix}/{NAMES[kind]}", kind, serialise(message, kind), stamp)
+
+    def _image(self, header: Any, depth_m: np.ndarray) -> Any:
+        height, width = depth_m.shape
+        if self._encoding == "16UC1":
+            millimetres = np.rint(np.nan_to_num(depth_m, posinf=0.0, neginf=0.0) * 1e3)
+            pixels = np.clip(millimetres, 0, 65_535).astype("<u2")
+        else:
+            pixels = np.ascontiguousarray(depth_m, dtype="<f4")
+        return ros2_types().types[IMAGE](
+            header=header,
+            height=height,
+            width=width,
+            encoding=self._encoding,
+            is_bigendian=0,
+            step=width * pixels.itemsize,
+            data=pixels.view(np.uint8).reshape(-1),
+        )
+
+
+def _camera_info(header: Any, camera: Intrinsics) -> Any:
+    region = ros2_types().types["sensor_msgs/msg/RegionOfInterest"]
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    model = "plumb_bob" if camera.distortion_model == "none" else camera.distortion_model
+    return ros2_types().types[CAMERA_INFO](
+        header=header,
+        height=camera.height,
+        width=camera.width,
+        distortion_model=model,
+        d=np.array((*camera.distortion, *[0.0] * 5)[:5]),
+        k=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+        r=np.eye(3).ravel(),
+        p=np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1.0, 0]),
+        binning_x=0,
+        binning_y=0,
+        roi=region(0, 0, 0, 0, do_rectify=False),
+    )

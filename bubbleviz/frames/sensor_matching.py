@@ -1,0 +1,88 @@
+"""Which recording goes with which sensor: sizes that must agree, and a preset that fits."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.preset_files import preset_names
+from bubbleviz.frames.depth_topics import CAMERA_INFO, of_type
+from bubbleviz.frames.recording import Recording
+from bubbleviz.sensor import Sensor, load_sensor
+
+
+def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) -> None:
+    """Refuse a recording that is not of the sensor's camera.
+
+    Raises
+    ------
+    InputError
+        The images, or the camera info recorded beside them, have another size.
+    """
+    _check_camera_info(recording)
+    own = (sensor.camera.width, sensor.camera.height)
+    if recording.size != own:
+        raise InputError(
+            f"{recording.path}: images are {_by(recording.size)} pixels but the camera of sensor "
+            f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
+        )
+
+
+def checked_sensor(path: str | Path, sensor_name: str | None) -> tuple[str, Sensor]:
+    """Name and sensor for a recording, which both can be opened and fit; see `preset_for`."""
+    sensor = None if sensor_name is None else load_sensor(sensor_name)
+    with Recording(path) as recording:
+        name = sensor_name or preset_for(recording)
+        sensor = sensor or load_sensor(name)
+        check_fits(recording, sensor, name)
+    return name, sensor
+
+
+def preset_for(recording: Recording) -> str:
+    """Name of the one sensor preset whose camera has the recording's image size.
+
+    Raises
+    ------
+    InputError
+        None has, or several have.
+    """
+    names = preset_names("sensors")
+    sizes = {name: _camera_size(load_sensor(name)) for name in names}
+    fitting = [name for name in names if sizes[name] == recording.size]
+    if len(fitting) == 1:
+        return fitting[0]
+    known = ", ".join(f"{name} ({_by(sizes[name])})" for name in fitting or names)
+    how_many = "several presets have" if fitting else "no preset has"
+    raise InputError(
+        f"{recording.path}: {how_many} a camera of {_by(recording.size)} pixels; "
+        f"give --sensor: a sensor file or one of {known}"
+    )
+
+
+def _check_camera_info(recording: Recording) -> None:
+    """Refuse when the only camera info in the depth topic's namespace is of another image size.
+
+    The reader passes over camera infos of other sizes, as a colour camera's; one beside the depth
+    images means that they were cropped or scaled and the intrinsics no longer hold.
+    """
+    if recording.intrinsics is not None:
+        return
+    namespace = PurePosixPath(recording.depth_topic.name).parent
+    for topic in of_type(recording.bag, CAMERA_INFO):
+        if PurePosixPath(topic.name).parent != namespace:
+            continue
+        message = recording.bag.messages(topic).message(0)
+        size = (int(message.width), int(message.height))
+        if size != recording.size:
+            raise InputError(
+                f"{recording.path}: camera info on {topic.name} is for {_by(size)} pixels but the "
+                f"images are {_by(recording.size)}; record both from one camera without scaling"
+            )
+
+
+def _camera_size(sensor: Sensor) -> tuple[int, int]:
+    return sensor.camera.width, sensor.camera.height
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]}×{size[1]}"

@@ -1,0 +1,1 @@
+"""Solvers of the inverse problem behind one protocol."""

@@ -1,0 +1,94 @@
+"""What every solver of the inverse problem offers, and their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.errors import InputError
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
+from bubbleviz.inverse.solvers.two_stage import TwoStage
+
+DEFAULT = "active-set"
+"""Best point on the curve of error against run time at every size of mesh, see `study accuracy`."""
+
+
+class InverseSolver(Protocol):
+    """Solves the problem of one frame after another."""
+
+    def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
+        """Solve with the L1 term, from a contact pressure (n,); exactly 0 off the support."""
+
+    def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
+        """Solve on the problem's support without the L1 term, from a selection."""
+
+
+Make = Callable[[Equilibrium, sparse.csr_array, float, float | None], InverseSolver]
+"""Makes a solver: equilibrium, Q of every pixel valid, λ, tolerance (None: the solver's own)."""
+
+
+def _active_set(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
+) -> InverseSolver:
+    from bubbleviz.inverse.solvers.active_set import KKT_TOLERANCE, ActiveSetSolver
+
+    return ActiveSetSolver(equilibrium, reference_Q, lambda_, tolerance or KKT_TOLERANCE)
+
+
+def _osqp(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
+) -> InverseSolver:
+    from bubbleviz.inverse.solvers.osqp_solver import OsqpSolver
+
+    return TwoStage(equilibrium, partial(OsqpSolver, tolerance=tolerance))
+
+
+def _osqp_cold(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
+) -> InverseSolver:
+    from bubbleviz.inverse.solvers.osqp_solver import ColdOsqp
+
+    return TwoStage(equilibrium, partial(ColdOsqp, tolerance=tolerance))
+
+
+def _clarabel(
+    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
+) -> InverseSolver:
+    from bubbleviz.inverse.solvers.clarabel_solver import ClarabelSolver
+
+    return TwoStage(equilibrium, partial(ClarabelSolver, tolerance=tolerance))
+
+
+SOLVERS: dict[str, Make] = {
+    "active-set": _active_set,
+    "osqp": _osqp,
+    "osqp-cold": _osqp_cold,
+    "clarabel": _clarabel,
+}
+
+
+SOLVER_NAMES = (*SOLVERS, "fast")
+"""Names for `EstimatorOptions.named`; `fast` is the default on a coarse mesh."""
+
+
+def make_solver(
+    name: str,
+    equilibrium: Equilibrium,
+    reference_Q: sparse.csr_array,
+    lambda_: float,
+    tolerance: float | None = None,
+) -> InverseSolver:
+    """Solver of the given name.
+
+    Raises
+    ------
+    InputError
+        No solver has that name.
+    """
+    if name not in SOLVERS:
+        raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVER_NAMES)}")
+    return SOLVERS[name](equilibrium, reference_Q, lambda_, tolerance)

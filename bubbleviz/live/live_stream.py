@@ -1,0 +1,126 @@
+"""One sensor, live: a source, the frames made of its messages, and everybody who listens."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from bubbleviz.frames.frame import Frame
+from bubbleviz.live.assembler import FrameAssembler
+from bubbleviz.live.counters import Counters
+from bubbleviz.live.mailbox import Mailbox
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.source_status import Status, status_of
+from bubbleviz.live.sources.live_source import LiveSource, OfferedTopic
+
+Listener = Callable[[RawMessage], None]
+
+
+class LiveStream:
+    """Frames of a live source, the newest first.
+
+    A session of two sensors has two of these; they share nothing.
+
+    Parameters
+    ----------
+    source : LiveSource
+        Not started; the stream starts and stops it.
+    assembler : FrameAssembler, optional
+
+    Attributes
+    ----------
+    name : str
+    """
+
+    def __init__(self, source: LiveSource, assembler: FrameAssembler | None = None) -> None:
+        self.name = source.name
+        self.source = source
+        self._assembler = assembler or FrameAssembler()
+        self._mailbox = Mailbox()
+        self._lock = threading.Lock()
+        self._listeners: tuple[Listener, ...] = ()
+        self._last_frame_ns: int | None = None
+
+    def __enter__(self) -> LiveStream:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Start the source; InputError when that is impossible."""
+        self.source.start(self._deliver)
+
+    def stop(self) -> None:
+        """Stop the source and let go of whoever waits for a frame."""
+        self.source.stop()
+        self._mailbox.close()
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Have every message passed on from now on, in the source's threads; undo by calling.
+
+        A listener must be quick and must not raise.
+        """
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
+
+        def forget() -> None:
+            with self._lock:
+                self._listeners = tuple(k for k in self._listeners if k is not listener)
+
+        return forget
+
+    def take(self, timeout_s: float = 0.0) -> Frame | None:
+        """The newest frame that was not taken yet, waiting for one; None when none came."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            wait = min(max(deadline - time.monotonic(), 0.0), self._patience_s())
+            frame = self._mailbox.take(wait)
+            if frame is None:
+                with self._lock:
+                    self._put(self._assembler.flush(time.time_ns()))
+                frame = self._mailbox.take()
+            if frame is not None:
+                return frame
+            if time.monotonic() >= deadline or self.source.link() == "ended":
+                return None
+
+    def status(self) -> Status:
+        """How the source is doing now."""
+        last = self._last_frame_ns
+        silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
+        return status_of(self.source.link(), silent)
+
+    def counters(self) -> Counters:
+        """The counts so far."""
+        with self._lock:
+            counts = replace(self._assembler.counters)
+        return replace(counts, skipped=self._mailbox.skipped, missed=self.source.missed())
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        """Topics to choose from."""
+        return self.source.topics()
+
+    def set_lag(self, lag_s: float) -> None:
+        """Set how much later the stamps of gas pressure and wrench are than the images', s."""
+        with self._lock:
+            self._assembler.lag_s = lag_s
+
+    def _patience_s(self) -> float:
+        """How long to wait before looking whether the frame that waits is due, s."""
+        until = self._assembler.waits_until_ns
+        return 0.1 if until is None else min(max((until - time.time_ns()) * 1e-9, 0.001), 0.1)
+
+    def _deliver(self, message: RawMessage) -> None:
+        for listener in self._listeners:  # unlocked: a recorder may wait for its disk
+            listener(message)
+        with self._lock:
+            self._put(self._assembler.push(message))
+
+    def _put(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            self._last_frame_ns = time.time_ns()
+            self._mailbox.put(frame)

@@ -1,0 +1,1 @@
+"""Where live messages and results go: a recording, ROS 2 messages, Zenoh."""

@@ -1,0 +1,142 @@
+"""An MCAP file that is written as messages come and can be opened wherever writing ended."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import bubbleviz
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import cannot_write, refuse_existing
+from bubbleviz.frames.bags.cut_mcap import OUR_LIBRARY
+from bubbleviz.frames.message_encoding import ros2_types
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.rosbag2_metadata import BagFacts, metadata_yaml
+
+CHUNK_BYTES = 4 << 20
+"""Messages of a chunk before compression: it is closed early, by `sync`, where the data is slow."""
+
+
+class McapFile:
+    """A rosbag2 recording in the making: `X.mcap`, or a folder with one in it and its metadata.
+
+    Unlike other outputs it is there under its own name from the first message on: what is written
+    is never lost, and an unfinished file is one that `Recording` and `mcap recover` open up to its
+    last whole chunk.
+
+    Parameters
+    ----------
+    path : path-like
+        `X.mcap` for one bare file, any other name for a rosbag2 folder.
+
+    Attributes
+    ----------
+    path : Path
+    count : int
+        Messages written.
+    synced_bytes : int
+        Size up to which the file survives whatever happens.
+
+    Raises
+    ------
+    InputError
+        The path exists or cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        self.path = Path(path)
+        refuse_existing(self.path)
+        self._folder = None if self.path.suffix == ".mcap" else self.path
+        try:
+            if self._folder is not None:
+                self._folder.mkdir()
+            self._file = self.path if self._folder is None else self.path / f"{self.path.name}.mcap"
+            self._stream = self._file.open("xb")
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+        self.count = 0
+        self.synced_bytes = 0
+        self._facts = BagFacts(self._file.name)
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[str, int] = {}
+        self._writer: Any = Writer(
+            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+        )
+        self._writer.start("ros2", f"{OUR_LIBRARY} {bubbleviz.__version__}")
+        self.sync()
+        _sync_folder(self._file.parent)
+
+    def write(self, message: RawMessage) -> None:
+        """Append a message, logged at its arrival; OSError where the disk refuses."""
+        key = (message.topic, message.type)
+        if key not in self._channels:
+            self._channels[key] = self._new_channel(*key)
+        log_ns = max(message.arrival_ns, 0)
+        self._writer.add_message(
+            self._channels[key],
+            log_time=log_ns,
+            publish_time=max(message.stamp_ns, 0) or log_ns,
+            sequence=(message.sequence or 0) & 0xFFFF_FFFF,
+            data=message.payload,
+        )
+        self._facts.add(message.topic, log_ns)
+        self.count += 1
+
+    def sync(self) -> None:
+        """Close the chunk and have all of it on the disk; OSError where that refuses."""
+        self._writer.flush()
+        os.fsync(self._stream.fileno())
+        self.synced_bytes = self._stream.tell()
+
+    def close(self) -> None:
+        """Finish the file, with the index that makes it quick to open."""
+        self._writer.flush()
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": self._facts.yaml()})
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self.synced_bytes = self._stream.tell()
+        self._stream.close()
+        if self._folder is not None:
+            (self._folder / "metadata.yaml").write_text(metadata_yaml(self._facts), "utf-8")
+
+    def discard(self) -> None:
+        """Remove the file: nothing was worth recording."""
+        self._stream.close()
+        self._file.unlink()
+        if self._folder is not None:
+            self._folder.rmdir()
+
+    def abandon(self) -> None:
+        """Leave the file as it was synced last: writing failed, and no more can be written."""
+        descriptor = self._stream.fileno()
+        os.ftruncate(descriptor, self.synced_bytes)
+        with Path(os.devnull).open("wb") as nowhere:  # for what is buffered: closing writes it
+            os.dup2(nowhere.fileno(), descriptor)
+        self._stream.close()
+
+    def _new_channel(self, topic: str, kind: str) -> int:
+        types = ros2_types()
+        if kind not in types.fielddefs:
+            raise InputError(f"{self.path}: {topic} has type {kind}, which cannot be recorded")
+        self._facts.describe(topic, kind, types.hash_rihs01(kind))
+        if kind not in self._schemas:
+            definition, _ = types.generate_msgdef(kind, ros_version=2)
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
+        metadata = {"offered_qos_profiles": "[]", "topic_type_hash": types.hash_rihs01(kind)}
+        channel: int = self._writer.register_channel(topic, "cdr", self._schemas[kind], metadata)
+        return channel
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the file's name on the disk, too."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError:  # some file systems cannot
+        pass
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,213 @@
+"""Records every message of one or more sources; skips none."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import RESULTS
+from bubbleviz.frames.message_encoding import ros2_types, serialise
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.mcap_file import McapFile
+
+MARKERS = f"{RESULTS}markers"
+"""Topic of markers and notes, `std_msgs/msg/String`, logged when they were made."""
+
+_STRING = "std_msgs/msg/String"
+SYNC_S = 0.4
+"""How often what was recorded is brought to the disk: a crash costs no more than this."""
+QUEUE_BYTES = 256 << 20
+"""Messages that may wait for the disk; beyond it the source is made to wait."""
+PRE_ROLL_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class RecorderStatus:
+    """How recording is going.
+
+    Attributes
+    ----------
+    path : Path
+    messages : int
+        Messages written.
+    waiting_bytes, most_waiting_bytes : int
+        Messages that wait for the disk now, and the most there ever were.
+    stalls : int
+        How often a source had to wait because the disk is too slow.
+    size_bytes : int
+        Of the file, as far as it survives a crash.
+    problem : str
+        Why recording ended early, in words; empty while all is well.
+    """
+
+    path: Path
+    messages: int
+    waiting_bytes: int
+    most_waiting_bytes: int
+    stalls: int
+    size_bytes: int
+    problem: str
+
+
+class Recorder:
+    """Keeps the last seconds of what it is given, and writes everything once told to.
+
+    Parameters
+    ----------
+    pre_roll_s : float
+        Seconds before `start` that are recorded, too.
+    """
+
+    def __init__(self, pre_roll_s: float = 0.0) -> None:
+        self.pre_roll_s = pre_roll_s
+        self._before: deque[RawMessage] = deque()
+        self._before_bytes = 0
+        self._session: _Session | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def recording(self) -> bool:
+        """Whether messages are being written."""
+        return self._session is not None
+
+    def push(self, message: RawMessage) -> None:
+        """Take a message; from any thread. Does not raise, and waits only for a disk too slow."""
+        with self._lock:
+            session = self._session
+            if session is None:
+                self._keep(message)
+                return
+        session.put(message)
+
+    def start(self, path: str | Path) -> None:
+        """Begin to write, with the pre-roll.
+
+        Raises
+        ------
+        InputError
+            The path exists or cannot be written, or something is being recorded already.
+        """
+        with self._lock:
+            if self._session is not None:
+                raise InputError(f"{path}: something is being recorded already; stop it first")
+            session = _Session(McapFile(path))
+            for message in self._before:
+                session.put(message)
+            self._before.clear()
+            self._before_bytes = 0
+            self._session = session
+
+    def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
+        """Put a marker or a note into the recording, at a moment (ns since 1970), else at this."""
+        content = ros2_types().types[_STRING](data=text)
+        when = time.time_ns() if at_ns is None else at_ns
+        self.push(RawMessage(MARKERS, _STRING, serialise(content, _STRING), 0, when))
+
+    def status(self) -> RecorderStatus | None:
+        """How the present recording is going; None without one."""
+        session = self._session
+        return None if session is None else session.status()
+
+    def stop(self) -> RecorderStatus:
+        """End the recording, all of it written; how it went. Without a message no file stays."""
+        with self._lock:
+            session, self._session = self._session, None
+        if session is None:
+            raise InputError("nothing is being recorded")
+        session.finish()
+        return session.status()
+
+    def _keep(self, message: RawMessage) -> None:
+        if self.pre_roll_s <= 0.0:
+            return
+        self._before.append(message)
+        self._before_bytes += len(message.payload)
+        oldest = message.arrival_ns - round(self.pre_roll_s * 1e9)
+        while self._before[0].arrival_ns < oldest or self._before_bytes > PRE_ROLL_BYTES:
+            self._before_bytes -= len(self._before.popleft().payload)
+
+
+class _Session:
+    """One recording: a queue, and a thread that writes it down."""
+
+    def __init__(self, file: McapFile) -> None:
+        self._file = file
+        self._queue: deque[RawMessage] = deque()
+        self._bytes = self._most = self._stalls = 0
+        self._ending = False
+        self._problem = ""
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def put(self, message: RawMessage) -> None:
+        with self._changed:
+            if self._bytes > QUEUE_BYTES and not self._problem:
+                self._stalls += 1
+                self._changed.wait_for(lambda: self._bytes <= QUEUE_BYTES or bool(self._problem))
+            if self._problem:
+                return
+            self._queue.append(message)
+            self._bytes += len(message.payload)
+            self._most = max(self._most, self._bytes)
+            self._changed.notify_all()
+
+    def finish(self) -> None:
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def status(self) -> RecorderStatus:
+        with self._changed:
+            return RecorderStatus(
+                self._file.path,
+                self._file.count,
+                self._bytes,
+                self._most,
+                self._stalls,
+                self._file.synced_bytes,
+                self._problem,
+            )
+
+    def _run(self) -> None:
+        try:
+            self._write_all()
+            self._file.close() if self._file.count else self._file.discard()
+        except (OSError, InputError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            with self._changed:
+                self._problem = (
+                    f"{self._file.path}: recording ended ({reason}); what was recorded before is "
+                    "in the file"
+                )
+                self._queue.clear()
+                self._bytes = 0
+                self._changed.notify_all()
+            self._file.abandon()
+
+    def _write_all(self) -> None:
+        synced = time.monotonic()
+        while True:
+            messages, ending = self._take(SYNC_S / 2)
+            for message in messages:
+                self._file.write(message)
+                with self._changed:
+                    self._bytes -= len(message.payload)
+                    self._changed.notify_all()
+            if ending and not messages:
+                return
+            if time.monotonic() - synced >= SYNC_S:
+                self._file.sync()
+                synced = time.monotonic()
+
+    def _take(self, timeout_s: float) -> tuple[list[RawMessage], bool]:
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._queue) or self._ending, timeout_s)
+            messages = list(self._queue)
+            self._queue.clear()
+            return messages, self._ending

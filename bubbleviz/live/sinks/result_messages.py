@@ -1,0 +1,138 @@
+"""Results to ROS 2 messages: patch, force, pose and how the sensor is doing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.frames.depth_topics import POINT_CLOUD, WRENCH
+from bubbleviz.frames.message_encoding import (
+    Message,
+    make_header,
+    make_wrench,
+    ros2_types,
+    serialise,
+)
+from bubbleviz.live.counters import Counters
+from bubbleviz.live.source_status import Status
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Estimate, Patch, Result
+
+POSE = "geometry_msgs/msg/PoseStamped"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
+_LEVELS = {"ok": _OK, "no_contact": _OK, "no_data": _WARN}
+_FLOAT32 = 7
+
+
+class ResultMessages:
+    """Makes the messages of results; everything is in the bubble's frame B.
+
+    Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
+    deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
+    membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found) and
+    `/diagnostics`.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Of the pipeline that makes the results.
+    prefix : str
+        What the topic names begin with.
+    frame_id : str
+        Name of B in the headers.
+    """
+
+    def __init__(
+        self, mesh: MembraneMesh, prefix: str = "/bubble", frame_id: str = "bubble"
+    ) -> None:
+        self._mesh, self._prefix, self._frame_id = mesh, prefix.rstrip("/"), frame_id
+
+    def of(self, result: Result) -> Iterator[Message]:
+        """Messages of what there is of a result, stamped as its frame."""
+        stamp = result.frame.stamp_ns
+        header = make_header(max(stamp, 0), self._frame_id)
+        if result.patch is not None and result.estimate is not None:
+            cloud = self._patch(header, result.estimate, result.patch)
+            yield self._message("contact_patch", POINT_CLOUD, cloud, stamp)
+            wrench = make_wrench(header, _wrench(result.patch))
+            yield self._message("contact_wrench", WRENCH, wrench, stamp)
+        if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
+            yield self._message("object_pose", POSE, _pose(header, result.pose.T_B_O), stamp)
+
+    def diagnostics(
+        self, now_ns: int, status: Status, counters: Counters, result: Result | None
+    ) -> Message:
+        """How the source and the estimate are doing."""
+        kinds = ros2_types().types
+        entry, pair = (
+            kinds["diagnostic_msgs/msg/DiagnosticStatus"],
+            kinds["diagnostic_msgs/msg/KeyValue"],
+        )
+        estimate = None if result is None else result.estimate
+        values = {name: str(value) for name, value in counters.as_dict().items()}
+        if estimate is not None and result is not None:
+            values["residual_rms_m"] = f"{estimate.residual_rms_m:.3g}"
+            values["total_ms"] = f"{result.times_ms.get('total', np.nan):.3g}"
+        level, text = _level(status, estimate)
+        body = entry(
+            level=level,
+            name=f"{self._prefix.strip('/')}: contact",
+            message=text,
+            hardware_id=self._frame_id,
+            values=[pair(key=key, value=value) for key, value in values.items()],
+        )
+        message = kinds[DIAGNOSTICS](make_header(now_ns, ""), [body])
+        return Message("/diagnostics", DIAGNOSTICS, serialise(message, DIAGNOSTICS), now_ns)
+
+    def _message(self, name: str, kind: str, message: Any, stamp: int) -> Message:
+        return Message(f"{self._prefix}/{name}", kind, serialise(message, kind), stamp)
+
+    def _patch(self, header: Any, estimate: Estimate, patch: Patch) -> Any:
+        """Nodes of the patch where they are now: x, y, z, pressure, as float32."""
+        inside = patch.node_mask
+        points = self._mesh.deformed(estimate.displacement_m)[inside]
+        table = np.column_stack([points, estimate.contact_pressure_pa[inside]]).astype("<f4")
+        field = ros2_types().types["sensor_msgs/msg/PointField"]
+        names = ("x", "y", "z", "pressure")
+        return ros2_types().types[POINT_CLOUD](
+            header=header,
+            height=1,
+            width=len(table),
+            fields=[field(name, 4 * k, _FLOAT32, 1) for k, name in enumerate(names)],
+            is_bigendian=False,
+            point_step=16,
+            row_step=16 * len(table),
+            data=np.ascontiguousarray(table).view(np.uint8).reshape(-1),
+            is_dense=True,
+        )
+
+
+def _wrench(patch: Patch) -> np.ndarray:
+    """Force of the patch and its torque about B's origin, (6,); zero without contact."""
+    center = patch.center_of_pressure_m
+    torque = np.cross(center, patch.force_n) if np.isfinite(center).all() else np.zeros(3)
+    return np.concatenate([patch.force_n, torque])
+
+
+def _pose(header: Any, T_B_O: np.ndarray) -> Any:
+    from scipy.spatial.transform import Rotation
+
+    kinds = ros2_types().types
+    point, quaternion = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
+    x, y, z, w = (float(q) for q in Rotation.from_matrix(T_B_O[:3, :3]).as_quat())
+    place = point(*(float(p) for p in T_B_O[:3, 3]))
+    return kinds[POSE](header, kinds["geometry_msgs/msg/Pose"](place, quaternion(x, y, z, w)))
+
+
+def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:
+    if status.state == "connecting":
+        return _WARN, status.text
+    if status.state != "live":
+        return _STALE, status.text
+    if estimate is None:
+        return _OK, status.text
+    return _LEVELS.get(estimate.status, _ERROR), estimate.status

@@ -1,0 +1,1 @@
+"""Live sources behind one protocol: simulated, replayed, Zenoh, RealSense; opened by URI."""

@@ -1,0 +1,50 @@
+"""What every live source offers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, Protocol
+
+from bubbleviz.live.raw_message import RawMessage
+
+Link = Literal["connecting", "up", "lost", "ended"]
+"""`lost`: it was up, and the source tries to get it back by itself."""
+
+Deliver = Callable[[RawMessage], None]
+
+
+class OfferedTopic(NamedTuple):
+    """A topic somebody publishes: its name and its type."""
+
+    name: str
+    type: str
+
+
+class LiveSource(Protocol):
+    """Pushes messages from threads of its own, in the order they came, and skips none.
+
+    Attributes
+    ----------
+    name : str
+        What the window's title shows.
+    """
+
+    name: str
+
+    def start(self, deliver: Deliver) -> None:
+        """Begin; InputError when that is impossible. `deliver` must not raise."""
+
+    def stop(self) -> None:
+        """End; nothing is delivered after it returned."""
+
+    def link(self) -> Link:
+        """How the connection stands."""
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        """Topics found so far, of the types that are used here."""
+
+    def missed(self) -> int:
+        """Messages the publishers counted that never arrived; 0 where nobody counts."""
+
+    def problem(self) -> str:
+        """What the source itself failed at, in words; empty while all is well."""

@@ -1,0 +1,323 @@
+"""RealSense cameras on this computer, and recordings of the RealSense viewer."""
+
+from __future__ import annotations
+
+import queue
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import IMAGE
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_encoding import FrameMessages, ros2_types
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
+from bubbleviz.live.sources.paced_thread import PacedThread
+from bubbleviz.live.sources.source_uri import SourceUri
+from bubbleviz.wording import how_to_install
+
+FILES = (".bag", ".db3")
+"""What the SDK records: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
+
+_PATIENCE_S = 0.5
+_QUEUE = 64
+_BACK_OFF_S = (0.5, 4.0)
+
+_MODELS: dict[str, DistortionModel] = {
+    "none": "none",
+    "brown_conrady": "plumb_bob",
+    "inverse_brown_conrady": "inverse_brown_conrady",
+}
+
+
+class RealSenseLive:
+    """Depth of a RealSense camera through the SDK; a camera unplugged is looked for again.
+
+    Parameters
+    ----------
+    sdk : module
+        `pyrealsense2`.
+    serial : str or None
+        Of the camera; the first one found by default.
+    file : Path or None
+        A recording in place of a camera.
+    size : (int, int)
+        Width and height to ask a camera for, pixels.
+    rate : int
+        Frames a second to ask a camera for.
+    loop : bool
+        Begin a recording again at its end.
+    prefix : str
+        What the topic names begin with.
+    """
+
+    def __init__(
+        self,
+        sdk: Any,
+        *,
+        serial: str | None = None,
+        file: Path | None = None,
+        size: tuple[int, int] = (640, 480),
+        rate: int = 30,
+        loop: bool = False,
+        prefix: str = "/bubble",
+    ) -> None:
+        self.name = str(file.name if file else serial or "RealSense")
+        self._sdk, self._serial, self._file = sdk, serial, file
+        self._size, self._rate, self._loop = size, rate, loop
+        self._messages = FrameMessages("32FC1", prefix)
+        self._link: Link = "connecting"
+        self._topics: tuple[OfferedTopic, ...] = ()
+        self._thread: PacedThread | None = None
+        self._problem = ""
+        self._missed = 0
+
+    def start(self, deliver: Deliver) -> None:
+        """Begin to stream, in a thread of its own."""
+        self._thread = PacedThread(lambda pace: self._run(pace, deliver), self.name)
+
+    def stop(self) -> None:
+        """Stop streaming and let go of the camera."""
+        if self._thread is not None:
+            self._thread.stop()
+        self._link = "ended"
+
+    def link(self) -> Link:
+        """`lost` while the camera is looked for."""
+        return self._link
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        """What a frame is made of, once there is one."""
+        return self._topics
+
+    def missed(self) -> int:
+        """Frames the camera counted that the SDK never gave."""
+        return self._missed
+
+    def problem(self) -> str:
+        """What the SDK said last when it failed."""
+        return self._problem or ("" if self._thread is None else self._thread.problem)
+
+    def _run(self, pace: PacedThread, deliver: Deliver) -> None:
+        wait, played = _BACK_OFF_S[0], 0
+        while not pace.stopping:
+            before = time.monotonic()
+            try:
+                self._stream(pace, deliver, played)
+            except RuntimeError as error:  # all the SDK raises
+                self._problem = " ".join(str(error).split())[:160]
+            if self._file is not None:
+                if self._loop and not self._problem:
+                    played += 1
+                    continue
+                break
+            self._link = "lost" if self._topics else "connecting"
+            lasted = time.monotonic() - before
+            wait = _BACK_OFF_S[0] if lasted > 5.0 else min(2.0 * wait, _BACK_OFF_S[1])
+            pace.wait_until(time.monotonic() + wait)
+        self._link = "ended"
+
+    def _stream(self, pace: PacedThread, deliver: Deliver, played: int) -> None:
+        """Until stopped, the recording ended, or the camera is gone."""
+        pictures: queue.Queue[_Picture] = queue.Queue(_QUEUE)
+        ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
+        device = self._device()
+        sensor = device.first_depth_sensor()
+        profile = self._profile(sensor)
+        camera = _intrinsics(profile.as_video_stream_profile().intrinsics)
+        unit = float(sensor.get_depth_scale())
+        sender = _Sender(deliver, self._messages, unit, camera, played)
+        # without the SDK's pipeline, which leaves out frames of a recording that come late
+        sensor.open(profile)
+        try:
+            sensor.start(self._receiver(pictures, pace))
+            try:
+                self._send(pace, device, pictures, sender)
+            finally:
+                sensor.stop()
+        finally:
+            sensor.close()
+
+    def _send(
+        self, pace: PacedThread, device: Any, pictures: queue.Queue[_Picture], sender: _Sender
+    ) -> None:
+        while not pace.stopping:
+            try:
+                picture = pictures.get(timeout=_PATIENCE_S)
+            except queue.Empty:
+                if self._is_gone(device):
+                    return
+                continue
+            if self._file is not None and not pace.wait_until(sender.due_s(picture)):
+                return
+            self._missed += sender.missed(picture)
+            self._topics = sender.send(picture)
+            self._link, self._problem = "up", ""
+
+    def _receiver(self, pictures: queue.Queue[_Picture], pace: PacedThread) -> Any:
+        """What the SDK calls with every frame, in its own thread; a recording waits for us."""
+
+        def receive(frame: Any) -> None:
+            depth = frame.as_depth_frame()
+            if not depth:
+                return
+            picture = _Picture(
+                np.asanyarray(depth.get_data()).copy(),
+                int(depth.get_frame_number()),
+                max(round(float(depth.get_timestamp()) * 1e6), 1),
+                time.time_ns(),
+            )
+            while not pace.stopping:
+                try:
+                    pictures.put(picture, timeout=_PATIENCE_S)
+                    break
+                except queue.Full:
+                    if self._file is None:
+                        break
+
+        return receive
+
+    def _device(self) -> Any:
+        context = self._sdk.context()
+        if self._file is not None:
+            device = context.load_device(str(self._file))
+            device.set_real_time(False)
+            return device
+        number = self._sdk.camera_info.serial_number
+        for device in context.query_devices():
+            if self._serial in (None, device.get_info(number)):
+                return device
+        raise RuntimeError("the camera is not plugged in")
+
+    def _profile(self, sensor: Any) -> Any:
+        """Depth as asked for; a recording has it as it has it."""
+        offered = [
+            profile
+            for profile in sensor.get_stream_profiles()
+            if profile.stream_type() == self._sdk.stream.depth
+            and profile.format() == self._sdk.format.z16
+        ]
+        for profile in offered:
+            video = profile.as_video_stream_profile()
+            size = (video.width(), video.height())
+            if self._file is not None or (size == self._size and profile.fps() == self._rate):
+                return profile
+        width, height = self._size
+        raise RuntimeError(f"the camera has no depth of {width}×{height} at {self._rate} Hz")
+
+    def _is_gone(self, device: Any) -> bool:
+        if self._file is None:
+            return self._serial not in (None, *serials(self._sdk)) or not serials(self._sdk)
+        return bool(device.current_status() == self._sdk.playback_status.stopped)
+
+
+class _Picture(NamedTuple):
+    raw: np.ndarray
+    number: int
+    stamp_ns: int
+    arrival_ns: int
+
+
+class _Sender:
+    """Pictures of one stream to messages."""
+
+    def __init__(
+        self,
+        deliver: Deliver,
+        messages: FrameMessages,
+        unit: float,
+        camera: Intrinsics,
+        played: int,
+    ) -> None:
+        self._deliver, self._messages, self._unit, self._camera = deliver, messages, unit, camera
+        self._played = played
+        self._last: _Picture | None = None
+        self._began: tuple[float, int] | None = None
+
+    def due_s(self, picture: _Picture) -> float:
+        """When a recording's picture is due, of `time.monotonic`."""
+        self._began = self._began or (time.monotonic(), picture.stamp_ns)
+        start, first_ns = self._began
+        return start + (picture.stamp_ns - first_ns) * 1e-9
+
+    def missed(self, picture: _Picture) -> int:
+        """Pictures the camera counted between the last one and this."""
+        last, self._last = self._last, picture
+        return 0 if last is None else max(picture.number - last.number - 1, 0)
+
+    def send(self, picture: _Picture) -> tuple[OfferedTopic, ...]:
+        """Deliver a picture's messages; their topics."""
+        depth_m = picture.raw.astype(np.float32) * np.float32(self._unit)
+        depth_m[picture.raw == 0] = np.nan
+        frame = Frame(picture.number, 0.0, depth_m, self._camera, stamp_ns=picture.stamp_ns)
+        arrival = picture.arrival_ns if self._began is None else time.time_ns()
+        topics = []
+        for topic, kind, payload, stamp in self._messages.of(frame):
+            self._deliver(
+                RawMessage(topic, kind, payload, stamp, arrival, picture.number, self._played)
+            )
+            topics.append(OfferedTopic(topic, kind))
+        return tuple(topics)
+
+
+def open_realsense(
+    uri: SourceUri, size: tuple[int, int], rate: int, *, loop: bool, prefix: str
+) -> RealSenseLive:
+    """Source of `realsense:[serial | file]`.
+
+    Raises
+    ------
+    InputError
+        The package, the file or the camera is not there.
+    """
+    try:
+        import pyrealsense2 as sdk
+    except ImportError as error:
+        raise uri.refusal(
+            "needs the package pyrealsense2, which is not installed; "
+            f"{how_to_install('realsense')}, or publish the camera over Zenoh"
+        ) from error
+    if Path(uri.place).suffix.lower() in FILES:
+        file = Path(uri.place)
+        if not file.is_file():
+            raise uri.refusal(f"{file}: no such file; check the path")
+        return RealSenseLive(sdk, file=file, loop=loop, prefix=prefix)
+    found = serials(sdk)
+    if not found:
+        raise uri.refusal(
+            "no RealSense camera on this computer; plug one in, or give a file recorded by the "
+            "RealSense viewer"
+        )
+    if uri.place and uri.place not in found:
+        raise uri.refusal(f"no camera {uri.place}; there are {', '.join(found)}")
+    return RealSenseLive(sdk, serial=uri.place or None, size=size, rate=rate, prefix=prefix)
+
+
+def serials(sdk: Any) -> tuple[str, ...]:
+    """Serial numbers of the cameras on this computer."""
+    number = sdk.camera_info.serial_number
+    return tuple(str(device.get_info(number)) for device in sdk.context().query_devices())
+
+
+def _intrinsics(found: Any) -> Intrinsics:
+    """Intrinsics as ours; InputError for a distortion model that we do not have."""
+    model = _MODELS.get(str(found.model).rsplit(".", 1)[-1])
+    coefficients = tuple(float(c) for c in found.coeffs)
+    if not any(coefficients):
+        model = "none"
+    if model is None:
+        raise InputError(f"the camera's distortion model {found.model} is not known")
+    return Intrinsics(
+        int(found.width),
+        int(found.height),
+        float(found.fx),
+        float(found.fy),
+        float(found.ppx),
+        float(found.ppy),
+        model,
+        coefficients if model != "none" else (),
+    )

@@ -1,0 +1,105 @@
+"""Zenoh sessions that reach whom they are told to, and nobody else."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.sources.source_uri import SourceUri
+
+ROUTER = "tcp/127.0.0.1:7447"
+"""Where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen."""
+
+_RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5}
+"""Zenoh connects again by itself, at these intervals."""
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """Where a session connects to, or where it listens.
+
+    A session that connects is a client and listens nowhere. A router hands messages to and from
+    clients only, not between the peers that ROS 2 nodes are: they connect to each other directly.
+
+    Attributes
+    ----------
+    text : str
+        For messages to the user.
+    connect, listen : str or None
+        One endpoint such as `tcp/192.168.1.7:7447`.
+    """
+
+    text: str
+    connect: str | None = None
+    listen: str | None = None
+
+    @classmethod
+    def of(cls, uri: SourceUri) -> SessionOptions:
+        """Options of `zenoh:[endpoint]`, or of `zenoh:?listen=endpoint`."""
+        listen = uri.text_of("listen")
+        if listen and uri.place:
+            raise uri.refusal("give an endpoint to connect to, or listen=, not both")
+        return cls(uri.text, None if listen else uri.place or ROUTER, listen)
+
+
+def make_config(options: SessionOptions) -> Any:
+    """Configuration of a session.
+
+    Raises
+    ------
+    InputError
+        The endpoint is malformed.
+    """
+    import zenoh
+
+    connects = options.connect is not None
+    settings: dict[str, Any] = {
+        "mode": "client" if connects else "peer",
+        "connect/endpoints": [options.connect] if connects else [],
+        "connect/timeout_ms": 0,
+        "connect/retry": _RETRY,
+        "listen/endpoints": [] if options.listen is None else [options.listen],
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    config = zenoh.Config()
+    try:
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        raise _refusal(options, error) from error
+    return config
+
+
+def open_session(options: SessionOptions) -> Any:
+    """Open `zenoh.Session`.
+
+    Raises
+    ------
+    InputError
+        The endpoint is malformed, nobody is there to connect to, or nobody can listen there.
+    """
+    import zenoh
+
+    try:
+        return zenoh.open(make_config(options))
+    except zenoh.ZError as error:
+        raise _refusal(options, error) from error
+
+
+def connected(session: Any) -> bool:
+    """Whether a session has anybody to talk to."""
+    return bool(session.info.peers_zid() or session.info.routers_zid())
+
+
+def _refusal(options: SessionOptions, error: Exception) -> InputError:
+    text = str(error).split(" at /")[0]
+    quoted = re.search(r'msg: "(.*?)"?\}?\)?$', text)
+    reason = (quoted.group(1) if quoted else text).strip().rstrip("!.")[:160]
+    return InputError(f"{options.text}: no Zenoh session ({reason}); give a place like {ROUTER}")

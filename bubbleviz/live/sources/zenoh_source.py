@@ -1,0 +1,210 @@
+"""ROS 2 messages over Zenoh, without ROS."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from typing import Any
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
+from bubbleviz.live.raw_message import RawMessage, stamp_of
+from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
+from bubbleviz.live.sources.paced_thread import PacedThread
+from bubbleviz.live.sources.zenoh_keys import (
+    TOKENS,
+    Announced,
+    Layout,
+    parse_token,
+    subscription,
+    type_of,
+    unpack_attachment,
+)
+from bubbleviz.live.sources.zenoh_session import (
+    SessionOptions,
+    connected,
+    make_config,
+    open_session,
+)
+from bubbleviz.live.topic_names import TYPES, TopicNames
+
+LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
+BACK_OFF_S = (0.2, 2.0)
+CLOSING_S = 2.0
+LOOK_S = 0.1
+"""How often newly announced topics are subscribed to, and the connection is looked at."""
+
+
+class ZenohSource:
+    """Subscribes to every announced topic of a useful type, and to the topics named.
+
+    Zenoh itself connects again when a connection is lost, with back-off; subscriptions outlive
+    that, and those of a publisher that comes back are the same.
+
+    Parameters
+    ----------
+    options : SessionOptions
+    names : TopicNames
+        Topics named are subscribed to though nobody announces them.
+    domain : int
+        ROS_DOMAIN_ID.
+    """
+
+    def __init__(
+        self, options: SessionOptions, names: TopicNames | None = None, domain: int = 0
+    ) -> None:
+        self.name = options.text
+        self._options, self._names, self._domain = options, names or TopicNames(), domain
+        self._session: Any = None
+        self._subscribers: dict[tuple[str, Layout], Any] = {}
+        self._announced: dict[str, Announced] = {}
+        self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+        self._counts: dict[tuple[bytes, str], int] = {}
+        self._missed = 0
+        self._link: Link = "connecting"
+        self._lock = threading.Lock()
+        self._gate = threading.Lock()  # held while delivering, which may wait for a disk
+        self._watchers: list[Any] = []
+        self._connector: PacedThread | None = None
+        self._deliver: Deliver | None = None
+
+    def start(self, deliver: Deliver) -> None:
+        """Begin; whoever is not there yet is connected to when it comes."""
+        self._deliver = deliver
+        if self._options.listen is not None:
+            self._session = open_session(self._options)
+        else:
+            make_config(self._options)  # a malformed endpoint is refused now
+        self._connector = PacedThread(self._keep, "zenoh connector")
+
+    def stop(self) -> None:
+        """Close the session."""
+        with self._gate:
+            self._deliver = None
+        if self._connector is not None:
+            self._connector.stop(CLOSING_S)  # it may be waiting for a host that does not answer
+        self._link = "ended"
+
+    def link(self) -> Link:
+        """`lost` while Zenoh tries to connect again."""
+        return self._link
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        """Announced topics of the types used here, by name."""
+        with self._lock:
+            found = {(a.topic, a.type) for a in self._announced.values() if a.type in TYPES}
+        return tuple(OfferedTopic(*topic) for topic in sorted(found))
+
+    def missed(self) -> int:
+        """Messages that publishers of rmw_zenoh counted and that never arrived."""
+        return self._missed
+
+    def problem(self) -> str:
+        """What ended the thread that looks after the subscriptions."""
+        return "" if self._connector is None else self._connector.problem
+
+    def _named(self) -> list[tuple[str, str]]:
+        names = self._names
+        roles = (
+            (names.depth, IMAGE),
+            (names.info, CAMERA_INFO),
+            (names.pressure, PRESSURE),
+            (names.wrench, WRENCH),
+        )
+        return [(topic, kind) for topic, kind in roles if topic is not None]
+
+    def _on_token(self, sample: Any) -> None:
+        import zenoh
+
+        self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    def _keep(self, pace: PacedThread) -> None:
+        if not self._connect(pace):
+            return
+        try:
+            self._watch()
+            while pace.wait_until(time.monotonic() + LOOK_S):
+                while not self._tokens.empty():
+                    self._take_token(*self._tokens.get())
+                if connected(self._session):
+                    self._link = "up"
+                elif self._link == "up":
+                    self._link = "lost"
+        finally:
+            self._session.close()
+
+    def _connect(self, pace: PacedThread) -> bool:
+        """Open the session once somebody is there, looking ever less often; False when stopped."""
+        wait = BACK_OFF_S[0]
+        while self._session is None:
+            try:
+                self._session = open_session(self._options)
+            except InputError:  # nobody there yet
+                if not pace.wait_until(time.monotonic() + wait):
+                    return False
+                wait = min(1.5 * wait, BACK_OFF_S[1])
+        return True
+
+    def _watch(self) -> None:
+        for topic, kind in self._named():
+            for layout in LAYOUTS:
+                self._subscribe(Announced(topic, kind, layout))
+        liveliness = self._session.liveliness()
+        self._watchers = [
+            liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
+        ]
+
+    def _take_token(self, key: str, alive: bool) -> None:
+        announced = parse_token(key, self._domain)
+        if announced is None:
+            return
+        with self._lock:
+            if alive:
+                self._announced[key] = announced
+            else:
+                self._announced.pop(key, None)
+        if alive and self._names.wants(announced.topic, announced.type):
+            self._subscribe(announced)
+
+    def _subscribe(self, announced: Announced) -> None:
+        """Once for a topic and a layout, whoever announces it how often."""
+        place = (announced.topic, announced.layout)
+        if place in self._subscribers:
+            return
+        key = subscription(announced.topic, announced.layout, self._domain)
+
+        def receive(sample: Any) -> None:
+            self._on_sample(sample, announced)
+
+        self._subscribers[place] = self._session.declare_subscriber(key, receive)
+
+    def _on_sample(self, sample: Any, announced: Announced) -> None:
+        arrival = time.time_ns()
+        payload = sample.payload.to_bytes()
+        kind = type_of(str(sample.key_expr)) if announced.layout == "rmw" else None
+        attached = sample.attachment
+        attachment = unpack_attachment(None if attached is None else attached.to_bytes())
+        sequence = None if attachment is None else attachment.sequence
+        message = RawMessage(
+            announced.topic,
+            kind or announced.type,
+            payload,
+            stamp_of(payload),
+            arrival,
+            sequence,
+        )
+        with self._gate:
+            if attachment is not None:
+                self._count(attachment.publisher, announced.topic, attachment.sequence)
+            deliver = self._deliver
+            if deliver is not None:
+                deliver(message)
+
+    def _count(self, publisher: bytes, topic: str, sequence: int) -> None:
+        """Take note of gaps in a publisher's own count."""
+        last = self._counts.get((publisher, topic))
+        if last is not None and sequence > last:
+            self._missed += sequence - last - 1
+        if last is None or sequence > last:
+            self._counts[publisher, topic] = sequence

@@ -1,0 +1,60 @@
+"""From the sensor file's membrane section to the mesh of the reference surface."""
+
+from __future__ import annotations
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.stiffness import mean_curvature
+from bubbleviz.sensor import Sensor
+
+
+def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
+    """Mesh of the sensor's reference surface S0.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    nodes : int, optional
+        Target number of nodes in place of the file's; a mesh from file keeps its own.
+
+    Raises
+    ------
+    InputError
+        The surface cannot be built; names the file and the place.
+    """
+    from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
+
+    membrane = sensor.membrane
+    count = membrane.nodes if nodes is None else nodes
+    if membrane.shape == "mesh" and membrane.mesh_file is not None:
+        from bubbleviz.membrane.membrane_file import load_membrane
+
+        return load_membrane(sensor.resolve(membrane.mesh_file))
+    if membrane.height_m is None:
+        raise InputError(f"{sensor.name}: membrane.height_m is missing; add it")
+    if membrane.shape == "spherical_cap" and membrane.rim_radius_m is not None:
+        return mesh_cap(spherical_cap(membrane.rim_radius_m, membrane.height_m), count)
+    if membrane.rim_semi_axes_m is not None:
+        cap = EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
+        return mesh_cap(cap, count)
+    raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its numbers')
+
+
+def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
+    """Tension γ0 in N/m: the sensor file's, else what holds the gauge pressure (Eq. 2).
+
+    Raises
+    ------
+    InputError
+        The surface is flat or hollow, so that no tension holds it.
+    """
+    given = sensor.pneumatics.tension_n_per_m
+    if given is not None:
+        return given
+    curvature = mean_curvature(mesh)
+    if not curvature > 0.0:
+        raise InputError(
+            f"{sensor.name}: the reference surface is flat or hollow, so that no tension holds its "
+            "gauge pressure; give pneumatics.tension_n_per_m"
+        )
+    return sensor.pneumatics.gauge_pressure_pa / curvature

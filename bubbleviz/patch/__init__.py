@@ -1,0 +1,1 @@
+"""The contact patch: threshold, edge and separate parts."""

@@ -1,0 +1,95 @@
+"""The separate parts of a contact patch, and the patch without those too small to be contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.result import Estimate, Patch
+
+
+@dataclass(frozen=True)
+class Component:
+    """A connected part of a patch.
+
+    Attributes
+    ----------
+    nodes : (k,) int array
+        Its nodes.
+    area_m2 : float
+    force_n : float
+        Length of the resultant of its pressure.
+    peak_pa : float
+        Highest contact pressure.
+    center_m : (3,) array
+        Pressure-weighted centre in B, on the deformed membrane.
+    """
+
+    nodes: np.ndarray
+    area_m2: float
+    force_n: float
+    peak_pa: float
+    center_m: np.ndarray
+
+
+def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Component, ...]:
+    """Parts of a patch, the largest first; their areas add up to the patch's."""
+    inside = np.flatnonzero(patch.level > 0.0)
+    if not len(inside):
+        return ()
+    count, label = connected_components(_edges(mesh)[inside][:, inside], directed=False)
+    nodes = mesh.deformed(estimate.displacement_m)
+    parts = [_component(mesh, estimate, patch, nodes, inside[label == k]) for k in range(count)]
+    return tuple(sorted(parts, key=lambda part: -part.area_m2))
+
+
+def without_small(
+    mesh: MembraneMesh, estimate: Estimate, patch: Patch, least_area_m2: float
+) -> Patch:
+    """Patch without the parts that are smaller than an area, m².
+
+    The force stays: it is that of the whole contact pressure.
+    """
+    parts = components(mesh, estimate, patch)
+    kept = [part for part in parts if part.area_m2 >= least_area_m2]
+    if len(kept) == len(parts):
+        return patch
+    level = patch.level.copy()
+    for part in parts:
+        if part.area_m2 < least_area_m2:
+            level[part.nodes] = -np.abs(level[part.nodes])
+    center = np.full(3, np.nan)
+    if kept:
+        here = np.concatenate([part.nodes for part in kept])
+        load = mesh.areas[here] * estimate.contact_pressure_pa[here]
+        center = load @ mesh.deformed(estimate.displacement_m)[here] / load.sum()
+    area = area_above(mesh, level, 0.0)
+    return replace(patch, level=level, area_m2=area, center_of_pressure_m=center)
+
+
+def _component(
+    mesh: MembraneMesh, estimate: Estimate, patch: Patch, nodes: np.ndarray, here: np.ndarray
+) -> Component:
+    pressure = estimate.contact_pressure_pa
+    level = np.minimum(patch.level, 0.0)
+    level[here] = patch.level[here]
+    load = mesh.areas[here] * pressure[here]
+    total = float(load.sum())
+    return Component(
+        nodes=here,
+        area_m2=area_above(mesh, level, 0.0),
+        force_n=float(np.linalg.norm(load @ mesh.normals[here])),
+        peak_pa=float(pressure[here].max()),
+        center_m=load @ nodes[here] / total if total > 0.0 else nodes[here].mean(axis=0),
+    )
+
+
+def _edges(mesh: MembraneMesh) -> sparse.csr_array:
+    a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
+    count = len(mesh.nodes)
+    return sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))

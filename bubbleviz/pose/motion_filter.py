@@ -1,0 +1,84 @@
+"""Motion between frames: constant velocity, disturbed by the accelerations of a hand or robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.pose.rigid_motion import about, motion_between, moved
+
+START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
+"""Standard deviation of a given start: off by up to 5 mm and 10°."""
+
+SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)
+"""The same of a coarse start."""
+
+_VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
+_ACCELERATION = np.array([0.5] * 3 + [0.2] * 3)
+"""Standard deviations of velocity at first (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
+
+_LONGEST_S = 0.5
+"""Longest time to coast: motion is not known further ahead."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Pose and velocity, with their covariance.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+    velocity : (6,) array
+        In B about `center`, m/s and rad/s.
+    covariance : (12, 12) array
+        Of small motions in B about `center`, and of the velocity.
+    center : (3,) array
+    """
+
+    T_B_O: np.ndarray
+    velocity: np.ndarray
+    covariance: np.ndarray
+    center: np.ndarray
+
+    @classmethod
+    def at_rest(cls, T_B_O: np.ndarray, deviation: np.ndarray, center: np.ndarray) -> Motion:
+        """A pose known to a standard deviation (6,), velocity unknown."""
+        covariance = np.diag(np.concatenate([deviation, _VELOCITY]) ** 2)
+        return cls(T_B_O, np.zeros(6), covariance, center)
+
+    @property
+    def information(self) -> np.ndarray:
+        """Inverse covariance (6, 6) of the pose."""
+        return np.linalg.inv(self.covariance[:6, :6])
+
+    def about(self, center: np.ndarray) -> Motion:
+        """The same, written about another centre."""
+        A = np.kron(np.eye(2), about(self.center, center))
+        covariance = A @ self.covariance @ A.T
+        return Motion(self.T_B_O, A[:6, :6] @ self.velocity, covariance, center)
+
+    def after(self, dt_s: float) -> Motion:
+        """Coast for some time."""
+        dt = min(max(dt_s, 0.0), _LONGEST_S)
+        F = np.eye(12)
+        F[:6, 6:] = dt * np.eye(6)
+        gain = np.concatenate([0.5 * dt**2 * _ACCELERATION, dt * _ACCELERATION])
+        noise = np.zeros((12, 12))
+        index = np.arange(6)
+        noise[index, index] = gain[:6] ** 2
+        noise[index + 6, index + 6] = gain[6:] ** 2
+        noise[index, index + 6] = noise[index + 6, index] = gain[:6] * gain[6:]
+        T = moved(self.T_B_O, dt * self.velocity, self.center)
+        return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, self.center)
+
+    def corrected(self, T_B_O: np.ndarray, information: np.ndarray) -> Motion:
+        """After a frame whose own information (6, 6) moved the pose's estimate to `T_B_O`."""
+        P = self.covariance
+        gain = np.linalg.solve(P[:6, :6], P[:6, 6:]).T
+        posterior = np.linalg.inv(self.information + information)
+        velocity = self.velocity + gain @ motion_between(self.T_B_O, T_B_O, self.center)
+        cross = gain @ posterior
+        own = P[6:, 6:] - gain @ (P[:6, :6] - posterior) @ gain.T
+        covariance = np.block([[posterior, cross.T], [cross, own]])
+        return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), self.center)

@@ -1,0 +1,190 @@
+"""An object made ready for registration: its surface, smooth normals and creases, found once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.rigid_object import RigidObject
+
+CREASE_RAD = np.radians(20.0)
+"""Angle between faces from which their common edge is an edge of the object, and not of its mesh:
+a circle of 20 facets still counts as round."""
+
+_STEP = 0.01
+"""Distance of points along creases over the object's size."""
+
+_LARGEST = 20.0
+"""Size of an object over that of the bubble beyond which one of them is in other units."""
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The places on an object that are closest to some points, all in O.
+
+    Attributes
+    ----------
+    place : (k, 3) array
+    normal : (k, 3) array
+        Outward surface normal there, smooth but across creases.
+    """
+
+    place: np.ndarray
+    normal: np.ndarray
+
+
+@dataclass(frozen=True)
+class Creases:
+    """Points along the convex edges of an object, in O.
+
+    Attributes
+    ----------
+    tree : cKDTree
+        Of the points (c, 3).
+    normals : (c, 2, 3) array
+        Of the two faces that meet there.
+    """
+
+    tree: Any
+    normals: np.ndarray
+
+
+class ObjectModel:
+    """Surface of a rigid object, to be asked for closest points.
+
+    Parameters
+    ----------
+    obj : RigidObject
+        Watertight or not; its triangles face outward.
+
+    Attributes
+    ----------
+    obj : RigidObject
+    size_m : float
+        Largest extent along its own axes.
+    creases : Creases or None
+        None where it has none.
+
+    Raises
+    ------
+    InputError
+        The mesh has no area.
+    """
+
+    def __init__(self, obj: RigidObject) -> None:
+        from open3d import core
+        from open3d.t.geometry import RaycastingScene
+
+        self.obj = obj
+        self.size_m = float(np.ptp(obj.vertices, axis=0).max())
+        corners = obj.vertices[obj.triangles]
+        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(vectors, axis=1)
+        if not areas.sum() > 1e-8 * self.size_m**2:
+            raise InputError(f"object {obj.name}: its triangles have no area; export a surface")
+        kept = areas > 1e-12 * self.size_m**2
+        self.triangles = obj.triangles[kept]
+        self.face_areas, self.face_normals = areas[kept], vectors[kept] / areas[kept, None]
+        self.area_m2 = float(areas.sum())
+        self._corner_normals = _smooth_normals(self)
+        self.creases = _creases(self)
+        self._scene = RaycastingScene()
+        self._scene.add_triangles(
+            core.Tensor.from_numpy(obj.vertices.astype(np.float32)),
+            core.Tensor.from_numpy(np.ascontiguousarray(self.triangles, np.uint32)),
+        )
+
+    def closest(self, points: np.ndarray) -> Closest:
+        """Closest places to points (k, 3) in O."""
+        from open3d import core
+
+        query = core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
+        found = self._scene.compute_closest_points(query)
+        place = found["points"].numpy().astype(np.float64)
+        uv = found["primitive_uvs"].numpy().astype(np.float64)
+        corners = self._corner_normals[found["primitive_ids"].numpy()]
+        weights = np.column_stack([1.0 - uv.sum(axis=1), uv])
+        normal = np.einsum("ij,ijk->ik", weights, corners)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return Closest(place, normal)
+
+    def sample(self, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Points (count, 3) spread evenly over the surface, and their normals, in O."""
+        random = np.random.default_rng(seed)
+        face = random.choice(len(self.triangles), count, p=self.face_areas / self.face_areas.sum())
+        a, b = random.random((2, count))
+        a, b = np.where(a + b > 1.0, 1.0 - a, a), np.where(a + b > 1.0, 1.0 - b, b)
+        weights = np.column_stack([1.0 - a - b, a, b])
+        points = np.einsum("ij,ijk->ik", weights, self.obj.vertices[self.triangles[face]])
+        return points, self.face_normals[face]
+
+
+def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
+    """Refuse an object that is in other units than the bubble.
+
+    Raises
+    ------
+    InputError
+    """
+    size = float(np.ptp(obj.vertices, axis=0).max())
+    bubble = float(np.ptp(mesh.nodes, axis=0).max())
+    if size > _LARGEST * bubble:
+        raise InputError(
+            f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; "
+            "is it in millimetres? scale it, or end its file name in _mm"
+        )
+
+
+def _smooth_normals(model: ObjectModel) -> np.ndarray:
+    """Normals at the corners of the triangles, (m, 3, 3): means over one side of any crease."""
+    triangles, normals = model.triangles, model.face_normals
+    corners = model.obj.vertices[triangles]
+    sides = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(sides, axis=2)
+    cosine = -np.einsum("ijk,ijk->ij", sides, np.roll(sides, 1, axis=1))
+    angle = np.arccos(np.clip(cosine / (lengths * np.roll(lengths, 1, axis=1)), -1.0, 1.0))
+    vertex = triangles.ravel()
+    face = np.repeat(np.arange(len(triangles)), 3)
+    order = np.argsort(vertex, kind="stable")
+    starts = np.searchsorted(vertex[order], np.arange(len(model.obj.vertices) + 1))
+    result = np.empty((len(vertex), 3))
+    for first, last in pairwise(starts):
+        own = order[first:last]
+        around = normals[face[own]]
+        alike = around @ around.T > np.cos(CREASE_RAD)
+        result[own] = (alike * angle.ravel()[own]) @ around
+    return (result / np.linalg.norm(result, axis=1, keepdims=True)).reshape(-1, 3, 3)
+
+
+def _creases(model: ObjectModel) -> Creases | None:
+    """Points along the edges at which two faces meet at a convex angle."""
+    n = len(model.obj.vertices)
+    start, end = model.triangles.ravel(), np.roll(model.triangles, -1, axis=1).ravel()
+    face = np.repeat(np.arange(len(model.triangles)), 3)
+    order = np.argsort(start * n + end)
+    key = (start * n + end)[order]
+    where = np.minimum(np.searchsorted(key, end * n + start), len(key) - 1)
+    paired = (key[where] == end * n + start) & (start < end)
+    one, two = face[paired], face[order[where[paired]]]
+    a, b = model.obj.vertices[start[paired]], model.obj.vertices[end[paired]]
+    along = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
+    first, second = model.face_normals[one], model.face_normals[two]
+    # Counter-clockwise around the first face: out of it is along × normal.
+    leaves = np.cross(along, first)
+    turn = np.einsum("ij,ij->i", first, second)
+    sharp = (turn < np.cos(CREASE_RAD)) & (np.einsum("ij,ij->i", second, leaves) > 0.0)
+    if not sharp.any():
+        return None
+    a, b, first, second = a[sharp], b[sharp], first[sharp], second[sharp]
+    count = np.ceil(np.linalg.norm(b - a, axis=1) / (_STEP * model.size_m)).astype(int)
+    edge = np.repeat(np.arange(len(a)), count)
+    step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    share = ((step + 0.5) / count[edge])[:, None]
+    points = (1.0 - share) * a[edge] + share * b[edge]
+    return Creases(cKDTree(points), np.stack([first, second], axis=1)[edge])

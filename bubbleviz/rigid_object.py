@@ -1,0 +1,87 @@
+"""Rigid objects: a triangle mesh in its own frame O."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.mesh_reader import SUFFIXES, read_triangles
+from bubbleviz.files.preset_files import presets_folder
+
+LARGEST_M = 1.0
+SMALLEST_M = 5e-4
+
+
+@dataclass(frozen=True)
+class RigidObject:
+    """A rigid object.
+
+    Attributes
+    ----------
+    name : str
+    vertices : (n, 3) array
+        In O, m.
+    triangles : (m, 3) int array
+        Counter-clockwise seen from outside.
+    """
+
+    name: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+
+
+def load_object(name: str | Path, unit: Literal["m", "mm"] | None = None) -> RigidObject:
+    """Object from a mesh file or, where there is no such file, the preset of that name.
+
+    Raises
+    ------
+    InputError
+        See `object_mesh`.
+    """
+    path = Path(name)
+    if not path.exists():
+        shipped = {p.stem: p for p in sorted(presets_folder("objects").glob("*.*"))}
+        if path.suffix.lower() in SUFFIXES or path.stem not in shipped:
+            known = ", ".join(shipped)
+            raise InputError(f"{name}: no such object; give a mesh file or one of: {known}")
+        path = shipped[path.stem]
+    vertices, triangles = object_mesh(path, unit)
+    return RigidObject(path.stem, vertices, triangles)
+
+
+def object_mesh(
+    path: str | Path, unit: Literal["m", "mm"] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) in m and triangles (m, 3) of an object's file.
+
+    Parameters
+    ----------
+    path : path
+        PLY, OBJ, STL or VTK.
+    unit : {"m", "mm"}, optional
+        Unit of the file; by default millimetres where the name ends in `_mm`, else metres.
+
+    Raises
+    ------
+    InputError
+        Unreadable, or above 1 m or below 0.5 mm in size: a unit mistaken for another.
+    """
+    path = Path(path)
+    vertices, triangles = read_triangles(path)
+    in_mm = unit == "mm" or (unit is None and path.stem.endswith("_mm"))
+    if in_mm:
+        vertices = vertices * 1e-3
+    size = float(np.ptp(vertices, axis=0).max())
+    if size > LARGEST_M:
+        raise InputError(
+            f"{path}: the object is {size:.4g} m long; is it in millimetres?"
+            " scale it, or end its name in _mm"
+        )
+    if size < SMALLEST_M:
+        advice = "its name ends in _mm but is it in metres?" if in_mm else "is it in kilometres?"
+        raise InputError(f"{path}: the object is only {size:.3g} m long; {advice} scale it")
+    return vertices, triangles

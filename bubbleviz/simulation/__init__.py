@@ -1,0 +1,1 @@
+"""Simulated sensors: presses with their truth, depth noise, scenes for live streams."""

@@ -1,0 +1,264 @@
+"""A simulated sensor as a source of frames, with the truth behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.errors import InputError, SolveError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.forward_model import Contact, ForwardModel
+from bubbleviz.membrane.gap import GapFinder
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.membrane.refine import refine
+from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.sensor import Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+
+FINER = 4
+"""Nodes of the simulation's mesh for every node of the estimator's."""
+
+_LEVELS, _LOOKS = 3, 40
+"""How often that mesh is refined under edges, and the number of poses looked at for them."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulation knows about one frame; names and units as in TRUTH.npz.
+
+    Attributes
+    ----------
+    displacement_m, contact_pressure_pa : (n,) array
+        On the nodes of the simulation's own mesh.
+    gas_pressure_change_pa : float
+    force_n : (3,) array
+        Resultant of p_c on the membrane in B.
+    center_of_pressure_m : (3,) array
+        In B; NaN without contact.
+    patch_area_m2 : float
+        Area where the linear interpolation of "this node touches" is at least one half.
+    patch_mask : (H, W) bool array
+        Pixels that see such a place.
+    """
+
+    displacement_m: np.ndarray
+    contact_pressure_pa: np.ndarray
+    gas_pressure_change_pa: float
+    force_n: np.ndarray
+    center_of_pressure_m: np.ndarray
+    patch_area_m2: float
+    patch_mask: np.ndarray
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A source that may know what is true of its frames."""
+
+    def truth(self, index: int) -> Truth | None:
+        """What is true of a frame; None when it is not known."""
+
+
+def truth_of(source: object, index: int) -> Truth | None:
+    """What is true of a frame of any source; None for all but simulations."""
+    return source.truth(index) if isinstance(source, KnowsTruth) else None
+
+
+class SyntheticSource:
+    """Frames of a rigid object moved against the membrane, made when asked for.
+
+    The membrane is solved on a mesh of its own, about four times finer than the estimator's, so
+    that estimating is not merely undoing. Frame k depends on the seed and k alone.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    obj : RigidObject
+    poses : (F, 4, 4) array
+        T_B_O of every frame.
+    noise : DepthNoise, optional
+        None by default.
+    rate_hz : float
+    seed : int
+    times_s : (F,) array, optional
+        In place of `rate_hz`.
+    nodes : int, optional
+        Target number of nodes of the simulation's mesh.
+    sharp : bool
+        Refine that mesh where edges of the object press; see `sharpened`.
+
+    Attributes
+    ----------
+    name : str
+    times_s : (F,) array
+    mesh : MembraneMesh
+        The simulation's mesh, which `Truth` is on.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        obj: RigidObject,
+        poses: np.ndarray,
+        noise: DepthNoise | None = None,
+        rate_hz: float = 30.0,
+        seed: int = 0,
+        *,
+        times_s: np.ndarray | None = None,
+        nodes: int | None = None,
+        sharp: bool = False,
+    ) -> None:
+        self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
+        if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
+            raise InputError("poses: give at least one 4×4 transform T_B_O")
+        self.noise, self.seed = noise or DepthNoise(), seed
+        self.name = f"{obj.name} on {sensor.name}"
+        self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
+        mesh = simulation_mesh(sensor, nodes)
+        self.mesh = sharpened(mesh, obj, self.poses) if sharp else mesh
+        self.camera = DepthCamera.of(sensor.camera)
+        # γ0 of the sensor's own mesh: a refined polyhedron has its curvature in the old edges.
+        tension = reference_tension(sensor, build_mesh(sensor))
+        self._model = ForwardModel(self.mesh, tension, Gas.of(sensor.pneumatics, self.mesh))
+        self._view = MembraneView(self.camera, self.mesh)
+        self._solved = lru_cache(maxsize=300)(self._solve)
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self.poses)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, SolveError without equilibrium."""
+        contact = self.contact(index)
+        ranges = self._view.range_image(contact.displacement_m)
+        depth = self.camera.depth_image(self.noise.apply(ranges, self.seed, index))
+        return Frame(
+            index=index,
+            time_s=float(self.times_s[index]),
+            depth_m=depth.astype(np.float32),
+            intrinsics=self.camera.intrinsics,
+            gas_pressure_pa=self._model.gas.P0 + contact.gas_pressure_change_pa,
+        )
+
+    def close(self) -> None:
+        """Forget what was solved."""
+        self._solved.cache_clear()
+
+    def contact(self, index: int) -> Contact:
+        """Equilibrium of frame `index`."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return self._solved(index)
+
+    def truth(self, index: int) -> Truth:
+        """What is true of frame `index`."""
+        contact = self.contact(index)
+        touching = (contact.contact_pressure_pa > 0.0).astype(np.float64)
+        load = self.mesh.areas * contact.contact_pressure_pa
+        center = np.full(3, np.nan)
+        if load.sum() > 0.0:
+            center = load @ self.mesh.deformed(contact.displacement_m) / load.sum()
+        half = 0.5 - 1e-9  # a place at exactly one half counts
+        return Truth(
+            displacement_m=contact.displacement_m,
+            contact_pressure_pa=contact.contact_pressure_pa,
+            gas_pressure_change_pa=contact.gas_pressure_change_pa,
+            force_n=-load @ self.mesh.normals,
+            center_of_pressure_m=center,
+            patch_area_m2=area_above(self.mesh, touching, half),
+            patch_mask=self._view.above(contact.displacement_m, touching, half),
+        )
+
+    def _solve(self, index: int) -> Contact:
+        contact = self._model.press(self.obj, self.poses[index])
+        if contact.rim_penetration_m > 1e-6:
+            raise InputError(
+                f"frame {index}: {self.obj.name} cuts {contact.rim_penetration_m:.2g} m into the"
+                " clamped rim; raise it or move it inward"
+            )
+        if not contact.converged:
+            raise SolveError(f"frame {index}: no equilibrium of {self.obj.name} at this pose")
+        return contact
+
+
+def simulation_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
+    """Mesh to simulate on: of the analytic surface anew, of a mesh file its facets cut in four."""
+    if sensor.membrane.shape == "mesh":
+        return refine(build_mesh(sensor))
+    return build_mesh(sensor, FINER * sensor.membrane.nodes if nodes is None else nodes)
+
+
+def sharpened(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> MembraneMesh:
+    """The mesh, finer where edges of an object press at some of the poses (F, 4, 4).
+
+    Whole nodes touch or do not, so that on a coarse mesh the outline of a flat face catches on the
+    nodes as it turns, by some degrees. The membrane's shape is truer then, and so are poses; which
+    single node carries pressure is not, for the surface at rest still has its curvature in the
+    coarse edges: patches are better known on an even mesh.
+    """
+    some = poses[:: max(1, len(poses) // _LOOKS)]
+    for _ in range(_LEVELS):
+        finder, edge = GapFinder(mesh), mesh.edge_length
+        cut = np.zeros(len(mesh.triangles), bool)
+        for pose in some:
+            gaps = np.minimum(finder.gaps(obj, pose), 1e3)[mesh.triangles]
+            cut |= (gaps.min(axis=1) < edge) & (np.ptp(gaps, axis=1) > edge)
+        mesh = refine(mesh, cut)
+    return mesh
+
+
+def default_press(sensor: Sensor, frames: int = 150, rate_hz: float = 30.0) -> SyntheticSource:
+    """Press of the built-in live sensor: approach, press, move and turn, withdraw.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    frames : int
+        Frames of one round, contact-free at both ends so that it loops.
+    rate_hz : float
+    """
+    noise = DepthNoise(relative=sensor.camera.noise_relative)
+    obj = load_object("two_legged_toy")
+    height, width = dome_size(sensor)
+    poses = default_path(height, width, frames)
+    return SyntheticSource(sensor, obj, poses, noise, rate_hz)
+
+
+def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:
+    """Poses T_B_O (F, 4, 4) of the built-in press for a dome of given height and narrower width."""
+    from scipy.spatial.transform import Rotation
+
+    t = np.arange(frames) / frames
+    depth = 0.25 * height_m * (ease(t, 0.12, 0.35) - ease(t, 0.75, 0.92))
+    above = 0.1 * height_m * (1.0 - ease(t, 0.05, 0.12) + ease(t, 0.92, 0.98))
+    turn = ease(t, 0.35, 0.75)
+    round_trip = 2.0 * np.pi * turn
+    radius = 0.05 * width_m
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(
+        0.5 * np.pi * turn[:, None] * [0.0, 0.0, 1.0]
+    ).as_matrix()
+    poses[:, 0, 3] = radius * np.sin(round_trip)
+    poses[:, 1, 3] = radius * (1.0 - np.cos(round_trip))
+    poses[:, 2, 3] = height_m - depth + above
+    return poses
+
+
+def dome_size(sensor: Sensor) -> tuple[float, float]:
+    """Height of the dome and the narrower width of its rim, m."""
+    mesh = build_mesh(sensor)
+    rim = np.ptp(mesh.nodes[mesh.rim, :2], axis=0)
+    return float(mesh.nodes[:, 2].max()), float(rim.min())
+
+
+def ease(t: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Rise from 0 to 1 between `start` and `end`, smooth at both."""
+    s = np.clip((t - start) / (end - start), 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)

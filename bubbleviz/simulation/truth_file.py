@@ -1,0 +1,127 @@
+"""TRUTH.npz of a simulation, and a recording of that simulation which knows it."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.defaults import TRUTH_SUFFIX
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.simulation.synthetic_source import Truth
+
+KEYS = (*(field.name for field in fields(Truth)), "time_s", "T_B_O")
+"""What a TRUTH.npz has; T_B_O tells it from a RESULT.npz."""
+SAME_S = 1e-3
+"""Times of the same frame differ by no more: those of a recording are whole nanoseconds."""
+
+
+class OtherTruthError(InputError):
+    """A TRUTH.npz is of another recording."""
+
+
+class KnownRecording:
+    """A recording of a simulation with the truth about its frames.
+
+    Parameters
+    ----------
+    recording : Recording
+        Closed with this one.
+    truth_file : Path
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    times_s : (F,) array
+
+    Raises
+    ------
+    InputError
+        The truth cannot be read, or is of another recording.
+    """
+
+    def __init__(self, recording: Recording, truth_file: Path) -> None:
+        self._recording, self._truth = recording, read_truth(truth_file)
+        self.name, self.path, self.times_s = recording.name, recording.path, recording.times_s
+        times, masks = self._truth["time_s"], self._truth["patch_mask"]
+        same = len(times) == len(recording) and bool(
+            (np.abs(times - times[0] - recording.times_s) < SAME_S).all()
+        )
+        if not same or masks.shape[1:] != recording.size[::-1]:
+            raise OtherTruthError(
+                f"{truth_file}: is the truth of another recording than {recording.path}, of "
+                f"{_described(len(times), masks.shape)} and not "
+                f"{_described(len(recording), (0, *recording.size[::-1]))}; choose the TRUTH.npz "
+                "that was written with it"
+            )
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self._recording)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`."""
+        return self._recording[index]
+
+    def truth(self, index: int) -> Truth:
+        """What is true of frame `index`."""
+        known = {field.name: self._truth[field.name][index] for field in fields(Truth)}
+        return Truth(**known)
+
+    def close(self) -> None:
+        """Let go of files."""
+        self._recording.close()
+
+
+def read_truth(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of a TRUTH.npz by `KEYS`, each with a row a frame.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is no truth of a simulation.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            missing = [key for key in KEYS if key not in file.files]
+            if missing:
+                raise InputError(
+                    f"{path}: is no TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
+                    "choose another file"
+                )
+            arrays = {key: file[key] for key in KEYS}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise InputError(f"{path}: cannot be read as TRUTH.npz ({error}); check it") from error
+    counts = {len(array) if array.ndim else 0 for array in arrays.values()}
+    if len(counts) != 1 or 0 in counts or arrays["patch_mask"].ndim != 3:
+        raise InputError(f"{path}: its arrays do not fit together; write it anew")
+    return arrays
+
+
+def known_beside(recording: Recording) -> KnownRecording | Recording:
+    """The recording with the truth of the TRUTH.npz beside it that is named after it.
+
+    Where there is none, or a file of that name is something else, such as its RESULT.npz, it is
+    the recording as it was: nobody has said that it is a simulation. It remarks on a truth that is
+    not its own.
+    """
+    place = recording.path.absolute()
+    path = place.with_name(f"{place.name if place.is_dir() else place.stem}{TRUTH_SUFFIX}")
+    if not path.is_file():
+        return recording
+    try:
+        return KnownRecording(recording, path)
+    except OtherTruthError as error:
+        recording.remark = str(error)
+    except InputError:
+        pass
+    return recording
+
+
+def _described(frames: int, shape: tuple[int, ...]) -> str:
+    return f"{frames} frames of {shape[2]}×{shape[1]} pixels"

@@ -1,0 +1,1 @@
+"""Accuracy: error against run time, regularisation, the linear model against exact bubbles."""

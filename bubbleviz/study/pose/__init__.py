@@ -1,0 +1,1 @@
+"""Pose: error against run time, other registrations, and a nut that turns."""

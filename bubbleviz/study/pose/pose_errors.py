@@ -1,0 +1,111 @@
+"""Error of a pose over the directions that the true contact determines, modulo symmetry.
+
+A direction is determined when the normals of the true contact, at the true pose and with the
+sensor's own noise, fix it to 0.4 mm at the patch's edge (`bubbleviz.pose.observability`). No
+estimate has a part in that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.observability import LEAST_RADIUS_M, Directions, directions
+from bubbleviz.pose.registration import Precision
+from bubbleviz.pose.rigid_motion import motion_between, rows
+from bubbleviz.pose.symmetry import symmetries
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+
+SUCCESS_M, SUCCESS_RAD = 3e-3, np.radians(5.0)
+
+_PARALLEL = np.cos(np.radians(45.0))
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """How far a pose is from the true one, in motion of the patch.
+
+    Attributes
+    ----------
+    error_m, error_rad : float
+        Over the determined directions.
+    whole_m, whole_rad : float
+        Over all six.
+    """
+
+    error_m: float
+    error_rad: float
+    whole_m: float
+    whole_rad: float
+
+    @property
+    def success(self) -> bool:
+        """Within 3 mm and 5° over the determined directions."""
+        return bool(self.error_m <= SUCCESS_M and self.error_rad <= SUCCESS_RAD)
+
+
+@dataclass(frozen=True)
+class TrueContact:
+    """What truly touches, and which motions of the object that determines.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+        The true pose.
+    center : (3,) array
+        Of the true patch.
+    radius_m : float
+    directions : Directions
+    """
+
+    T_B_O: np.ndarray
+    center: np.ndarray
+    radius_m: float
+    directions: Directions
+
+
+class PoseJudge:
+    """Judges poses of one object.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    precision : Precision
+        Of the sensor, at its own noise.
+    """
+
+    def __init__(self, model: ObjectModel, precision: Precision) -> None:
+        self._model, self._precision = model, precision
+        self._symmetries = symmetries(model)
+
+    def contact(self, source: SyntheticSource) -> TrueContact:
+        """The true contact in the first frame of a simulation."""
+        mesh, truth, T = source.mesh, source.truth(0), source.poses[0]
+        touching = np.flatnonzero(truth.contact_pressure_pa > 0.0)
+        points = mesh.deformed(truth.displacement_m)[touching]
+        areas = mesh.areas[touching]
+        center = areas @ points / areas.sum()
+        radius = float(np.sqrt(areas @ np.sum((points - center) ** 2, axis=1) / areas.sum()))
+        normals = self._model.closest((points - T[:3, 3]) @ T[:3, :3]).normal @ T[:3, :3].T
+        facing = np.einsum("ij,ij->i", normals, mesh.normals[touching]) < -_PARALLEL
+        J = rows(normals[facing], points[facing], center)
+        surface = (J.T * (self._precision.per_area * areas[facing])) @ J
+        return TrueContact(T, center, max(radius, LEAST_RADIUS_M), directions(surface, radius))
+
+    def errors(self, T_B_O: np.ndarray, true: TrueContact) -> PoseErrors:
+        """Errors of a pose (4, 4); those of the symmetric pose that is closest."""
+        alike = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self._symmetries]
+        arm = np.array([1.0, 1.0, 1.0, *3 * [true.radius_m]])
+        found = true.directions
+        basis = (arm[:, None] * found.motions)[:, found.determined]
+        scaled = np.array(alike) * arm
+        known = scaled @ basis @ basis.T
+        best = int(np.argmin(np.linalg.norm(known, axis=1) + 1e-6 * np.linalg.norm(scaled, axis=1)))
+        return PoseErrors(
+            error_m=float(np.linalg.norm(known[best, :3])),
+            error_rad=float(np.linalg.norm(known[best, 3:]) / true.radius_m),
+            whole_m=float(np.linalg.norm(scaled[best, :3])),
+            whole_rad=float(np.linalg.norm(scaled[best, 3:]) / true.radius_m),
+        )

@@ -1,0 +1,1 @@
+"""Speed: run time by stage, growth with nodes and pixels, memory."""

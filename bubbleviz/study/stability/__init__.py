@@ -1,0 +1,1 @@
+"""Stability: stiff and extreme cases, each solved within its tolerance or refused."""

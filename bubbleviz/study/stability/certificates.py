@@ -1,0 +1,154 @@
+"""Checks of an estimate that share no code with the solver that made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.membrane.forward_model import Contact
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Result
+from bubbleviz.simulation.synthetic_source import Truth
+
+BALANCE = 1e-3
+"""Largest residual of membrane balance and gas law, relative to their largest term."""
+KKT = {"osqp": 5e-2, "osqp-cold": 5e-2}
+"""Largest KKT residual of the solvers that stop early; 1e-3 for the others."""
+FORCE_RELATIVE = 0.2
+FORCE_PER_EDGE = 20.0
+FORCE_PER_NOISE = 2.5
+MISFIT = 3.0
+"""Largest misfit of a called-ok frame, in units of the noise."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """How far the force may be off.
+
+    A fifth of it, or 2 % for every millimetre of mesh edge where that is more, plus γ0 times
+    2.5 σ of the range: a membrane that moves by σ changes its force by about γ0 σ, whatever its
+    size.
+
+    Attributes
+    ----------
+    noise_m : float
+        σ of range in the frame; at least 0.3 mm is granted for the mesh.
+    """
+
+    noise_m: float
+
+    def width_n(self, truth: Truth, pipeline: Pipeline) -> float:
+        """Width of the band on either side of the true force, N."""
+        floor = FORCE_PER_NOISE * pipeline.tension_n_per_m * max(self.noise_m, 3e-4)
+        edge = 1.5 * np.sqrt(np.median(pipeline.mesh.facet_areas))
+        relative = max(FORCE_RELATIVE, FORCE_PER_EDGE * edge)
+        return float(relative * np.linalg.norm(truth.force_n) + floor)
+
+
+def forward_faults(contact: Contact, gauge_pressure_pa: float) -> list[str]:
+    """What is wrong with a solution of the forward problem, by its own certificate."""
+    pressure = max(gauge_pressure_pa, float(np.max(contact.contact_pressure_pa)))
+    checks = {
+        "not finite": np.isfinite(contact.displacement_m).all(),
+        "negative pressure": contact.contact_pressure_pa.min() >= 0.0,
+        "balance": contact.balance_residual < 1e-6,
+        "gas law": contact.gas_law_residual < 1e-6,
+        "penetration": contact.penetration_m < 1e-8,
+        "complementarity": contact.complementarity < 1e-8 * pressure,
+        "not converged": contact.converged,
+    }
+    return [f"forward: {name}" for name, held in checks.items() if not held]
+
+
+def inverse_faults(
+    pipeline: Pipeline, result: Result, truth: Truth | None, band: Band, measured_gas: bool = False
+) -> list[str]:
+    """What is wrong with a result whose status claims an answer (`ok` or `no_contact`)."""
+    faults = [*_fields(pipeline, result), *_status(pipeline, result, band)]
+    if not faults:
+        faults = _equations(pipeline, result, measured_gas)
+    if truth is not None and not faults:
+        faults = _against(pipeline, result, truth, band)
+    return faults
+
+
+def _fields(pipeline: Pipeline, result: Result) -> list[str]:
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
+        return ["no estimate or no patch"]
+    numbers: list[Any] = [
+        estimate.displacement_m,
+        estimate.contact_pressure_pa,
+        estimate.gas_pressure_change_pa,
+        estimate.residual_rms_m,
+        estimate.kkt_residual,
+        patch.force_n,
+        patch.area_m2,
+    ]
+    faults = []
+    if not all(np.isfinite(x).all() for x in numbers):
+        return ["not finite"]
+    if estimate.contact_pressure_pa.min() < 0.0:
+        faults.append(f"negative pressure {estimate.contact_pressure_pa.min():.3g} Pa")
+    if np.any(estimate.displacement_m[pipeline.mesh.rim] != 0.0):
+        faults.append("the rim moves")
+    force = -(pipeline.mesh.areas * estimate.contact_pressure_pa) @ pipeline.mesh.normals
+    if not np.allclose(force, patch.force_n, rtol=1e-6, atol=1e-12):
+        faults.append("the force is not that of the pressure")
+    return faults
+
+
+def _status(pipeline: Pipeline, result: Result, band: Band) -> list[str]:
+    estimate = result.estimate
+    if estimate is None:
+        return []
+    touched = bool(np.any(estimate.contact_pressure_pa > 0.0))
+    if touched != (estimate.status == "ok"):
+        return [f"status {estimate.status} with{'' if touched else 'out'} contact pressure"]
+    limit = KKT.get(pipeline.estimator.solver_name, 1e-3)
+    if estimate.kkt_residual > limit:
+        return [f"KKT residual {estimate.kkt_residual:.2g} above {limit:g}"]
+    explained = MISFIT * max(band.noise_m, 1e-3)
+    if estimate.residual_rms_m > explained:
+        misfit = 1e3 * estimate.residual_rms_m
+        return [f"called {estimate.status} with a misfit of {misfit:.2g} mm"]
+    return []
+
+
+def _equations(pipeline: Pipeline, result: Result, measured_gas: bool) -> list[str]:
+    """Balance K u = A (p_v − p_c) and the linearised gas law p_v = −βᵀu, afresh."""
+    estimate, mesh = result.estimate, pipeline.mesh
+    if estimate is None:
+        return []
+    u, p_v = estimate.displacement_m, estimate.gas_pressure_change_pa
+    elastic = pipeline.tension_n_per_m * (cotangent_laplacian(mesh) @ u)[mesh.free]
+    gas = p_v * mesh.areas[mesh.free]
+    contact = (mesh.areas * estimate.contact_pressure_pa)[mesh.free]
+    largest = max(float(np.abs(x).max(initial=0.0)) for x in (elastic, gas, contact))
+    faults = []
+    off = float(np.abs(elastic - gas + contact).max(initial=0.0))
+    if off > BALANCE * max(largest, 1e-300):
+        faults.append(f"balance off by {off / largest:.2g} of its largest term")
+    if not measured_gas:
+        beta = Gas.of(pipeline.sensor.pneumatics, mesh).beta
+        law, size = -float(beta @ u), float(np.abs(beta) @ np.abs(u))
+        if abs(law - p_v) > BALANCE * max(size, 1e-9):
+            faults.append(f"gas law: p_v {p_v:.4g} Pa instead of {law:.4g} Pa")
+    return faults
+
+
+def _against(pipeline: Pipeline, result: Result, truth: Truth, band: Band) -> list[str]:
+    patch = result.patch
+    if patch is None:
+        return []
+    off = float(np.linalg.norm(patch.force_n - truth.force_n))
+    width = band.width_n(truth, pipeline)
+    if off <= width:
+        return []
+    status = result.estimate.status if result.estimate else ""
+    true, got = np.linalg.norm(truth.force_n), np.linalg.norm(patch.force_n)
+    return [f"called {status} with {got:.4g} N instead of {true:.4g} N (band {width:.3g} N)"]

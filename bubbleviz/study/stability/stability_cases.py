@@ -1,0 +1,264 @@
+"""The stiff and extreme cases of the stability study, by name."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.study.stability import extreme_inputs as shapes
+from bubbleviz.study.stability.case import Case
+from bubbleviz.study.stability.stability_trial import TYPICAL_RANGE_M, Streak, Trial
+
+PSI = 6_894.757
+Must = Literal["solve", "refuse", "either"]
+
+
+def all_cases() -> list[Case]:
+    """Every case, in the order of the issue."""
+    groups = (
+        _tension, _gauge, _dome, _chamber, _meshes, _slivers, _contacts, _gas, _noise, _pixels,
+        _nonsense, _streams, _formats, _bad_input, _solvers,
+    )  # fmt: skip
+    return [case for group in groups for case in group()]
+
+
+def quick_cases() -> list[Case]:
+    """Those of the quick form."""
+    return [case for case in all_cases() if case.quick]
+
+
+def _tension() -> Iterator[Case]:
+    for power in range(-3, 7):
+        trial = Trial({"pneumatics": {"tension_n_per_m": 10.0**power}})
+        must: Must = "solve" if power in (1, 2, 3) else "either"
+        yield Case(f"tension 1e{power} N/m", trial, must, quick=power in (-3, 6))
+
+
+def _gauge() -> Iterator[Case]:
+    for psi in (0.001, 0.01, 0.1, 1.0, 10.0):
+        pressure = {"gauge_pressure_pa": psi * PSI}
+        must: Must = "solve" if 0.1 <= psi <= 1.0 else "either"
+        yield Case(f"gauge {psi:g} psi", Trial({"pneumatics": pressure}), must, quick=psi > 5.0)
+        held = {**pressure, "tension_n_per_m": 105.0}
+        yield Case(f"gauge {psi:g} psi, tension 105 N/m", Trial({"pneumatics": held}))
+
+
+def _dome() -> Iterator[Case]:
+    for share in (0.02, 0.05, 0.2, 0.5, 0.9, 1.0, 1.2, 1.5):
+        height = share * 0.075
+        trial = Trial({"membrane": {"height_m": height}}, depth_m=min(0.012, 0.5 * height))
+        yield Case(f"dome {100 * share:g} % of the rim radius", trial, quick=share in (0.02, 1.5))
+
+
+def _chamber() -> Iterator[Case]:
+    for power in range(-7, 2):
+        trial = Trial({"pneumatics": {"chamber_volume_m3": 10.0**power}})
+        must: Must = "solve" if power in (-3, -2) else "either"
+        yield Case(f"chamber 1e{power} m³", trial, must, quick=power in (-7, 1))
+    for power in (-7, 1):
+        paper = {"chamber_volume_m3": 10.0**power, "volume_model": "paper"}
+        yield Case(f"chamber 1e{power} m³, volume model paper", Trial({"pneumatics": paper}))
+
+
+def _meshes() -> Iterator[Case]:
+    for nodes in (30, 100, 5_000, 10_000, 50_000):
+        trial = Trial({"membrane": {"nodes": nodes}})
+        limit = 120.0 if nodes < 5_000 else 300.0
+        yield Case(f"{nodes} nodes", trial, limit_s=limit, quick=nodes == 30)
+
+
+def _slivers() -> Iterator[Case]:
+    for degrees in (10.0, 5.0, 2.0, 1.0, 0.5):
+        yield Case(f"slivers of {degrees:g}°", _mesh_trial(degrees), quick=degrees == 0.5)
+    yield Case("mesh file without tension", _mesh_trial(None), "solve", quick=True)
+
+
+def _mesh_trial(degrees: float | None) -> Callable[[], str]:
+    """Press of a membrane from a mesh file: with slivers and γ0 = P R/2, or with neither."""
+
+    def run() -> str:
+        mesh, gas = mesh_cap(spherical_cap(0.075, 0.050), 800), {}
+        if degrees is not None:
+            mesh, gas = shapes.with_slivers(mesh, np.deg2rad(degrees)), {"tension_n_per_m": 105.0}
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "slivers.ply"
+            path.write_bytes(shapes.ply(mesh.nodes, mesh.triangles))
+            membrane = {"shape": "mesh", "mesh_file": str(path)}
+            return Trial({"membrane": membrane, "pneumatics": gas})()
+
+    return run
+
+
+def _contacts() -> Iterator[Case]:
+    yield Case("needle on one node", Trial(object_name=shapes.needle, depth_m=0.010), quick=True)
+    yield Case("blade", Trial(object_name=shapes.blade, depth_m=0.010))
+    yield Case("plate over everything", Trial(object_name=shapes.plate, depth_m=0.015), quick=True)
+    yield Case("plate, 40 mm of 50", Trial(object_name=shapes.plate, depth_m=0.040))
+    inside = Trial(object_name=shapes.pellet, depth_m=0.035)
+    yield Case("object wholly inside", inside, quick=True)
+    yield Case("object wholly inside, off the axis", replace(inside, offset_m=(0.02, 0.0)))
+    for depth in (1e-6, 1e-4, 1e-3):
+        yield Case(f"grazing, {1e3 * depth:g} mm", Trial(depth_m=depth), quick=depth == 1e-4)
+    deep = Trial(object_name="sphere", depth_m=0.045)
+    yield Case("press to 90 % of the height", deep, quick=True)
+    yield Case("press to 60 % of the height", replace(deep, depth_m=0.030))
+    far = Trial(object_name=shapes.two_far_balls, depth_m=0.010)
+    yield Case("two far contacts", far, "solve", quick=True)
+    yield Case("hovering object", Trial(depth_m=-0.005), "solve", quick=True)
+    yield Case("contact by the rim", Trial(object_name="sphere", offset_m=(0.055, 0.0)))
+    yield Case("object on the rim", Trial(object_name="sphere", offset_m=(0.075, 0.0)), "either")
+    yield Case("large ball", Trial(object_name=shapes.large_ball, depth_m=0.02), "solve")
+
+
+def _gas() -> Iterator[Case]:
+    P0 = 101_325.0 + 2_585.5
+    yield Case("gas pressure measured, true", Trial(gas_pressure_pa="true"), "solve", quick=True)
+    yield Case("gas pressure measured, 250 Pa above rest", Trial(gas_pressure_pa=P0 + 250.0))
+    values = {
+        "nan": np.nan, "inf": np.inf, "-inf": -np.inf, "0 Pa": 0.0, "-1e5 Pa": -1e5,
+        "1e9 Pa": 1e9, "1 Pa": 1.0, "in kPa": 1e-3 * P0, "doubled": 2.0 * P0,
+    }  # fmt: skip
+    for name, value in values.items():
+        quick = name in ("nan", "1e9 Pa")
+        yield Case(f"gas pressure measured, {name}", Trial(gas_pressure_pa=value), quick=quick)
+
+
+def _noise() -> Iterator[Case]:
+    for mm in (0.0, 0.1, 1.0, 3.0, 10.0):
+        noise = DepthNoise(absolute_m=1e-3 * mm)
+        trial = Trial(noise=noise)
+        must: Must = "solve" if mm <= 1.0 else "either"
+        yield Case(f"noise {mm:g} mm, sensor file says 1 %", trial, must, quick=mm in (0.0, 10.0))
+        declared = {"noise_relative": max(1e-3 * mm / TYPICAL_RANGE_M, 1e-6)}
+        trial = Trial({"camera": declared}, noise=noise)
+        yield Case(f"noise {mm:g} mm, declared", trial, must)
+    correlated = DepthNoise(relative=0.01, correlation_px=8.0)
+    yield Case("noise 1 %, correlated over 8 pixels", Trial(noise=correlated))
+    quiet = Trial(noise=DepthNoise(absolute_m=1e-2), depth_m=-0.005)
+    yield Case("noise 10 mm, no contact", quiet)
+
+
+def _pixels() -> Iterator[Case]:
+    for count in (0, 1, 2, 10):
+        must: Must = "refuse" if count == 0 else "either"
+        trial = Trial(alter=shapes.only_pixels(count))
+        yield Case(f"{count} valid pixels", trial, must, quick=count < 3)
+    yield Case("every tenth pixel", Trial(alter=shapes.every(10)))
+    yield Case("left half of the image", Trial(alter=shapes.left_half))
+    for share in (0.5, 0.9):
+        # Blobs of holes come with noise correlated like them, which the sensor file knows not of:
+        # as much of it as the file says may be refused, a fifth of it must be borne.
+        loud, low = (
+            DepthNoise(relative=sigma, holes=share, correlation_px=5.0) for sigma in (0.01, 0.002)
+        )
+        must = "solve" if share == 0.5 else "either"
+        yield Case(f"{100 * share:g} % holes", Trial(noise=low), must)
+        yield Case(f"{100 * share:g} % holes, 1 % correlated noise", Trial(noise=loud))
+    for share in (0.05, 0.3, 0.5):
+        wrong = DepthNoise(relative=0.01, outliers=share)
+        trial = Trial(noise=wrong)
+        yield Case(f"{100 * share:g} % outliers of 20 mm", trial, quick=share == 0.3)
+    one_sided = Trial(alter=shapes.outliers(0.3, 0.05))
+    yield Case("30 % outliers 50 mm too far", one_sided, quick=True)
+    yield Case("one pixel at 60 m", Trial(alter=shapes.outliers(1e-4, 60.0)), "either")
+
+
+def _nonsense() -> Iterator[Case]:
+    alters: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "saturated at 65.535 m": lambda d: np.full_like(d, 65.535),
+        "constant 0.5 m": lambda d: np.full_like(d, 0.5),
+        "constant 0.02 m": lambda d: np.full_like(d, 0.02),
+        "zero": np.zeros_like,
+        "infinite": lambda d: np.full_like(d, np.inf),
+        "negative": np.negative,
+        "1e30 m": lambda d: np.full_like(d, 1e30),
+        "millimetres for metres": lambda d: 1e3 * d,
+        "kilometres for metres": lambda d: 1e-3 * d,
+        "uniform random": lambda d: np.random.default_rng(0).uniform(0, 0.3, d.shape),
+        "upside down, off the axis": lambda d: np.roll(d[::-1], 60, axis=1),
+    }
+    for name, alter in alters.items():
+        trial = Trial(alter=alter, known=False)
+        quick = name in ("millimetres for metres", "constant 0.5 m")
+        yield Case(f"depth {name}", trial, "refuse", quick=quick)
+
+
+def _streams() -> Iterator[Case]:
+    yield Case("frozen camera in contact", Streak((0.012,) * 30, frozen=True), "solve", quick=True)
+    yield Case("frozen camera without contact", Streak((-0.01,) * 30, frozen=True), "solve")
+    yield Case("contact and none by turns", Streak((0.015, -0.01) * 6), "solve")
+    yield Case("sudden deep press", Streak((-0.01, 0.025, 0.002, 0.025)), "solve")
+
+
+def _formats() -> Iterator[Case]:
+    alters: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "float32": lambda d: d.astype("<f4"),
+        "big-endian float32": lambda d: d.astype(">f4"),
+        "float64": lambda d: d.astype("<f8"),
+        "big-endian float64": lambda d: d.astype(">f8"),
+        "column-major": np.asfortranarray,
+        "not contiguous": lambda d: np.repeat(d, 2, axis=1)[:, ::2],
+        "read-only": shapes.read_only,
+    }
+    for name, alter in alters.items():
+        yield Case(f"image {name}", Trial(alter=alter), "solve", quick="big" in name)
+    millimetres = Trial(alter=lambda d: np.nan_to_num(1e3 * d).astype(">u2"), known=False)
+    yield Case("image big-endian uint16 in mm, not decoded", millimetres, "refuse")
+
+
+def _bad_input() -> Iterator[Case]:
+    wrong: dict[str, dict[str, Any]] = {
+        "NaN in the sensor pose": {"camera": {"position_m": [0.0, float("nan"), -0.104]}},
+        "NaN in the sensor's quaternion": {
+            "camera": {"quaternion_xyzw": [0.0, float("nan"), 0.0, 1.0]}
+        },
+        "sensor pose in mm": {"camera": {"position_m": [0.0, 0.0, -104.0]}},
+        "quaternion of length 2": {"camera": {"quaternion_xyzw": [0.0, 0.0, 0.0, 2.0]}},
+        "camera turned away": {"camera": {"quaternion_xyzw": [1.0, 0.0, 0.0, 0.0]}},
+        "camera of one pixel": {
+            "camera": {"width": 1, "height": 1, "cx": 0.0, "cy": 0.0, "fx": 1.0, "fy": 1.0}
+        },
+        "tension 0": {"pneumatics": {"tension_n_per_m": 0.0}},
+        "tension inf": {"pneumatics": {"tension_n_per_m": float("inf")}},
+        "gauge 0": {"pneumatics": {"gauge_pressure_pa": 0.0}},
+        "chamber 0": {"pneumatics": {"chamber_volume_m3": 0.0}},
+        "rim radius in mm": {"membrane": {"rim_radius_m": 75.0}},
+    }
+    for name, changes in wrong.items():
+        must: Must = "either" if name == "camera of one pixel" else "refuse"
+        yield Case(name, Trial(changes), must, quick="sensor pose" in name)
+    yield Case("NaN in the object's pose", Trial(offset_m=(float("nan"), 0.0)), "refuse")
+    cut = Trial(alter=lambda d: d[:-1])
+    yield Case("image of the wrong size", cut, "refuse", quick=True)
+    yield Case("camera inside the dome", Trial({"camera": {"position_m": [0.0, 0.0, 0.02]}}))
+    yield Case("unknown solver", _unknown_solver, "refuse")
+
+
+def _unknown_solver() -> str:
+    sensor = load_sensor("pico_flexx_75mm")
+    pipeline = Pipeline(sensor, options=EstimatorOptions(solver="magic"))
+    return type(pipeline.estimator).__name__
+
+
+def _solvers() -> Iterator[Case]:
+    extremes: dict[str, dict[str, float]] = {
+        "ordinary": {},
+        "tension 1e-3 N/m": {"tension_n_per_m": 1e-3},
+        "tension 1e6 N/m": {"tension_n_per_m": 1e6},
+        "chamber 1e-7 m³": {"chamber_volume_m3": 1e-7},
+    }
+    for solver in ("osqp", "osqp-cold", "clarabel"):
+        options = EstimatorOptions(solver=solver)
+        for name, values in extremes.items():
+            must: Must = "either" if values else "solve"
+            yield Case(f"{solver}, {name}", Trial({"pneumatics": values}, options=options), must)

@@ -1,0 +1,129 @@
+"""The whole identification on a synthetic twin of the real press."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.identification import identify
+from bubbleviz.calibration.residuals import measure_residuals
+from bubbleviz.calibration.rest.contact_free import find_contact_free
+from bubbleviz.calibration.sensor_writer import write_sensor
+from bubbleviz.calibration.tension.young_laplace import balance_tension
+from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.sensor import load_sensor
+
+from .twin import FREE, GAUGE, cast, make_twin, nominal_sensor
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return make_twin()
+
+
+@pytest.fixture(scope="module")
+def found(twin):
+    return identify(twin, nominal_sensor(), range(20), nodes=500)
+
+
+@pytest.mark.parametrize("pressure", [True, False])
+def test_contact_free_frames_are_found(pressure):
+    result = find_contact_free(make_twin(seed=3, pressure=pressure))
+    assert result.frames.start == 0
+    assert abs(result.frames.stop - FREE) <= 3
+    assert (result.pressure_score is not None) == pressure
+
+
+def test_surface_explains_frames_it_has_not_seen(twin, found):
+    frames = [twin[k] for k in range(20, FREE)]
+    got = measure_residuals(
+        frames, found.modelled_range_m, found.camera.range_per_depth, found.pixels
+    )
+    assert got.sigma_m < 0.15e-3  # not the rms: 2 % of single returns are 10 mm off
+    assert got.percentiles_m[1] < 0.25e-3
+    assert got.rectified_rms_m < got.rms_m
+    assert np.abs(got.drift_m).max() < 2e-5
+
+
+def test_surface_is_the_true_one_and_better_than_the_ellipsoid(twin, found):
+    """Against the twin's dome without noise, holes or bias, seen and unseen alike."""
+    sideways = found.camera.T_B_C[:2, 3] - twin.camera.T_B_C[:2, 3]
+    assert np.abs(sideways).max() < 5e-4
+    modelled = found.modelled_range_m[found.pixels.mask]
+    truth = cast(twin.truth, twin.camera, np.zeros(len(twin.truth.nodes)))[found.pixels.mask]
+    error = modelled - truth
+    rms = np.sqrt(np.nanmean(error**2))
+    assert rms < 0.1e-3
+    assert rms < 0.5 * found.fits.cap.rms_m
+
+
+def test_pixels_that_lie_are_out(twin, found):
+    assert not (found.pixels.mask & twin.false_returns).any()
+    assert (found.pixels.mask & twin.rim_biased).sum() < 0.1 * twin.rim_biased.sum()
+    assert found.pixels.mask.sum() > 0.5 * np.isfinite(twin.depth[0]).sum()
+    assert sum(found.pixels.removed.values()) + found.pixels.mask.sum() == found.pixels.mask.size
+
+
+def test_mesh_keeps_its_rim_plane_and_shape(found):
+    np.testing.assert_allclose(found.mesh.nodes[found.mesh.rim, 2], 0.0, atol=1e-12)
+    assert np.degrees(found.mesh.min_angle) > 25.0
+    unseen = found.mesh.nodes[:, 0] < -0.05
+    assert np.abs(found.surface.correction_m[unseen]).max() < 1e-3
+
+
+def test_tension_and_noise(twin, found):
+    truth = balance_tension(twin.truth, GAUGE)  # bent most at the rim, which is hidden
+    assert found.tension_n_per_m == pytest.approx(truth, rel=0.03)
+    assert found.tension.tension.low < truth < found.tension.tension.high
+    assert found.tension.tension.half_width < 0.05 * truth
+    assert found.surfaces.chosen == "free-form"
+    assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE, abs=5.0)
+    assert found.statistics.noise_m[found.pixels.mask].mean() == pytest.approx(6e-5, rel=0.4)
+
+
+def test_chamber_follows_the_gas_law_of_the_press(twin, found):
+    """The twin's dent changes the volume by what its mesh says, while the gas rises 400 Pa."""
+    truth = twin.truth
+    dent = -np.exp(-np.sum((truth.nodes[:, :2] - (0.0, 0.008)) ** 2, axis=1) / 0.008**2)
+    change = truth.cap_volume(5e-3 * dent) - truth.cap_volume()
+    assert found.chamber is not None
+    assert np.median(found.chamber.volume_change_m3) == pytest.approx(change, rel=0.25)
+
+
+def test_balance_is_exact_for_a_sphere_and_calm_on_bumps():
+    mesh = mesh_cap(spherical_cap(0.075, 0.05), 1500)
+    radius = (0.075**2 + 0.05**2) / 0.1
+    assert balance_tension(mesh, 2585.5) == pytest.approx(2585.5 * radius / 2.0, rel=0.01)
+
+
+def test_written_sensor_reads_back(found, tmp_path):
+    write_sensor(found, tmp_path / "mine.toml")
+    sensor = load_sensor(tmp_path / "mine.toml")
+    mesh = build_mesh(sensor)
+    np.testing.assert_allclose(mesh.nodes[mesh.rim, 2], 0.0, atol=1e-9)
+    assert mesh.cap_volume() == pytest.approx(found.mesh.cap_volume(), rel=1e-9)
+    assert sensor.calibration is not None
+    pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file))
+    np.testing.assert_array_equal(pixels.mask, found.pixels.mask)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(InputError, match="exists already"):
+        write_sensor(found, tmp_path / "mine.toml")
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_gas_volume_below_the_caps_is_not_believed(found, tmp_path):
+    assert found.chamber is not None
+    small = replace(found, chamber=replace(found.chamber, gas_volume_m3=1e-5))
+    assert small.chamber.chamber_volume_m3(found.mesh.cap_volume()) is None
+    write_sensor(small, tmp_path / "small.toml")
+    assert "kept, unmeasured" in (tmp_path / "small.toml").read_text()
+
+
+def test_bad_ranges_are_refused(twin):
+    with pytest.raises(InputError, match="at least 5"):
+        identify(twin, nominal_sensor(), range(3))
+    with pytest.raises(InputError, match="outside its"):
+        identify(twin, nominal_sensor(), range(90, 99))

@@ -1,0 +1,142 @@
+"""`bubbleviz identify` from a recording on disk to a sensor file, a report and JSON."""
+
+import base64
+import hashlib
+import json
+import re
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bubbleviz.cli.identify_command import identify
+from bubbleviz.errors import InputError
+from bubbleviz.files.png_writer import coloured, png
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+
+from .domes import GAUGE, sphere
+from .twin import make_twin, nominal_sensor
+
+
+def recorded(source, sensor, folder):
+    with RecordingWriter(folder / "rest.mcap") as writer:
+        for k in range(len(source)):
+            writer.write(source[k])
+    (folder / "given.toml").write_text(sensor_to_toml(sensor))
+    return folder / "rest.mcap", folder / "given.toml"
+
+
+def run(*arguments):
+    return CliRunner().invoke(identify, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Files of a sphere's identification, and the JSON it printed."""
+    folder = tmp_path_factory.mktemp("sphere")
+    dome = sphere(5, frames=30)
+    recording, given = recorded(dome, dome.sensor, folder)
+    result = run(
+        recording, "--sensor", given, "--contact-free", "0:30", "--out", folder / "mine.toml",
+        "--report", folder / "report", "--nodes", 300, "--json",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    return folder, json.loads(result.stdout)
+
+
+def test_sensor_file_says_what_made_it(made):
+    folder, numbers = made
+    sensor = load_sensor(folder / "mine.toml")
+    assert sensor.membrane.shape == "spherical_cap"
+    assert sensor.membrane.rim_radius_m == pytest.approx(0.075, abs=2e-4)
+    assert sensor.pneumatics.tension_n_per_m == pytest.approx(GAUGE * 0.08125 / 2.0, rel=0.01)
+    calibration = sensor.calibration
+    assert calibration.recording == "rest.mcap"
+    digest = hashlib.sha256((folder / "rest.mcap").read_bytes()).hexdigest()
+    assert calibration.recording_sha256 == digest == numbers["origin"]["recording_sha256"]
+    assert calibration.report == "report/report.html"
+    low, high = calibration.tension_interval_n_per_m
+    assert low < sensor.pneumatics.tension_n_per_m < high
+    assert not (folder / "mine.ply").exists()  # a cap needs no mesh file
+
+
+def test_pipeline_finds_nothing_on_frames_of_the_untouched_sensor(made):
+    folder, _ = made
+    sensor = load_sensor(folder / "mine.toml")
+    pipeline = Pipeline(sensor)
+    dome = sphere(77, frames=31)
+    forces = [
+        np.linalg.norm(pipeline.process(dome[k], frozenset({"patch"})).patch.force_n)
+        for k in (28, 29, 30)
+    ]
+    assert max(forces) < 0.2  # 1 % noise: 1.4 mm
+
+
+def test_report_holds_everything_in_itself(made):
+    folder, numbers = made
+    text = (folder / "report" / "report.html").read_text()
+    assert json.loads((folder / "report" / "report.json").read_text()) == numbers
+    assert numbers["verdict"]["summary"] in text
+    assert numbers["origin"]["recording_sha256"] in text
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    assert len(pictures) >= 6 and "http" not in text and text.count("src=") == len(pictures)
+    for picture in pictures:
+        assert base64.b64decode(picture).startswith(b"\x89PNG\r\n")
+    assert {"bubbleviz", "numpy", "python"} <= set(numbers["versions"])
+
+
+def test_verdict_speaks(made):
+    advice = " ".join(made[1]["verdict"]["advice"])
+    assert "spherical" in advice and "no gas pressure" in advice
+
+
+def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path):
+    recording, given = recorded(make_twin(2), nominal_sensor(), tmp_path)
+    out = tmp_path / "oval.toml"
+    result = run(recording, "--sensor", given, "--out", out, "--nodes", 300)
+    assert result.exit_code == 0, result.output
+    assert "Dome not spherical: the sphere misses by" in result.stdout
+    assert "use the free-form surface" in result.stdout
+    sensor = load_sensor(out)
+    assert sensor.membrane.shape == "mesh" and sensor.calibration.report is None
+    assert abs(len(build_mesh(sensor).nodes) - 300) < 20
+    with Recording(recording) as again:
+        assert again.name == sensor.calibration.recording
+
+
+@pytest.mark.parametrize(
+    ("extra", "match"),
+    [
+        (("--contact-free", "9:3"), "A < B"),
+        (("--contact-free", "0:4"), "at least 5"),
+        (("--out", "given.toml"), "exists already"),
+        (("--out", "mine.txt"), "ends in .toml"),
+    ],
+)
+def test_refusals_leave_nothing_behind(tmp_path, extra, match):
+    dome = sphere(1, frames=6)
+    recording, given = recorded(dome, dome.sensor, tmp_path)
+    extra = [tmp_path / e if e.endswith((".toml", ".txt")) else e for e in extra]
+    before = sorted(tmp_path.iterdir())
+    out = () if "--out" in extra else ("--out", tmp_path / "new.toml")
+    report = ("--report", tmp_path / "r")
+    result = run(recording, "--sensor", given, *out, *report, *extra)
+    assert isinstance(result.exception, InputError)
+    assert re.search(match, str(result.exception)) and "\n" not in str(result.exception)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_png_is_readable_elsewhere(tmp_path):
+    from pyvista import read
+
+    image = np.linspace(0.0, 1.0, 12).reshape(3, 4)
+    image[0, 0] = np.nan
+    colours = coloured(image, 0.0, 1.0)
+    (tmp_path / "a.png").write_bytes(png(colours))
+    back = np.asarray(read(tmp_path / "a.png").point_data["PNGImage"]).reshape(3, 4, 3)[::-1]
+    np.testing.assert_array_equal(back, colours)
+    np.testing.assert_array_equal(colours[-1, -1], (253, 231, 37))

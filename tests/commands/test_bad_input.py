@@ -1,0 +1,357 @@
+"""Bad input: one line that names the file and what is wrong, exit code 2, nothing written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from bubbleviz.cli.command_line import main
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "frames"))
+from bagmaker import START, BagMaker, depth_image
+
+SIZE = (32, 24)
+"""Width and height of the sensor's camera and of the bags' images."""
+
+COMMANDS = {
+    "info": ("info", "REC"),
+    "estimate": ("estimate", "REC", "--sensor", "SENSOR", "--out", "OUT", "--csv", "CSV"),
+    "screenshot": ("open", "REC", "--sensor", "SENSOR", "--screenshot", "PNG"),
+    "bench": ("bench", "window", "REC", "--sensor", "SENSOR"),
+}
+
+
+def toml(**changes: Any) -> str:
+    """Sensor file of a small dome; `section__key=value` changes a value of a valid sensor."""
+    sensor = Sensor(
+        name="small",
+        membrane=Membrane(rim_radius_m=0.075, height_m=0.05, nodes=60),
+        pneumatics=Pneumatics(gauge_pressure_pa=2585.5, chamber_volume_m3=2.2e-3),
+        camera=Camera(
+            width=SIZE[0], height=SIZE[1], fx=18.0, fy=18.0, cx=15.5, cy=11.5,
+            position_m=(0.0, 0.0, -0.104),
+        ),
+    )  # fmt: skip
+    text = sensor_to_toml(sensor)
+    for old, new in changes.get("replace", {}).items():
+        assert old in text, "the test changes nothing"
+        text = text.replace(old, new)
+    return text
+
+
+def snapshot(folder: Path) -> dict[Path, bytes | None]:
+    return {p: p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
+
+
+class Bench:
+    """A folder with a recording and a sensor file, and commands run on them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.sensor = folder / "sensor.toml"
+        self.sensor.write_text(toml())
+        self.recording = folder / "rec"
+
+    def names(self) -> dict[str, str]:
+        files = {"OUT": "result.npz", "CSV": "result.csv", "PNG": "picture.png"}
+        return {
+            "REC": str(self.recording),
+            "SENSOR": str(self.sensor),
+            **{key: str(self.folder / file) for key, file in files.items()},
+        }
+
+    def run(self, *words: str) -> Result:
+        names = self.names()
+        return CliRunner().invoke(main, [names.get(word, word) for word in words])
+
+    def refused(self, command: str, culprit: str, *words: str) -> str:
+        """Stderr of a command that must refuse, name the culprit, and leave the folder alone."""
+        before = snapshot(self.folder)
+        done = self.run(*COMMANDS[command])
+        assert done.exit_code == 2, done.output
+        assert done.stderr.startswith("bubbleviz: ")
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert "Traceback" not in done.output
+        assert culprit in done.stderr
+        for word in words:
+            assert word in done.stderr
+        assert snapshot(self.folder) == before, "something was written"
+        return done.stderr
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def record(bench: Bench, images: list[np.ndarray], encoding: str = "32FC1", **more: Any) -> None:
+    bag = BagMaker("mcap file")
+    for k, pixels in enumerate(images):
+        bag.image(START + k * 10**8, pixels, encoding)
+    if "info_size" in more:
+        width, height = more["info_size"]
+        bag.camera_info(START, width=width, height=height, topic=more.get("topic", INFO))
+    bench.recording = bag.write(bench.folder)
+
+
+INFO = "/cam/depth/camera_info"
+GOOD = [depth_image(k) for k in range(3)]
+
+
+@pytest.fixture(params=list(COMMANDS))
+def command(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(params=[name for name in COMMANDS if name != "info"])
+def solving(request: pytest.FixtureRequest) -> str:
+    """Commands that need a sensor, too."""
+    return str(request.param)
+
+
+def test_missing_file(bench: Bench, command: str) -> None:
+    bench.recording = bench.folder / "nope.mcap"
+    bench.refused(command, "nope.mcap", "no such recording")
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
+def test_empty_file(bench: Bench, command: str, suffix: str) -> None:
+    bench.recording = bench.folder / f"rec{suffix}"
+    bench.recording.touch()
+    bench.refused(command, bench.recording.name)
+
+
+@pytest.mark.parametrize("kind", ["mcap file", "db3 file"])
+def test_bag_without_messages(bench: Bench, command: str, kind: str) -> None:
+    bag = BagMaker(kind)
+    bag.pressure(START, 1e5)
+    kept, bag.rows = bag.rows, []
+    assert kept
+    bench.recording = bag.write(bench.folder)
+    bench.refused(command, bench.recording.name)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
+def test_truncated_mcap(bench: Bench, command: str, share: float) -> None:
+    record(bench, GOOD)
+    os.truncate(bench.recording, int(bench.recording.stat().st_size * share))
+    bench.refused(command, bench.recording.name, "truncated")
+
+
+def test_bag_without_depth(bench: Bench, command: str) -> None:
+    bag = BagMaker("mcap file")
+    bag.pressure(START, 1e5)
+    bench.recording = bag.write(bench.folder)
+    bench.refused(command, bench.recording.name, "no depth image")
+
+
+def test_wrong_encoding(bench: Bench, command: str) -> None:
+    record(bench, [np.zeros((24, 32, 3), np.uint8)], "rgb8", step=96)
+    bench.refused(command, bench.recording.name, "'rgb8'", "32FC1")
+
+
+def test_image_size_that_differs_from_the_sensors(bench: Bench, solving: str) -> None:
+    record(bench, [depth_image(0, 10, 20)])
+    bench.refused(solving, bench.recording.name, "20×10", "32×24", "sensor.toml")
+
+
+def test_image_size_that_differs_although_the_camera_info_agrees(
+    bench: Bench, solving: str
+) -> None:
+    """The recording's intrinsics win over the sensor's, but not over its camera being another."""
+    record(bench, [depth_image(0, 10, 20)], info_size=(20, 10))
+    with Recording(bench.recording) as recording:
+        assert recording.intrinsics is not None
+    bench.refused(solving, bench.recording.name, "20×10", "32×24", "sensor.toml")
+
+
+def test_camera_info_of_another_size_than_the_images(bench: Bench, solving: str) -> None:
+    record(bench, GOOD, info_size=(64, 48))
+    bench.refused(solving, bench.recording.name, INFO, "64×48", "32×24")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("rim_radius_m", "rim_raduis_m", ("rim_raduis_m", "unknown key")),
+        ("rim_radius_m = 0.075", "rim_radius_m = -0.075", ("rim_radius_m", "-0.075")),
+        ("rim_radius_m = 0.075", "rim_radius_m = 75.0", ("rim_radius_m", "75", "metres")),
+        ("-0.104", "nan", ("position_m", "finite")),
+        ("quaternion_xyzw = [\n    0.0", "quaternion_xyzw = [\n    nan", ("quaternion", "finite")),
+        ("-0.104", "-104.0", ("position_m", "millimetres")),
+        ("name = ", "name ", ("not a readable TOML",)),
+    ],
+    ids=["misspelt", "negative", "75 m rim", "NaN position", "NaN turn", "mm position", "no TOML"],
+)
+def test_bad_sensor_file(
+    bench: Bench, solving: str, old: str, new: str, words: tuple[str, ...]
+) -> None:
+    record(bench, GOOD)
+    bench.sensor.write_text(toml(replace={old: new}))
+    bench.refused(solving, "sensor.toml", *words)
+
+
+def test_missing_sensor_file(bench: Bench, solving: str) -> None:
+    record(bench, GOOD)
+    bench.sensor = bench.folder / "nope.toml"
+    bench.refused(solving, "nope.toml", "no such sensor file", "pico_flexx_75mm")
+
+
+@pytest.fixture(params=[b"", b"ply\nformat ascii 1.0\nelement vertex 9\n", None])
+def bad_dome(bench: Bench, request: pytest.FixtureRequest) -> Bench:
+    """A sensor whose membrane is a mesh file that is empty, broken off or missing."""
+    record(bench, GOOD)
+    mesh = '[membrane]\nshape = "mesh"\nmesh_file = "dome.ply"\nnodes = 60\n[pneumatics]'
+    head, rest = toml().split("[membrane]")[0], toml().split("[pneumatics]")[1]
+    bench.sensor.write_text(head + mesh + rest)
+    if request.param is not None:
+        (bench.folder / "dome.ply").write_bytes(request.param)
+    return bench
+
+
+def test_unreadable_mesh_of_the_membrane(bad_dome: Bench) -> None:
+    bad_dome.refused("estimate", "dome.ply")
+
+
+def test_unreadable_mesh_through_the_real_window_command(bad_dome: Bench) -> None:
+    """In a process of its own: the window's screen is one a process makes once."""
+    before = snapshot(bad_dome.folder)
+    names = bad_dome.names()
+    words = [names.get(word, word) for word in COMMANDS["screenshot"]]
+    code = "from bubbleviz.cli.command_line import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "dome.ply" in done.stderr
+    assert snapshot(bad_dome.folder) == before
+
+
+def test_unreadable_object_mesh(bench: Bench) -> None:
+    (bench.folder / "thing.ply").write_bytes(b"ply\nhello\n")
+    before = snapshot(bench.folder)
+    words = ("simulate", "--sensor", "SENSOR", "--object", str(bench.folder / "thing.ply"))
+    done = bench.run(*words, "--pose", "0 0 0.05 0 0 0 1", "--out", str(bench.folder / "r.mcap"))
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert "thing.ply" in done.stderr
+    assert snapshot(bench.folder) == before
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+@pytest.mark.parametrize("encoding", ["32FC1", "16UC1"])
+def test_all_zero_depth(bench: Bench, value: float, encoding: str) -> None:
+    pixels = np.full((24, 32), value)
+    image = np.nan_to_num(pixels).astype(np.uint16) if encoding == "16UC1" else pixels
+    record(bench, [image.astype(np.float32) if encoding == "32FC1" else image] * 3, encoding)
+    bench.refused("estimate", bench.recording.name, "all-zero depth image")
+
+
+def test_depth_that_never_meets_the_membrane(bench: Bench) -> None:
+    """A column of pixels at the image's edge looks past the dome: returns, but none on it."""
+    images = np.zeros((3, 24, 32), np.float32)
+    images[:, :1, :1] = 5.0
+    record(bench, list(images))
+    bench.refused("estimate", bench.recording.name, "on the membrane")
+
+
+@pytest.mark.parametrize("file", ["result.npz", "result.csv"])
+def test_an_existing_output_is_refused_before_any_work(
+    bench: Bench, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(bench, GOOD)
+    (bench.folder / file).write_text("precious")
+    monkeypatch.setattr(Recording, "__init__", lambda *_: pytest.fail("opened the recording"))
+    bench.refused("estimate", file, "exists already")
+
+
+def test_the_same_name_for_both_outputs(bench: Bench) -> None:
+    record(bench, GOOD)
+    done = bench.run(*COMMANDS["estimate"][:-1], "OUT")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert "two names" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("frames", "words"),
+    [
+        ("1", "A:B"),
+        ("a:b", "A:B"),
+        ("-1:2", "A:B"),
+        ("0:1:1:1", "A:B"),
+        ("", "A:B"),
+        ("2:2", "no frame"),
+        ("2:1", "no frame"),
+        ("0:3:0", "step"),
+        ("0:4", "outside its 3 frames"),
+        ("3:", "outside its 3 frames"),
+    ],
+)
+def test_frames_that_are_not_there(bench: Bench, frames: str, words: str) -> None:
+    record(bench, GOOD)
+    done = bench.run(*COMMANDS["estimate"], "--frames", frames)
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert words in done.stderr
+    assert frames in done.stderr
+    assert not (bench.folder / "result.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [("--kappa", "nan", "--kappa nan"), ("--kappa", "-1", "-1"), ("--solver", "zz", "active-set")],
+)
+def test_bad_options(bench: Bench, option: str, value: str, words: str) -> None:
+    record(bench, GOOD)
+    done = bench.run(*COMMANDS["estimate"], option, value)
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert words in done.stderr
+    assert not list(bench.folder.glob("*result*"))
+
+
+def test_scene_that_is_not_shipped(bench: Bench) -> None:
+    record(bench, GOOD)
+    done = bench.run(*COMMANDS["screenshot"], "--scene", "nope")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert "nope" in done.stderr
+
+
+def test_no_preset_fits(bench: Bench) -> None:
+    record(bench, GOOD)
+    done = bench.run("open", "REC", "--screenshot", "PNG")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert "32×24" in done.stderr
+    assert "punyo_oval_d405 (640×480)" in done.stderr
+
+
+def test_a_frame_that_is_damaged_leaves_nothing_behind(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The failure comes when files are open already."""
+    with RecordingWriter(bench.folder / "rec.mcap") as writer:
+        for k, depth in enumerate(GOOD):
+            writer.write(Frame(k, k / 30.0, depth))
+    bench.recording = bench.folder / "rec.mcap"
+    whole = Recording.__getitem__
+
+    def damaged(self: Recording, index: int) -> Frame:
+        if index == 2:
+            assert list(self.path.parent.glob(".result*")), "nothing was open: proves nothing"
+            raise MemoryError
+        return whole(self, index)
+
+    monkeypatch.setattr(Recording, "__getitem__", damaged)
+    before = snapshot(bench.folder)
+    done = bench.run(*COMMANDS["estimate"])
+    assert isinstance(done.exception, MemoryError)
+    assert snapshot(bench.folder) == before

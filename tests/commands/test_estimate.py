@@ -1,0 +1,376 @@
+"""The command estimate: from a recording to RESULT.npz, checked against what was simulated."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import subprocess
+import sys
+import tomllib
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import bubbleviz
+from bubbleviz.cli.command_line import main
+from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.files.result_writer import COLUMNS, ResultWriter, summary_row
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+
+PRESET = "pico_flexx_75mm"
+HEIGHTS = (0.060, 0.042, 0.038, 0.038)
+"""Of a cylinder's flat end above the rim: clear of the dome (50 mm high), then pressed in."""
+
+Arrays = dict[str, np.ndarray]
+
+
+def run(*words: str | Path) -> str:
+    done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def arrays(path: Path) -> Arrays:
+    with np.load(path) as file:  # no pickles: RESULT.npz is readable without trust
+        return {key: file[key] for key in file.files}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated press with its truth, and the estimate of it."""
+    folder = tmp_path_factory.mktemp("press")
+    lines = [f"{0.1 * k},0.01,0.005,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
+    header = "time_s,x_m,y_m,z_m,qx,qy,qz,qw"
+    (folder / "path.csv").write_text("\n".join([header, *lines]))
+    run(
+        "simulate", "--sensor", PRESET, "--object", "cylinder", "--path", folder / "path.csv",
+        "--noise-relative", "0.003", "--out", folder / "rec.mcap", "--truth", folder / "truth.npz",
+    )  # fmt: skip
+    told = run(
+        "estimate", folder / "rec.mcap", "--sensor", PRESET, "--out", folder / "result.npz",
+        "--csv", folder / "result.csv", "--json",
+    )  # fmt: skip
+    (folder / "told.json").write_text(told)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Arrays:
+    return arrays(folder / "result.npz")
+
+
+@pytest.fixture(scope="module")
+def truth(folder: Path) -> Arrays:
+    return arrays(folder / "truth.npz")
+
+
+def test_every_key_of_the_contract(result: Arrays) -> None:
+    frames, (height, width) = len(HEIGHTS), (171, 224)
+    nodes, triangles = len(result["nodes_m"]), len(result["triangles"])
+    shapes = {
+        "frame": (frames,), "time_s": (frames,), "status": (frames,),
+        "nodes_m": (nodes, 3), "normals": (nodes, 3), "triangles": (triangles, 3), "rim": (nodes,),
+        "displacement_m": (frames, nodes), "contact_pressure_pa": (frames, nodes),
+        "gas_pressure_change_pa": (frames,), "force_n": (frames, 3),
+        "center_of_pressure_m": (frames, 3), "patch_area_m2": (frames,), "threshold_pa": (frames,),
+        "patch_mask": (frames, height, width), "residual_rms_m": (frames,),
+        "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
+        "patch_level": (frames, nodes), "sensor_toml": (), "version": (), "solver": (),
+    }  # fmt: skip
+    assert {key: array.shape for key, array in result.items()} == shapes
+    kinds = {key: array.dtype.kind for key, array in result.items()}
+    texts, flags = {"status", "sensor_toml", "version", "solver"}, {"rim", "patch_mask"}
+    whole = {"frame", "triangles"}
+    assert {key for key, kind in kinds.items() if kind == "U"} == texts
+    assert {key for key, kind in kinds.items() if kind == "b"} == flags
+    assert {key for key, kind in kinds.items() if kind == "i"} == whole
+    assert {key for key, kind in kinds.items() if kind == "f"} == set(kinds) - texts - flags - whole
+
+
+def test_it_says_what_made_it(result: Arrays) -> None:
+    assert tomllib.loads(str(result["sensor_toml"]))["name"] == load_sensor(PRESET).name
+    assert str(result["version"]) == bubbleviz.__version__
+
+
+def test_contact_is_found_where_it_is(result: Arrays, truth: Arrays) -> None:
+    assert result["status"].tolist() == truth["status"].tolist() == ["no_contact", *["ok"] * 3]
+    np.testing.assert_allclose(result["time_s"], truth["time_s"], atol=1e-6)
+
+
+def test_force_and_centre_are_those_of_the_simulation(result: Arrays, truth: Arrays) -> None:
+    size = np.linalg.norm(truth["force_n"], axis=1)
+    assert size[2] > 5.0  # else a few per cent mean nothing
+    miss = np.linalg.norm(result["force_n"] - truth["force_n"], axis=1)
+    assert np.all(miss[1:] < 0.03 * size[1:])
+    away = np.linalg.norm(result["center_of_pressure_m"] - truth["center_of_pressure_m"], axis=1)
+    assert np.all(away[1:] < 2e-3)
+
+
+def test_no_contact_is_no_force_and_no_patch(result: Arrays) -> None:
+    assert not result["force_n"][0].any()
+    assert not result["contact_pressure_pa"][0].any()
+    assert not result["patch_mask"][0].any()
+    assert result["patch_area_m2"][0] == 0.0
+    assert np.isnan(result["center_of_pressure_m"][0]).all()
+
+
+def test_patch_covers_the_true_one(result: Arrays, truth: Arrays) -> None:
+    for found, true in zip(result["patch_mask"][1:], truth["patch_mask"][1:], strict=True):
+        assert true.sum() > 100
+        assert (found & true).sum() / (found | true).sum() > 0.45
+
+
+def test_columns_agree_with_the_nodal_fields(result: Arrays) -> None:
+    """Force, centre and their definitions, from nothing but the file."""
+    nodes, triangles = result["nodes_m"], result["triangles"]
+    a, b, c = (nodes[triangles[:, k]] for k in range(3))
+    facet = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = np.zeros(len(nodes))
+    np.add.at(areas, triangles.ravel(), np.repeat(facet / 3.0, 3))
+    pressure = result["contact_pressure_pa"]
+    assert np.all(pressure >= 0.0)
+    assert not result["displacement_m"][:, result["rim"]].any()
+    force = -(pressure * areas) @ result["normals"]
+    np.testing.assert_allclose(result["force_n"], force, atol=1e-9)
+    load = np.where(pressure[2] > result["threshold_pa"][2], pressure[2] * areas, 0.0)
+    moved = nodes + result["displacement_m"][2][:, None] * result["normals"]
+    np.testing.assert_allclose(result["center_of_pressure_m"][2], load @ moved / load.sum())
+
+
+def test_csv_has_the_same_numbers(folder: Path, result: Arrays) -> None:
+    with (folder / "result.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == result["status"].tolist()
+    for name in ("frame", "time_s", "patch_area_m2", "kkt_residual", "total_ms"):
+        assert [float(row[name]) for row in rows] == result[name].tolist()
+    for axis, name in enumerate(("force_x_n", "force_y_n", "force_z_n")):
+        assert [float(row[name]) for row in rows] == result["force_n"][:, axis].tolist()
+    assert rows[0]["center_of_pressure_x_m"] == "nan"
+
+
+def test_json_leaves_the_first_frame_out_of_the_times(folder: Path, result: Arrays) -> None:
+    told = json.loads((folder / "told.json").read_text())
+    assert told["frames"] == len(HEIGHTS)
+    assert told["status"] == {"no_contact": 1, "ok": 3}
+    warm = result["total_ms"][1:]
+    assert told["median_total_ms"] == pytest.approx(np.median(warm))
+    assert told["p95_total_ms"] == pytest.approx(np.percentile(warm, 95))
+    assert told["median_solve_ms"] == pytest.approx(np.median(result["solve_ms"][1:]))
+    assert told["max_force_n"] == pytest.approx(np.linalg.norm(result["force_n"], axis=1).max())
+    assert np.all(result["solve_ms"] <= result["total_ms"])
+
+
+def test_frames_are_chosen_as_a_slice(folder: Path, tmp_path: Path, result: Arrays) -> None:
+    out = tmp_path / "part.npz"
+    run(
+        "estimate", folder / "rec.mcap", "--sensor", PRESET, "--frames", "0:4:2", "--out", out
+    )  # fmt: skip
+    part = arrays(out)
+    assert part["frame"].tolist() == [0, 2]
+    assert part["time_s"].tolist() == result["time_s"][[0, 2]].tolist()
+    assert len(part["patch_mask"]) == len(part["displacement_m"]) == 2
+    np.testing.assert_allclose(part["force_n"][1], result["force_n"][2], rtol=0.02, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        (None, range(10)),
+        ("0:10", range(10)),
+        (":", range(10)),
+        ("3:", range(3, 10)),
+        (":4", range(4)),
+        ("1:9:4", range(1, 9, 4)),
+        ("::5", range(0, 10, 5)),
+    ],
+)
+def test_parse_frames(text: str | None, frames: range) -> None:
+    assert parse_frames(text, 10, "rec") == frames
+
+
+def test_kappa_moves_the_patch_and_nothing_else(
+    folder: Path, tmp_path: Path, result: Arrays
+) -> None:
+    words = ("estimate", folder / "rec.mcap", "--sensor", PRESET, "--out")
+    run(*words, tmp_path / "low.npz", "--kappa", "1")
+    run(*words, tmp_path / "high.npz", "--kappa", "20")
+    low, high = arrays(tmp_path / "low.npz"), arrays(tmp_path / "high.npz")
+    assert np.all(low["patch_area_m2"][1:] > high["patch_area_m2"][1:])
+    np.testing.assert_array_equal(low["force_n"], high["force_n"])
+    np.testing.assert_array_equal(low["force_n"], result["force_n"])
+    np.testing.assert_allclose(high["threshold_pa"][2] / low["threshold_pa"][2], 20.0)
+
+
+def copied(source: Path, path: Path, change: dict[int, float]) -> Path:
+    """Recording whose frames named in `change` see one depth everywhere; NaN for nothing."""
+    with Recording(source) as old, RecordingWriter(path) as new:
+        for k in range(len(old)):
+            frame = old[k]
+            if k in change:
+                frame = replace(frame, depth_m=np.full_like(frame.depth_m, change[k]))
+            new.write(frame)
+    return path
+
+
+def test_a_frame_without_data_in_the_middle(folder: Path, tmp_path: Path, result: Arrays) -> None:
+    recording = copied(folder / "rec.mcap", tmp_path / "hole.mcap", {2: np.nan})
+    out = tmp_path / "r.npz"
+    told = json.loads(run("estimate", recording, "--sensor", PRESET, "--out", out, "--json"))
+    assert told["status"] == {"no_contact": 1, "ok": 2, "no_data": 1}
+    assert told["rms_force_n"] > 0.0
+    found = arrays(out)
+    assert found["status"].tolist() == ["no_contact", "ok", "no_data", "ok"]
+    numbers = ("displacement_m", "contact_pressure_pa", "gas_pressure_change_pa", "force_n")
+    derived = ("center_of_pressure_m", "patch_area_m2", "residual_rms_m", "kkt_residual")
+    for key in (*numbers, *derived):
+        assert np.isnan(found[key][2]).all(), key
+        assert np.isfinite(found[key][3]).all(), key
+    assert not found["patch_mask"][2].any()
+    np.testing.assert_allclose(found["force_n"][3], result["force_n"][3], rtol=0.02, atol=0.05)
+
+
+def test_the_recordings_camera_info_wins(folder: Path, tmp_path: Path, result: Arrays) -> None:
+    sensor = load_sensor(PRESET)
+    camera = sensor.camera.model_copy(update={"fx": 1.2 * sensor.camera.fx})
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(sensor_to_toml(sensor.model_copy(update={"camera": camera})))
+    run("estimate", folder / "rec.mcap", "--sensor", wrong, "--out", tmp_path / "r.npz")
+    np.testing.assert_allclose(arrays(tmp_path / "r.npz")["force_n"], result["force_n"])
+
+
+def test_nothing_of_a_window_is_imported(folder: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys; from bubbleviz.cli.command_line import main\n"
+        "main(sys.argv[1:], standalone_mode=False); "
+        "heavy = ('PySide6', 'vtkmodules', 'pyvista', 'pyvistaqt', 'pyqtgraph', 'bubbleviz_ui', "
+        "'bubbleviz.pose'); "  # Open3D itself casts the rays, and loads its registration anyway
+        "print('LOADED', [m for m in heavy if m in sys.modules])"
+    )
+    words = ["estimate", str(folder / "rec.mcap"), "--sensor", PRESET, "--frames", "0:2", "--out"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words, str(tmp_path / "r.npz")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.rstrip().endswith("LOADED []")
+    assert done.stderr == ""  # no progress bar where there is no terminal
+
+
+# -- the file, without a solver -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def small() -> Sensor:
+    sensor = load_sensor(PRESET)
+    membrane = sensor.membrane.model_copy(update={"nodes": 60})
+    return sensor.model_copy(update={"membrane": membrane})
+
+
+def fake_results(frames: int, nodes: int, shape: tuple[int, int]) -> Iterator[Result]:
+    for k in range(frames):
+        mask = np.zeros(shape, bool)
+        mask[k % shape[0]] = True
+        estimate = Estimate("ok", np.full(nodes, -1e-3 * k), np.full(nodes, 2.0 * k), 1.0, 0.0, 0.0)
+        patch = Patch(5.0, np.ones(nodes, bool), np.ones(3), np.zeros(3), 1e-4, mask)
+        yield Result(Frame(k, k / 30.0, np.ones(shape)), estimate, patch, times_ms={"total": 1.0})
+
+
+def test_masks_of_a_long_recording_are_streamed(small: Sensor, tmp_path: Path) -> None:
+    """184 MB of masks with little memory, and every one where it belongs."""
+    mesh, frames, shape, path = build_mesh(small), 600, (480, 640), tmp_path / "r.npz"
+    tracemalloc.start()
+    try:
+        with ResultWriter(path, mesh, frames, shape) as writer:
+            for result in fake_results(frames, len(mesh.nodes), shape):
+                writer.add(result)
+            writer.finish(version="1")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 10e6
+    assert path.stat().st_size < 5e6
+    with np.load(path) as file:
+        masks, displacement = file["patch_mask"], file["displacement_m"]
+    assert masks.shape == (frames, *shape)
+    rows = np.arange(frames)
+    assert masks[rows, rows % shape[0]].all()
+    assert masks.sum() == frames * shape[1]
+    np.testing.assert_array_equal(displacement[:, 5], -1e-3 * rows)
+
+
+def test_a_result_that_is_not_what_was_announced(small: Sensor, tmp_path: Path) -> None:
+    mesh, shape = build_mesh(small), (4, 5)
+    one, two = fake_results(2, len(mesh.nodes), shape)
+    with ResultWriter(tmp_path / "a.npz", mesh, 1, shape) as writer:
+        writer.add(one)
+        with pytest.raises(ValueError, match="announced"):
+            writer.add(two)
+    with (
+        ResultWriter(tmp_path / "b.npz", mesh, 2, shape) as writer,
+        pytest.raises(ValueError, match="1 frames added, 2 announced"),
+    ):
+        writer.add(one)
+        writer.finish()
+
+
+def test_a_frame_without_data_has_no_numbers() -> None:
+    (result,) = fake_results(1, 3, (4, 5))
+    assert result.estimate is not None
+    row = summary_row(replace(result, estimate=replace(result.estimate, status="no_data")))
+    assert set(row) == set(COLUMNS)
+    assert np.isnan(row["force_n"]).all()
+    assert row["force_n"].shape == (3,)
+    assert row["frame"] == 0
+    assert math.isnan(row["patch_area_m2"])
+
+
+# -- the real recording -------------------------------------------------------------------------
+
+DENT_MESH_AXES_MM = np.array([24.7, 7.8])
+"""Where the poker is, in the mesh axes of the recording's README."""
+
+MESH_AXES_R = np.array([[0.9063, 0.0, -0.4226], [0.0, 1.0, 0.0], [0.4226, 0.0, 0.9063]])
+"""p_mesh = p_cam @ R."""
+
+
+@pytest.fixture(scope="module")
+def press(punyo_press: Path, tmp_path_factory: pytest.TempPathFactory) -> Arrays:
+    out = tmp_path_factory.mktemp("punyo") / "result.npz"
+    run("estimate", punyo_press, "--sensor", "punyo_oval_d405", "--out", out)
+    return arrays(out)
+
+
+def test_real_contact_free_frames_have_no_patch_and_no_force(press: Arrays) -> None:
+    free = press["frame"] < 60
+    assert free.sum() == 60
+    force = np.linalg.norm(press["force_n"][free], axis=1)
+    assert np.sqrt(np.mean(force**2)) <= 0.05
+    assert not press["patch_mask"][free].any()
+    assert not press["patch_area_m2"][free].any()
+
+
+def test_real_press_is_found_where_the_poker_is(press: Arrays) -> None:
+    held = press["frame"] >= 72
+    assert held.sum() == 18
+    assert set(press["status"][held]) == {"ok"}
+    T = load_sensor("punyo_oval_d405").camera.T_B_C
+    np.testing.assert_allclose(T[:3, :3], MESH_AXES_R.T, atol=1e-3)  # B is parallel to them
+    dent = 1e-3 * DENT_MESH_AXES_MM + T[:2, 3]  # whose origin is the camera
+    miss = np.linalg.norm(press["center_of_pressure_m"][held][:, :2] - dent, axis=1)
+    assert np.all(miss <= 3e-3), f"up to {1e3 * miss.max():.1f} mm off"
+    assert press["patch_mask"][held].any(axis=(1, 2)).all()
+
+
+def test_real_press_has_the_force_of_the_physics(press: Arrays) -> None:
+    force = np.linalg.norm(press["force_n"][press["frame"] >= 72], axis=1)
+    assert np.all((force >= 2.5) & (force <= 5.0)), f"{force.min():.2f} … {force.max():.2f} N"

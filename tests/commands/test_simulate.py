@@ -1,0 +1,105 @@
+"""`bubbleviz simulate`: what is written is what was solved, and bad input writes nothing."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.cli.command_line import main
+from bubbleviz.frames.recording import Recording
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+
+POSE = "0.004 0 0.040 0 0 0 1"
+
+
+@pytest.fixture(scope="module")
+def sensor_file(tmp_path_factory):
+    sensor = load_sensor("pico_flexx_75mm")
+    small = sensor.camera.model_copy(
+        update={"width": 64, "height": 48, "fx": 53.3, "fy": 58.0, "cx": 31.5, "cy": 23.5}
+    )
+    membrane = sensor.membrane.model_copy(update={"nodes": 600})
+    path = tmp_path_factory.mktemp("sensor") / "small.toml"
+    path.write_text(
+        sensor_to_toml(sensor.model_copy(update={"camera": small, "membrane": membrane}))
+    )
+    return path
+
+
+def run(sensor_file, folder, *arguments):
+    base = ["simulate", "--sensor", str(sensor_file), "--out", str(folder / "out.mcap")]
+    return CliRunner().invoke(main, [*base, *map(str, arguments)])
+
+
+def test_path_of_poses_gives_frames_and_their_truth(sensor_file, tmp_path):
+    poses = tmp_path / "poses.csv"
+    poses.write_text(
+        "frame,time_s,x_m,y_m,z_m,qx,qy,qz,qw\n"
+        "0,0.0,0,0,0.060,0,0,0,1\n1,0.1,0,0,0.045,0,0,0,1\n2,0.25,0,0,0.040,0,0,1,0\n"
+    )
+    truth = tmp_path / "truth.npz"
+    both = ("--pose", "0 0 1 0 0 0 1", "--path", poses)  # the path counts
+    done = run(sensor_file, tmp_path, "--object", "sphere", *both, "--truth", truth)
+    assert done.exit_code == 0, done.output
+    recording = Recording(tmp_path / "out.mcap")
+    data = np.load(truth)
+    np.testing.assert_allclose(recording.times_s, [0.0, 0.1, 0.25], atol=1e-6)
+    assert data["status"].tolist() == ["no_contact", "ok", "ok"]
+    assert data["patch_mask"].shape == (3, 48, 64)
+    assert data["displacement_m"].shape == (3, len(data["nodes_m"]))
+    p0 = 101325.0 + 2585.5
+    for k in range(3):
+        assert recording[k].gas_pressure_pa == pytest.approx(
+            p0 + data["gas_pressure_change_pa"][k], abs=1e-3
+        )
+    # what the camera sees inside the patch lies on the ball, to the mesh's coarseness
+    mask = data["patch_mask"][2]
+    camera = DepthCamera.of(load_sensor(sensor_file).camera)
+    points = camera.points(recording[2].depth_m, np.flatnonzero(mask))
+    radius = np.linalg.norm(points - [0.0, 0.0, 0.040 + 0.015], axis=1)
+    assert mask.sum() >= 10
+    assert np.abs(radius - 0.015).mean() < 1.5e-4  # chords of 3 mm edges sink 0.1 mm in
+    recording.close()
+
+
+def test_noise_is_reproduced_by_its_seed(sensor_file, tmp_path):
+    images = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        (tmp_path / name).mkdir()
+        arguments = ("--object", "sphere", "--pose", POSE, "--noise-sigma", 0.001, "--seed", seed)
+        assert run(sensor_file, tmp_path / name, *arguments).exit_code == 0
+        recording = Recording(tmp_path / name / "out.mcap")
+        images.append(recording[0].depth_m)
+        recording.close()
+    np.testing.assert_array_equal(images[0], images[1])
+    assert np.nanstd(images[0] - images[2]) > 5e-4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--object", "sphere"), "--pose, or --path"),
+        (("--object", "sphere", "--pose", "0 0 40 0 0 0 1"), "millimetres"),
+        (("--object", "sphere", "--pose", "0 0 0.04"), "seven numbers"),
+        (("--object", "sphere", "--pose", "0 0 0.04 0 0 0 2"), "unit length"),
+        (("--object", "nonesuch", "--pose", POSE), "no such object"),
+        (("--object", "sphere", "--path", "missing.csv"), "missing.csv"),
+        (("--object", "sphere", "--pose", POSE, "--holes", 1.5), "holes"),
+        (("--object", "sphere", "--pose", POSE, "--noise-sigma", -1), "absolute_m"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(sensor_file, tmp_path, arguments, words):
+    done = run(sensor_file, tmp_path, *arguments)
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    assert words in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_line_of_a_path_is_named(sensor_file, tmp_path):
+    poses = tmp_path / "poses.csv"
+    poses.write_text("x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0,0,nan,0,0,0,1\n")
+    done = run(sensor_file, tmp_path, "--object", "sphere", "--path", poses)
+    assert done.exit_code == 2
+    assert "line 3" in done.stderr
+    assert not (tmp_path / "out.mcap").exists()

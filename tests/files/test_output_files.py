@@ -1,0 +1,87 @@
+"""Output files appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import whole_file
+
+
+def test_it_appears_when_the_block_ends(tmp_path: Path) -> None:
+    path = tmp_path / "result.npz"
+    with whole_file(path) as temporary:
+        assert temporary.suffix == ".npz"  # numpy appends it otherwise
+        temporary.write_text("half")
+        assert not path.exists()
+    assert path.read_text() == "half"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_its_permissions_are_the_usual(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    with whole_file(tmp_path / "whole") as temporary:
+        temporary.write_text("")
+    assert (tmp_path / "whole").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_folder_appears_when_the_block_ends(tmp_path: Path) -> None:
+    with whole_file(tmp_path / "report") as temporary:
+        temporary.mkdir()
+        (temporary / "a.csv").write_text("1")
+    assert (tmp_path / "report" / "a.csv").read_text() == "1"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report"]
+
+
+@pytest.mark.parametrize("folder", [False, True])
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_nothing_remains_of_a_failure(
+    tmp_path: Path, error: type[BaseException], folder: bool
+) -> None:
+    with pytest.raises(error), whole_file(tmp_path / "out") as temporary:
+        if folder:
+            temporary.mkdir()
+            (temporary / "a").write_text("1")
+        else:
+            temporary.write_text("half")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_file_is_refused_before_any_work(tmp_path: Path) -> None:
+    path = tmp_path / "out"
+    path.write_text("precious")
+    with pytest.raises(InputError, match="exists already"), whole_file(path):
+        raise AssertionError("the block must not run")
+    assert path.read_text() == "precious"
+
+
+def test_a_file_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "out"
+    with pytest.raises(InputError, match="exists already"), whole_file(path) as temporary:
+        temporary.write_text("new")
+        path.write_text("precious")
+    assert path.read_text() == "precious"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EPERM, "no hard links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    with whole_file(tmp_path / "out") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "out").read_text() == "new"
+
+
+def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"), whole_file(tmp_path / "no" / "out"):
+        pass
+    with pytest.raises(InputError, match="No space left"), whole_file(tmp_path / "out"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.iterdir()) == []

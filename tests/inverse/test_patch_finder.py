@@ -1,0 +1,119 @@
+"""The contact patch of presses whose contact is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.patch.patch_edge import PatchEdge
+from bubbleviz.patch.patch_finder import PatchFinder, area_above, mean_pressure
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Estimate
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, press
+
+MESH = build_mesh(SENSOR, 2000)
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.count_nonzero(a & b) / np.count_nonzero(a | b))
+
+
+def seen_patch(truth) -> np.ndarray:
+    """Pixels that see a node in contact nearer than one that is not."""
+    touching = (truth.contact.contact_pressure_pa > 0).astype(float)
+    return MembraneView(CAMERA, truth.mesh).above(truth.contact.displacement_m, touching, 0.5)
+
+
+@pytest.mark.parametrize("name", ["sphere", "frustum", "cylinder"])
+def test_the_patch_overlaps_the_true_contact(name):
+    truth = press(name, 0.015)
+    solver = estimator(2000)
+    estimate = solver.estimate(truth.depth(0.01, seed=5))
+    finder = PatchFinder(solver.mesh, GAUGE, solver.resolution_m)
+    view = MembraneView(CAMERA, solver.mesh)
+    masks = [
+        view.above(estimate.displacement_m, finder.find(estimate, kappa).level, 0.0)
+        for kappa in (None, 1.0)
+    ]
+    ours, paper = (overlap(mask, seen_patch(truth)) for mask in masks)
+    assert ours > 0.7
+    assert ours > paper
+
+
+def blurred(profile, width_m: float) -> np.ndarray:
+    """Nodal field of a profile of the distance from the apex, blurred over `width_m`."""
+    step = 0.0005
+    line = np.arange(-0.04, 0.04 + step / 2, step)
+    image = gaussian_filter(profile(np.hypot(*np.meshgrid(line, line))), width_m / step)
+    middle = len(line) // 2
+    r = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
+    return np.interp(r, line[middle:], image[middle, middle:], right=0.0)
+
+
+@pytest.mark.parametrize("ridge", [0.0, 10.0])
+def test_the_edge_of_a_blurred_disc_is_found_with_and_without_a_ridge(ridge):
+    """A disc of radius 18 mm, plain like a ball's or with a line load on its edge like a box's."""
+    resolution = 0.003
+
+    def profile(r):
+        return GAUGE * (1.0 * (r < 0.018) + ridge * (np.abs(r - 0.018) < 0.0005))
+
+    field = blurred(profile, resolution)
+
+    def radius(values, level) -> float:
+        return float(np.sqrt(area_above(MESH, values, level) / np.pi))
+
+    ours = abs(radius(PatchEdge(MESH, resolution).level_set(field, GAUGE), 0.0) - 0.018)
+    plain = abs(radius(field, 0.5 * GAUGE) - 0.018)
+    assert ours < resolution
+    assert not ridge or ours < 0.7 * plain
+
+
+def made_up(pressure: np.ndarray, gas: float = 0.0) -> Estimate:
+    return Estimate("ok", np.zeros(len(pressure)), pressure, gas, 0.0, 0.0)
+
+
+def test_what_stays_below_the_gas_pressure_is_no_patch():
+    finder = PatchFinder(MESH, GAUGE, 0.003)
+    bump = np.exp(-((np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1]) / 0.012) ** 2))
+    assert finder.find(made_up(0.9 * GAUGE * bump)).area_m2 == 0.0
+    assert np.isnan(finder.find(made_up(0.9 * GAUGE * bump)).center_of_pressure_m).all()
+    firm = finder.find(made_up(3.0 * GAUGE * bump))
+    assert firm.area_m2 > 1e-4
+    assert firm.center_of_pressure_m[:2] == pytest.approx([0, 0], abs=5e-4)
+    force = 3.0 * GAUGE * (MESH.areas * bump) @ MESH.normals
+    assert firm.force_n == pytest.approx(-force)
+
+
+def test_kappa_is_the_papers_threshold():
+    rng = np.random.default_rng(0)
+    pressure = 1e4 * rng.random(len(MESH.nodes)) ** 3
+    patch = PatchFinder(MESH, GAUGE, 0.003).find(made_up(pressure), kappa=2.0)
+    assert patch.threshold_pa == pytest.approx(2 * mean_pressure(MESH, pressure))
+    assert np.array_equal(patch.node_mask, pressure > patch.threshold_pa)
+
+
+def test_no_pressure_and_pressure_everywhere_are_patches_too():
+    finder = PatchFinder(MESH, GAUGE, 0.003)
+    nothing = finder.find(made_up(np.zeros(len(MESH.nodes))))
+    assert (nothing.area_m2, nothing.force_n.tolist()) == (0.0, [0.0, 0.0, 0.0])
+    everywhere = finder.find(made_up(np.full(len(MESH.nodes), 5.0 * GAUGE)))
+    assert everywhere.area_m2 > 0.9 * MESH.facet_areas.sum()
+
+
+@pytest.mark.parametrize("name", ["cylinder", "frustum"])
+def test_a_flat_face_has_no_holes_where_the_camera_is_better_than_the_mesh(name):
+    pipeline = Pipeline(load_sensor("punyo_oval_d405"))
+    T = np.eye(4)
+    T[:3, 3] = [0.006, 0.0, 0.022]
+    source = SyntheticSource(pipeline.sensor, load_object(name), T[None])
+    truth = source.truth(0)
+    patch = pipeline.process(source[0], frozenset({"patch", "pixel_mask"})).patch
+    assert overlap(patch.pixel_mask, truth.patch_mask) > 0.8
+    assert patch.force_n == pytest.approx(truth.force_n, abs=0.1)

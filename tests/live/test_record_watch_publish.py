@@ -1,0 +1,235 @@
+"""The commands, as processes: record, watch, publish, bench live."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from mcap.reader import make_reader
+
+from bubbleviz.cli.command_line import main
+from bubbleviz.commands.info import recording_info
+from bubbleviz.frames.recording import Recording
+from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
+
+ENTRY = "from bubbleviz.cli.command_line import main; main()"
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, list(arguments))
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", ENTRY, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_growth(path: Path) -> None:
+    deadline = time.monotonic() + 60.0
+    while not (path.exists() and path.stat().st_size > 20_000):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_record_for_a_while(tmp_path: Path, small_sensor_file: Path) -> None:
+    out = tmp_path / "rec.mcap"
+    source = "synthetic:?rate=100&frames=4"
+    done = run(
+        "record",
+        "--source",
+        source,
+        "--sensor",
+        str(small_sensor_file),
+        "--out",
+        str(out),
+        "--duration",
+        "0.6",
+        "--json",
+    )
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    info = recording_info(out)
+    assert info.frames == facts["frames"] > 20
+    assert info.gaps == 0
+    assert info.note == ""
+    assert facts["size_bytes"] == out.stat().st_size
+    assert (
+        "wrote"
+        in run(
+            "record", "--source", f"replay:{out}?speed=9", "--out", str(tmp_path / "again")
+        ).output
+    )
+    assert (tmp_path / "again" / "metadata.yaml").exists()
+
+
+def test_stopping_record_leaves_a_whole_file(tmp_path: Path, small_sensor_file: Path) -> None:
+    out = tmp_path / "rec.mcap"
+    process = start(
+        "record",
+        "--source",
+        "synthetic:?rate=100&frames=4",
+        "--sensor",
+        str(small_sensor_file),
+        "--out",
+        str(out),
+    )
+    wait_for_growth(out)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=30)
+    assert (process.returncode, stderr) == (0, "")
+    assert "wrote" in stdout
+    with out.open("rb") as file:
+        assert make_reader(file, validate_crcs=True).get_summary() is not None
+    with Recording(out) as recording:
+        assert recording.bag.note == ""
+
+
+def test_record_killed_opens(tmp_path: Path, small_sensor_file: Path) -> None:
+    out = tmp_path / "rec.mcap"
+    process = start(
+        "record",
+        "--source",
+        "synthetic:?rate=100&frames=4",
+        "--sensor",
+        str(small_sensor_file),
+        "--out",
+        str(out),
+    )
+    wait_for_growth(out)
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    done = run("info", str(out), "--json")
+    assert done.exit_code == 0, done.output
+    assert "ends early" in json.loads(done.stdout)["note"]
+    assert json.loads(done.stdout)["frames"] > 0
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("nonsense", "begin with one of"),
+        ("synthetic:no_such_object", "no such object"),
+        ("replay:nowhere", "no such recording"),
+        ("zenoh:nonsense", "no Zenoh session"),
+        ("realsense:nowhere.bag", "no such file"),
+    ],
+)
+def test_bad_sources_are_one_line_and_leave_no_file(tmp_path: Path, source: str, says: str) -> None:
+    for command in ("record", "watch"):
+        out = tmp_path / f"{command}.mcap"
+        more = () if command == "record" else ("--sensor", "pico_flexx_75mm")
+        done = run(command, "--source", source, "--out", str(out), "--duration", "0.1", *more)
+        assert done.exit_code == 2
+        assert done.stderr.count("\n") == 1
+        assert says in done.stderr
+        assert not out.exists()
+
+
+def test_nothing_arrived_is_said_and_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 0.3)
+    out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
+    done = run("record", "--source", source, "--out", str(out), "--duration", "0.1")
+    assert done.exit_code == 2
+    assert "nothing arrived" in done.stderr
+    done = run("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
+    assert done.exit_code == 2
+    assert "no depth image arrived" in done.stderr
+    assert not out.exists()
+
+
+def test_a_source_is_published_watched_and_recorded_with_its_results(
+    tmp_path: Path, small_sensor_file: Path
+) -> None:
+    """Simulation → Zenoh → watch → recording, in processes of their own."""
+    sensor, endpoint, out = str(small_sensor_file), f"tcp/127.0.0.1:{free_port()}", tmp_path / "w"
+    source = "synthetic:sphere?rate=30&frames=40"
+    publisher = start(
+        *("publish", "--source", source, "--sensor", sensor, "--listen", endpoint, "--json")
+    )
+    try:
+        done = run(
+            *("watch", "--source", f"zenoh:{endpoint}", "--sensor", sensor, "--out", str(out)),
+            *("--duration", "1.6", "--json", "--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
+        )
+    finally:
+        publisher.terminate()
+        stdout, stderr = publisher.communicate(timeout=30)
+    assert done.exit_code == 0, done.output
+    assert (publisher.returncode, stderr) == (0, "")
+    facts = json.loads(done.stdout)
+    assert facts["frames"] > 10
+    assert facts["status"].keys() <= {"ok", "no_contact"}
+    assert facts["pressure_offset_pa"] is None or abs(facts["pressure_offset_pa"]) < 50.0
+    info = recording_info(out)
+    topics = {topic.name: topic.count for topic in info.topics}
+    assert topics["/bubbleviz/contact_patch"] == facts["frames"]
+    assert topics["/bubbleviz/contact_wrench"] == facts["frames"]
+    assert topics["/diagnostics"] >= 1
+    assert 0 < topics["/bubbleviz/object_pose"] <= facts["status"]["ok"]
+    assert info.frames >= facts["frames"]
+    assert info.wrench is False  # ours is no measurement
+    assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= info.frames
+
+
+def test_publishing_is_refused_in_one_line() -> None:
+    common = ("publish", "--source", "synthetic:", "--duration", "0.1")
+    for more, says in (
+        (("--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"), "not both"),
+        (("--connect", f"tcp/127.0.0.1:{free_port()}"), "no Zenoh session"),
+        (("--listen", "nonsense"), "no Zenoh session"),
+    ):
+        done = run(*common, *more)
+        assert done.exit_code == 2
+        assert done.stderr.count("\n") == 1
+        assert says in done.stderr
+
+
+def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:
+    """Every image in the file, counted by the publisher; `bench live --minutes 10` is the whole."""
+    out = tmp_path / "soak.mcap"
+    report = soak(str(small_sensor_file), 4.0, 60.0, out)
+    assert (report.missing, report.repeated, report.stalls) == (0, 0, 0)
+    assert report.recorded == report.sent > 200
+    assert report.solved > 20
+    counted = sequences(out)
+    assert len(counted) == report.recorded
+    json.loads(report.to_json())
+    assert "0 missing" in report.to_text()
+
+
+def test_the_soak_sees_what_is_missing(tmp_path: Path) -> None:
+    """The count that decides is not blind: a file with a hole has a hole."""
+    from wire import NOW, PERIOD, depth
+
+    from bubbleviz.live.raw_message import RawMessage
+    from bubbleviz.live.sinks.recorder import Recorder
+
+    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder.start(path)
+    for k in (5, 6, 8, 8, 9):
+        m = depth(NOW + k * PERIOD, k)
+        recorder.push(RawMessage(m.topic, m.type, m.payload, m.stamp_ns, m.arrival_ns, k))
+    recorder.stop()
+    assert sequences(path).tolist() == [5, 6, 8, 8, 9]
+
+
+def test_plain_commands_load_nothing_of_this() -> None:
+    code = (
+        "import sys, bubbleviz.cli.command_line, bubbleviz.frames.recording, bubbleviz.pipeline\n"
+        "print([m for m in ('zenoh', 'mcap', 'pyrealsense2') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,348 @@
+"""Results as ROS 2 messages, over Zenoh and into a recording; the zero of the gas pressure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wire import CLOUD, STORE, WRENCH
+
+from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero, rest_pressure_pa
+from bubbleviz.commands.estimate import estimate_recording
+from bubbleviz.commands.watch import PRODUCTS, Watcher
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_encoding import FrameMessages
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.live.counters import Counters
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.result_messages import DIAGNOSTICS, POSE, ResultMessages
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.source_status import Status, status_of
+from bubbleviz.live.sources.live_source import Link, OfferedTopic
+from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Pose, Result
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path
+from bubbleviz_ui.bench.live_soak import free_port
+
+Eventually = Callable[[Callable[[], object]], None]
+
+
+def press(sensor: Sensor, frames: int = 30) -> SyntheticSource:
+    poses = default_path(0.05, 0.15, frames)
+    return SyntheticSource(
+        sensor, load_object("sphere"), poses, DepthNoise(relative=0.001), nodes=600
+    )
+
+
+@pytest.fixture(scope="module")
+def pipeline(small_sensor: Sensor) -> Pipeline:
+    return Pipeline(small_sensor)
+
+
+@pytest.fixture(scope="module")
+def pressed(small_sensor: Sensor, pipeline: Pipeline) -> Result:
+    frame = press(small_sensor)[15]
+    result = pipeline.process(replace(frame, stamp_ns=1_790_000_000_123_456_789), PRODUCTS)
+    assert result.estimate is not None
+    assert result.estimate.status == "ok"
+    return result
+
+
+def decoded(messages: Iterator[tuple[str, str, bytes, int]]) -> dict[str, object]:
+    return {topic: STORE.deserialize_cdr(payload, kind) for topic, kind, payload, _ in messages}
+
+
+def test_patch_and_force_are_what_was_estimated(pipeline: Pipeline, pressed: Result) -> None:
+    found = decoded(ResultMessages(pipeline.mesh, "/bubbleviz/left").of(pressed))
+    assert sorted(found) == ["/bubbleviz/left/contact_patch", "/bubbleviz/left/contact_wrench"]
+    cloud, stamped = found["/bubbleviz/left/contact_patch"], found["/bubbleviz/left/contact_wrench"]
+    patch, estimate = pressed.patch, pressed.estimate
+    assert patch is not None
+    assert estimate is not None
+    layout = {f.name: (np.dtype("<f4"), f.offset) for f in cloud.fields}  # type: ignore[attr-defined]
+    table = cloud.data.view(
+        np.dtype(
+            {  # type: ignore[attr-defined]
+                "names": list(layout),
+                "formats": [kind for kind, _ in layout.values()],
+                "offsets": [offset for _, offset in layout.values()],
+                "itemsize": cloud.point_step,  # type: ignore[attr-defined]
+            }
+        )
+    )
+    rows = np.stack([table[name] for name in ("x", "y", "z", "pressure")], axis=1)
+    assert cloud.width * cloud.height == len(rows)  # type: ignore[attr-defined]
+    inside = patch.node_mask
+    assert len(rows) == inside.sum() > 3
+    np.testing.assert_allclose(
+        rows[:, :3], pipeline.mesh.deformed(estimate.displacement_m)[inside], atol=1e-7
+    )
+    np.testing.assert_allclose(rows[:, 3], estimate.contact_pressure_pa[inside], rtol=1e-6)
+    force = stamped.wrench.force  # type: ignore[attr-defined]
+    np.testing.assert_array_equal([force.x, force.y, force.z], patch.force_n)
+    torque = stamped.wrench.torque  # type: ignore[attr-defined]
+    np.testing.assert_allclose(
+        [torque.x, torque.y, torque.z], np.cross(patch.center_of_pressure_m, patch.force_n)
+    )
+    for message in found.values():
+        stamp = message.header.stamp  # type: ignore[attr-defined]
+        assert (stamp.sec, stamp.nanosec) == (1_790_000_000, 123_456_789)
+
+
+def test_without_contact_the_force_is_zero_and_the_patch_empty(
+    small_sensor: Sensor, pipeline: Pipeline
+) -> None:
+    result = pipeline.process(press(small_sensor)[0], PRODUCTS)
+    found = decoded(ResultMessages(pipeline.mesh).of(result))
+    assert found["/bubble/contact_patch"].width == 0  # type: ignore[attr-defined]
+    wrench = found["/bubble/contact_wrench"].wrench  # type: ignore[attr-defined]
+    assert [wrench.force.z, wrench.torque.x] == [0.0, 0.0]
+
+
+def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Result) -> None:
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    T[:3, 3] = [0.01, -0.02, 0.05]
+    posed = replace(pressed, pose=Pose("ok", T))
+    found = decoded(ResultMessages(pipeline.mesh).of(posed))
+    pose = found["/bubble/object_pose"].pose  # type: ignore[attr-defined]
+    assert [pose.position.x, pose.position.y, pose.position.z] == [0.01, -0.02, 0.05]
+    half = np.sqrt(0.5)
+    assert abs(pose.orientation.z) == pytest.approx(half)
+    assert pose.orientation.w * pose.orientation.z > 0
+    for status in ("lost", "no_contact", "few_points", "no_data"):  # `lost` keeps its last place
+        gone = replace(pressed, pose=Pose(status, T))
+        assert "/bubble/object_pose" not in decoded(ResultMessages(pipeline.mesh).of(gone))
+    assert POSE == "geometry_msgs/msg/PoseStamped"
+
+
+def test_diagnostics_tell_state_and_counts(pipeline: Pipeline, pressed: Result) -> None:
+    messages = ResultMessages(pipeline.mesh)
+    counters = Counters(received=7, undecodable=2, problem="/cam: garbage")
+    implausible = replace(pressed, estimate=replace(pressed.estimate, status="implausible"))  # type: ignore[type-var]
+    levels = {}
+    for status, result in (
+        (Status("live", 0.01), pressed),
+        (Status("live", 0.01), implausible),
+        (Status("connecting", None), None),
+        (Status("stale", 3.0), pressed),
+    ):
+        _, kind, payload, _ = messages.diagnostics(5_000_000_000, status, counters, result)
+        assert kind == DIAGNOSTICS
+        (entry,) = STORE.deserialize_cdr(payload, kind).status
+        levels[entry.message] = entry.level
+        values = {pair.key: pair.value for pair in entry.values}
+        assert (values["undecodable"], values["problem"]) == ("2", "/cam: garbage")
+    assert levels == {
+        "ok": 0,
+        "implausible": 2,
+        "waiting for the first depth image": 1,
+        "stale, nothing for 3.0 s": 3,
+    }
+
+
+def test_results_arrive_over_zenoh_and_only_where_asked_for(
+    pipeline: Pipeline, pressed: Result, eventually: Eventually
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    got: dict[str, bytes] = {}
+
+    def note(sample: object) -> None:
+        got[str(sample.key_expr)] = sample.payload.to_bytes()  # type: ignore[attr-defined]
+
+    with ZenohPublisher(SessionOptions("out", listen=endpoint), domain=3) as out:
+        listener = open_session(SessionOptions("in", endpoint))
+        try:
+            subscriber = listener.declare_subscriber("3/**", note)
+            messages = list(ResultMessages(pipeline.mesh).of(pressed))
+
+            def send() -> bool:
+                for topic, kind, payload, stamp in messages:
+                    out.put(topic, kind, payload, stamp)
+                return len(got) == 2
+
+            eventually(send)
+            subscriber.undeclare()
+        finally:
+            listener.close()
+    hashes = {kind: STORE.hash_rihs01(kind) for kind in (CLOUD, WRENCH)}
+    assert got == {
+        f"3/bubble/contact_patch/sensor_msgs::msg::dds_::PointCloud2_/{hashes[CLOUD]}": messages[
+            0
+        ].payload,
+        f"3/bubble/contact_wrench/geometry_msgs::msg::dds_::WrenchStamped_/{hashes[WRENCH]}": (
+            messages[1].payload
+        ),
+    }
+
+
+# -- the zero of the gas pressure ---------------------------------------------------------------
+
+
+def test_a_zero_is_learned_in_one_rest_and_only_then() -> None:
+    zero = PressureZero(103_900.0)
+    frame = Frame(0, 0.0, np.zeros((2, 2)), gas_pressure_pa=102_400.0)
+    assert zero.applied(frame) is frame
+    for _ in range(ENOUGH - 1):
+        zero.learn(102_400.0, contact_free=True)
+    zero.learn(103_000.0, contact_free=False)  # touched: begin again
+    for k in range(ENOUGH - 1):
+        zero.learn(102_400.0 + (k % 3), contact_free=True)
+    assert zero.offset_pa is None
+    zero.learn(102_400.0, contact_free=True)
+    assert zero.offset_pa == pytest.approx(-1499.0)
+    assert zero.applied(frame).gas_pressure_pa == pytest.approx(103_899.0)
+    zero.learn(999.0, contact_free=True)  # not asked any more
+    assert zero.offset_pa == pytest.approx(-1499.0)
+    zero.zero_now()
+    assert zero.applied(frame).gas_pressure_pa == pytest.approx(103_899.0)  # till the new one
+    for _ in range(ENOUGH):
+        zero.learn(102_300.0, contact_free=True)
+    assert zero.offset_pa == pytest.approx(-1600.0)
+    unmeasured = replace(frame, gas_pressure_pa=None)
+    assert zero.applied(unmeasured) is unmeasured
+
+
+class _Weather:
+    """The simulated sensor on a day when the air weighs 800 Pa less; sends a frame when told to."""
+
+    name = "weather"
+
+    def __init__(self, simulation: SyntheticSource) -> None:
+        self._simulation, self._messages = simulation, FrameMessages()
+        self._sent = 0
+
+    def start(self, deliver: Callable[[RawMessage], None]) -> None:
+        self._deliver = deliver
+
+    def stop(self) -> None:
+        pass
+
+    def link(self) -> Link:
+        return "up"
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        return ()
+
+    def missed(self) -> int:
+        return 0
+
+    def problem(self) -> str:
+        return ""
+
+    def send(self) -> None:
+        now = time.time_ns()
+        frame = self._simulation[self._sent % len(self._simulation)]
+        for topic, kind, payload, stamp in self._messages.of(frame, now):
+            if kind.endswith("FluidPressure"):
+                content = STORE.deserialize_cdr(payload, kind)
+                content.fluid_pressure -= 800.0
+                payload = bytes(STORE.serialize_cdr(content, kind))
+            self._deliver(RawMessage(topic, kind, payload, stamp, now, self._sent))
+        self._sent += 1
+
+
+def test_weather_is_not_contact(small_sensor: Sensor) -> None:
+    """Solved live on another day, with the zero and without."""
+    worst = {}
+    for zeroed in (False, True):
+        zero = PressureZero(rest_pressure_pa(small_sensor)) if zeroed else None
+        source = _Weather(press(small_sensor, 60))
+        with LiveStream(source) as stream:
+            watcher = Watcher(stream, Pipeline(small_sensor), zero)
+            statuses = []
+            for _ in range(140):
+                source.send()
+                result = watcher.step(60.0)
+                assert result is not None
+                assert result.estimate is not None
+                if zero is None or zero.offset_pa is not None:
+                    statuses.append(result.estimate.status)
+        worst[zeroed] = {s: statuses.count(s) for s in set(statuses)}
+        if zero is not None:
+            assert zero.offset_pa == pytest.approx(-800.0, abs=1.0)
+    assert worst[True].get("implausible", 0) == 0
+    assert worst[True]["ok"] > 10
+    assert worst[True]["no_contact"] > 5
+    assert worst[False].get("implausible", 0) > 20
+
+
+def test_a_recording_is_zeroed_only_when_asked(
+    small_sensor: Sensor, small_sensor_file: Path, tmp_path: Path
+) -> None:
+    """A recording of a day with 800 Pa less: `estimate` believes it, `--zero-gas` does not."""
+    path, source = tmp_path / "rec.mcap", press(small_sensor, 200)
+    with RecordingWriter(path) as writer:
+        for k in (*range(20), *range(80, 90)):
+            frame = source[k]
+            assert frame.gas_pressure_pa is not None
+            writer.write(replace(frame, gas_pressure_pa=frame.gas_pressure_pa - 800.0))
+    with pytest.raises(InputError, match="no frame asked for looks like"):
+        estimate_recording(path, small_sensor_file, tmp_path / "plain.npz")
+    summary = estimate_recording(
+        path, small_sensor_file, tmp_path / "zeroed.npz", zero_gas=True, frames="18:"
+    )
+    assert summary.status == {"no_contact": 2, "ok": 10}
+    with np.load(tmp_path / "zeroed.npz") as arrays:
+        assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
+
+
+def test_a_zero_that_cannot_be_is_refused(
+    small_sensor_file: Path, small_sensor: Sensor, tmp_path: Path
+) -> None:
+    source = press(small_sensor, 60)
+    for name, pressure, says in (
+        ("none", None, "no gas pressure was recorded"),
+        ("short", 103_910.5, "no 15 contact-free frames in a row"),
+    ):
+        path = tmp_path / f"{name}.mcap"
+        with RecordingWriter(path) as writer:
+            for k in range(3):
+                writer.write(replace(source[k], gas_pressure_pa=pressure))
+        with pytest.raises(InputError, match=says):
+            estimate_recording(path, small_sensor_file, tmp_path / "r.npz", zero_gas=True)
+        assert not (tmp_path / "r.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("link", "silent", "state"),
+    [
+        ("connecting", None, "connecting"),
+        ("up", None, "connecting"),
+        ("up", 0.3, "live"),
+        ("up", 0.9, "stale"),
+        ("lost", 0.3, "live"),
+        ("lost", 0.9, "reconnecting"),
+        ("ended", 0.1, "ended"),
+    ],
+)
+def test_a_source_that_stopped_is_stale_within_a_second(
+    link: str, silent: float | None, state: str
+) -> None:
+    assert status_of(link, silent).state == state  # type: ignore[arg-type]
+
+
+def test_a_zero_that_is_waited_for_asks_about_few_frames_of_a_contact() -> None:
+    zero, asked = PressureZero(1e5), 0
+    for _ in range(60):
+        if zero.wants_next():
+            asked += 1
+            zero.learn(1e5, contact_free=False)
+    assert asked == 10
+    rested = 0
+    while zero.waiting:
+        rested += 1
+        if zero.wants_next():
+            zero.learn(1e5 + 20.0, contact_free=True)
+    assert zero.offset_pa == 20.0 and rested < 21
+    assert not zero.wants_next()

@@ -1,0 +1,52 @@
+"""What --source may say, and how it is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.source_uri import parse_uri
+from bubbleviz.sensor import Sensor
+
+
+def test_a_source_is_taken_apart() -> None:
+    uri = parse_uri("zenoh:tcp/10.0.0.7:7447?depth=/cam/depth&lag=-0.01&x=%3F")
+    assert (uri.scheme, uri.place) == ("zenoh", "tcp/10.0.0.7:7447")
+    assert uri.text_of("depth") == "/cam/depth"
+    assert uri.number("lag", 0.0, -1.0, 1.0) == -0.01
+    assert uri.text_of("x") == "?"
+    uri.check_all_known()
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("", "begin with one of synthetic:"),
+        ("/dev/video0", "begin with one of"),
+        ("ftp:there", "begin with one of"),
+        ("synthetic:?rate", "no option"),
+        ("synthetic:?rate=30&rate=60", "twice"),
+        ("synthetic:?rate=fast", "rate=fast: give a number from"),
+        ("synthetic:?rate=nan", "rate=nan: give a number from"),
+        ("synthetic:?noise=-1", "noise=-1"),
+        ("synthetic:?speed=2", "speed: no such option of synthetic"),
+        ("synthetic:?ahead=perhaps", "ahead=perhaps: give 1 or 0"),
+        ("synthetic:?encoding=rgb8", "choose one of 32FC1, 16UC1"),
+        ("synthetic:no_such_object", "no such object"),
+        ("replay:", "name the recording"),
+        ("replay:nowhere.mcap", "no such recording"),
+        ("replay:nowhere.mcap?speed=0", "speed=0"),
+        ("zenoh:?domain=1000", "domain=1000"),
+        ("realsense:no_such_file.bag", "no such file"),
+        ("realsense:0123456789", "RealSense"),
+    ],
+)
+def test_refusals_are_one_line_that_names_the_source(
+    source: str, says: str, small_sensor: Sensor, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=says.replace("(", r"\(")) as caught:
+        open_stream(source, small_sensor)
+    assert "\n" not in str(caught.value)

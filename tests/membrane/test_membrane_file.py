@@ -1,0 +1,165 @@
+"""Membrane meshes from file: every format gives the same mesh; what is broken is refused."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.membrane_file import load_membrane, membrane_from_triangles
+
+
+@pytest.fixture(scope="module")
+def cap():
+    return mesh_cap(spherical_cap(0.075, 0.05), 200)
+
+
+def write_ply_ascii(path, nodes, triangles):
+    head = (
+        f"ply\nformat ascii 1.0\ncomment z first\nelement face {len(triangles)}\n"
+        f"property list uchar int vertex_index\nelement vertex {len(nodes)}\n"
+        "property double z\nproperty uchar red\nproperty double x\nproperty double y\nend_header\n"
+    )
+    faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in triangles)
+    rows = "".join(f"{z!r} 7 {x!r} {y!r}\n" for x, y, z in nodes.tolist())
+    path.write_text(head + faces + rows)
+
+
+def write_ply_big_endian(path, nodes, triangles):
+    head = (
+        f"ply\nformat binary_big_endian 1.0\nelement vertex {len(nodes)}\nproperty double x\n"
+        f"property double y\nproperty double z\nproperty float q\nelement face {len(triangles)}\n"
+        "property uchar flags\nproperty list uchar uint vertex_indices\nend_header\n"
+    )
+    body = b"".join(struct.pack(">dddf", *p, 1.0) for p in nodes.tolist())
+    body += b"".join(struct.pack(">BBIII", 1, 3, *t) for t in triangles.tolist())
+    path.write_bytes(head.encode() + body)
+
+
+def write_obj(path, nodes, triangles):
+    text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in nodes.tolist())
+    path.write_text(text + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in triangles))
+
+
+def write_stl(path, nodes, triangles):
+    soup = nodes[triangles].astype("<f4").reshape(len(triangles), 9)
+    rows = np.zeros(len(triangles), dtype=[("n", "<f4", 3), ("v", "<f4", 9), ("a", "<u2")])
+    rows["v"] = soup
+    path.write_bytes(b"\0" * 80 + struct.pack("<I", len(triangles)) + rows.tobytes())
+
+
+def write_vtk(path, nodes, triangles):
+    points = "\n".join(f"{x!r} {y!r} {z!r}" for x, y, z in nodes.tolist())
+    faces = "\n".join(f"3 {a} {b} {c}" for a, b, c in triangles)
+    path.write_text(
+        f"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS {len(nodes)} double\n"
+        f"{points}\nPOLYGONS {len(triangles)} {4 * len(triangles)}\n{faces}\n"
+    )
+
+
+WRITERS = {
+    "a.ply": write_ply_ascii,
+    "b.ply": write_ply_big_endian,
+    "c.obj": write_obj,
+    "d.stl": write_stl,
+    "e.vtk": write_vtk,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_gives_the_same_membrane(tmp_path, cap, name):
+    rng = np.random.default_rng(0)
+    flipped = cap.triangles[rng.permutation(len(cap.triangles))].copy()
+    inward = rng.random(len(flipped)) < 0.5
+    inward[0] = True  # the others follow the first
+    flipped[inward] = flipped[inward][:, [0, 2, 1]]
+    WRITERS[name](tmp_path / name, cap.nodes, flipped)
+    mesh = load_membrane(tmp_path / name)
+    assert len(mesh.nodes) == len(cap.nodes)
+    assert mesh.rim.sum() == cap.rim.sum()
+    assert mesh.cap_volume() == pytest.approx(cap.cap_volume(), rel=1e-6)
+    centre = np.array([0.0, 0.0, 0.05 - (0.075**2 + 0.05**2) / 0.1])
+    outward = mesh.nodes[~mesh.rim] - centre
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    assert (np.einsum("ij,ij->i", outward, mesh.normals[~mesh.rim]) > 0.95).all()
+
+
+def test_polygons_are_cut(tmp_path):
+    path = tmp_path / "quads.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 7\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 3\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 .01\n.02 0 0\n.02 .02 0\n0 .02 0\n-.02 .02 0\n-.02 -.02 0\n.02 -.02 0\n"
+        "4 0 1 2 3\n4 0 3 4 5\n4 0 5 6 1\n"
+    )
+    mesh = load_membrane(path)
+    assert len(mesh.triangles) == 6
+    assert mesh.rim.tolist() == [False] + [True] * 6
+
+
+def broken(nodes, triangles, kind):
+    """What is wrong with a mesh, and words of the message that say so."""
+    inner = triangles[0]
+    if kind == "two loops":
+        return nodes, triangles[5:], "boundary loops"
+    if kind == "three triangles on an edge":
+        extra = [inner[0], inner[1], len(nodes)]
+        top = np.vstack([nodes, [0.0, 0.0, 0.08]])
+        i, j = sorted(inner[:2].tolist())
+        return top, np.vstack([triangles, extra]), f"edge {i}–{j} from \\("
+    if kind == "closed":
+        rim = triangles[np.isin(triangles, np.flatnonzero(nodes[:, 2] == 0)).sum(1) == 2]
+        base = []
+        for t in rim:
+            on = [k for k in range(3) if nodes[t[k], 2] == 0]
+            i, j = (t[on[0]], t[on[1]]) if (on[1] - on[0]) % 3 == 1 else (t[on[1]], t[on[0]])
+            base.append([j, i, len(nodes)])
+        return np.vstack([nodes, [0, 0, -0.001]]), np.vstack([triangles, base]), "closed"
+    if kind == "two pieces":
+        lift = nodes + np.array([0.0, 0.0, 0.1])
+        return np.vstack([nodes, lift]), np.vstack([triangles, triangles + len(nodes)]), "pieces"
+    if kind == "degenerate":
+        moved = nodes.copy()
+        moved[inner[2]] = 0.5 * (moved[inner[0]] + moved[inner[1]])
+        return moved, triangles, "no area"
+    if kind == "duplicate":
+        return nodes, np.vstack([triangles, inner[[1, 2, 0]]]), "twice"
+    if kind == "millimetres":
+        return nodes * 1e3, triangles, "millimetres"
+    if kind == "upside down":
+        return nodes * [1, 1, -1], triangles, "points to -z"
+    if kind == "tilted":
+        return nodes[:, [2, 0, 1]], triangles, "tilted"
+    return nodes + np.array([0, 0, 0.05]), triangles, "rim lies at z"
+
+
+KINDS = (
+    "two loops", "three triangles on an edge", "closed", "two pieces", "degenerate", "duplicate",
+    "millimetres", "upside down", "tilted", "lifted",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_broken_mesh_is_refused_in_one_line(cap, kind):
+    nodes, triangles, words = broken(cap.nodes, cap.triangles, kind)
+    with pytest.raises(InputError, match=words) as caught:
+        membrane_from_triangles(nodes, triangles)
+    assert "\n" not in str(caught.value)
+
+
+def test_unreadable_files_are_refused(tmp_path, cap, capfd):
+    write_ply_big_endian(tmp_path / "whole.ply", cap.nodes, cap.triangles)
+    whole = (tmp_path / "whole.ply").read_bytes()
+    (tmp_path / "cut.ply").write_bytes(whole[: len(whole) // 2])
+    write_ply_ascii(
+        tmp_path / "nan.ply", np.where(cap.nodes == 0, np.nan, cap.nodes), cap.triangles
+    )
+    for name, text in {"x.stl": "solid", "x.obj": "", "x.vtk": "hello", "x.ply": "hello"}.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "x.txt").write_text("hello")
+    for name in ("cut.ply", "nan.ply", "x.stl", "x.obj", "x.vtk", "x.ply", "x.txt", "none.ply"):
+        with pytest.raises(InputError, match=name) as caught:
+            load_membrane(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")  # the readers print nothing of their own

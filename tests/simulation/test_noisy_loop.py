@@ -1,0 +1,44 @@
+"""A source played in rounds: what is true repeats, the noise does not."""
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.frames.frame import Frame
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.noisy_loop import NoisyLoop
+
+SIGMA = 1e-3
+
+
+class Flat:
+    name, times_s = "flat", np.arange(3) / 30.0
+
+    def __len__(self):
+        return 3
+
+    def __getitem__(self, index):
+        return Frame(index, index / 30.0, np.full((40, 50), 0.1 + 0.01 * index, np.float32))
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def rounds():
+    camera = DepthCamera(Intrinsics(50, 40, 40.0, 40.0, 25.0, 20.0), np.eye(4))
+    return NoisyLoop(Flat(), camera, DepthNoise(absolute_m=SIGMA))
+
+
+def test_noise_is_of_the_camera_and_new_every_round(rounds):
+    first = [rounds[k].depth_m for k in range(3)]
+    second = [rounds[k].depth_m for k in range(3)]
+    for k, (a, b) in enumerate(zip(first, second, strict=True)):
+        assert np.mean(a) == pytest.approx(0.1 + 0.01 * k, abs=1e-4)
+        assert np.std(a - b) == pytest.approx(np.sqrt(2.0) * SIGMA, rel=0.25)
+        assert abs(np.corrcoef((a - a.mean()).ravel(), (b - b.mean()).ravel())[0, 1]) < 0.1
+
+
+def test_a_frame_that_is_looked_at_again_stays_as_it_is(rounds):
+    np.testing.assert_array_equal(rounds[1].depth_m, rounds[1].depth_m)

@@ -1,0 +1,106 @@
+"""TRUTH.npz read back: the recording knows what its simulation knew, or says why not."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.errors import InputError
+from bubbleviz.frames.recording import Recording
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import KnowsTruth, SyntheticSource, Truth, truth_of
+from bubbleviz.simulation.truth_file import KnownRecording, known_beside, read_truth
+
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def source() -> SyntheticSource:
+    sensor = Sensor(
+        name="dome",
+        membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=200),
+        pneumatics=Pneumatics(gauge_pressure_pa=2585.5, chamber_volume_m3=2.2e-3),
+        camera=Camera(
+            width=40, height=30, fx=23.0, fy=19.0, cx=19.5, cy=14.5, position_m=(0.0, 0.0, -0.104)
+        ),
+    )
+    poses = np.repeat(np.eye(4)[None], FRAMES, axis=0)
+    poses[:, 2, 3] = (0.06, 0.045, 0.040)
+    return SyntheticSource(sensor, load_object("cylinder"), poses, DepthNoise(), nodes=400)
+
+
+@pytest.fixture(scope="module")
+def folder(source: SyntheticSource, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated")
+    write_simulation(source, folder / "sim.mcap", folder / "truth.npz")
+    return folder
+
+
+def test_the_truth_of_every_frame_is_read_back(folder: Path, source: SyntheticSource) -> None:
+    known = KnownRecording(Recording(folder / "sim.mcap"), folder / "truth.npz")
+    assert isinstance(known, KnowsTruth) and len(known) == FRAMES
+    for index in range(FRAMES):
+        truth, expected = truth_of(known, index), source.truth(index)
+        for field in fields(Truth):
+            np.testing.assert_array_equal(
+                getattr(truth, field.name), getattr(expected, field.name), err_msg=field.name
+            )
+        assert known[index].index == index
+    assert known.truth(0).patch_mask.sum() == 0 < known.truth(2).patch_mask.sum()
+    known.close()
+
+
+def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(
+    folder: Path, tmp_path: Path
+) -> None:
+    for name in ("sim.mcap", "truth.npz"):
+        shutil.copy(folder / name, tmp_path)
+    with Recording(tmp_path / "sim.mcap") as recording:
+        assert known_beside(recording) is recording
+        arrays = dict(np.load(tmp_path / "truth.npz"))
+        del arrays["T_B_O"]  # as RESULT.npz, which has most of the other names
+        np.savez(tmp_path / "sim.npz", **arrays)
+        assert known_beside(recording) is recording
+        (tmp_path / "sim.npz").write_bytes(b"no npz")
+        assert known_beside(recording) is recording
+        shutil.copy(tmp_path / "truth.npz", tmp_path / "sim.npz")
+        assert isinstance(known_beside(recording), KnownRecording) and not recording.remark
+        of_another = {name: array[:-1] for name, array in np.load(tmp_path / "truth.npz").items()}
+        np.savez(tmp_path / "sim.npz", **of_another)
+        assert known_beside(recording) is recording
+        assert "sim.npz: is the truth of another recording" in recording.remark
+
+
+def test_what_is_no_truth_of_this_recording_is_one_sentence(folder: Path, tmp_path: Path) -> None:
+    arrays = dict(np.load(folder / "truth.npz"))
+    bad = tmp_path / "bad.npz"
+
+    def problem() -> str:
+        with Recording(folder / "sim.mcap") as recording, pytest.raises(InputError) as caught:
+            KnownRecording(recording, bad)
+        assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
+        return str(caught.value)
+
+    assert "cannot be read" in problem()
+    bad.write_bytes(b"PK no zip")
+    assert "cannot be read" in problem()
+    np.savez(bad, force_n=arrays["force_n"])
+    assert "is no TRUTH.npz" in problem()
+    np.savez(bad, **{**arrays, "patch_mask": np.array(True)})
+    assert "do not fit together" in problem()
+    np.savez(bad, **{k: a[:2] if len(a) == FRAMES else a for k, a in arrays.items()})
+    assert "2 frames" in problem() and "3 frames" in problem()
+    np.savez(bad, **{**arrays, "patch_mask": arrays["patch_mask"][:, :, 1:]})
+    assert "39×30" in problem() and "40×30" in problem()
+    np.savez(bad, **{**arrays, "time_s": 2.0 * arrays["time_s"]})
+    assert "another recording" in problem()
+    np.savez(bad, **{**arrays, "force_n": np.array([{}] * FRAMES, dtype=object)})
+    with pytest.raises(InputError, match="cannot be read"):
+        read_truth(bad)

@@ -1,0 +1,229 @@
+"""The accuracy study: presses, errors, the oracle baseline, targets and the report."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Estimate, Result
+from bubbleviz.sensor import load_sensor
+from bubbleviz.study.accuracy import accuracy_report, linear_model
+from bubbleviz.study.accuracy.accuracy_study import (
+    PRODUCTS,
+    Grid,
+    Row,
+    Setup,
+    patch_width_m,
+    run_accuracy,
+    strided,
+)
+from bubbleviz.study.accuracy.threshold_baseline import THRESHOLDS_M, _iou_by_threshold
+from bubbleviz.study.error_metrics import Judge, iou
+from bubbleviz.study.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press, made, presses
+from bubbleviz.study.truth_bank import TruthBank
+
+SETUPS = (Setup(), Setup(nodes=300, relinearisations=0))
+GRID = Grid(("sphere", "hex_nut"), (0.012,), (0.0, 0.01), SETUPS, 2, 3_000, 7)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_sensor("pico_flexx_75mm")
+
+
+@pytest.fixture(scope="module")
+def bank(sensor):
+    return TruthBank(sensor, 7, 3_000)
+
+
+@pytest.fixture(scope="module")
+def study(sensor):
+    return run_accuracy(sensor, GRID)
+
+
+@pytest.mark.parametrize("name", GRID_OBJECTS + HELD_OUT_OBJECTS)
+def test_presses_are_as_deep_as_they_say_and_repeat(name, bank):
+    press = Press(name, 0.004, False)
+    pose = press.pose(bank.mesh, 3)
+    assert np.array_equal(pose, press.pose(bank.mesh, 3))
+    assert not np.allclose(pose, press.pose(bank.mesh, 4))
+    obj = made(name)
+    assert np.linalg.norm(pose[:2, 3]) <= 0.008
+    assert np.arccos(pose[2, 2]) <= 0.15
+    # lifted by its depth it touches: no vertex is under the sphere, and one is within 0.4 mm
+    vertices = obj.vertices @ pose[:3, :3].T + pose[:3, 3] + [0.0, 0.0, press.depth_m]
+    radius = (0.075**2 + 0.05**2) / 0.1
+    gap = np.linalg.norm(vertices - [0.0, 0.0, 0.05 - radius], axis=1) - radius
+    assert -2e-4 < gap.min() < 4e-4
+
+
+def test_cross_is_watertight_with_its_volume():
+    obj = made("cross")
+    a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
+    edges = np.sort(obj.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
+    volume = np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
+    assert volume == pytest.approx((2 * 0.040 * 0.010 - 0.010**2) * 0.020, rel=1e-5)
+
+
+def test_patch_width_of_a_strip(bank):
+    sighting = bank.sighting(Press("sphere", 0.012, False))
+    mask = np.zeros((171, 224), bool)
+    mask[60:68, 20:200] = True
+    level = replace(sighting, range_m=np.full(mask.shape, 0.1))
+    level = replace(level, truth=replace(sighting.truth, patch_mask=mask))
+    # 8 pixels of 0.1 m / 200: 4 mm; pixel centres and the two short ends take a little
+    assert patch_width_m(level, 200.0) == pytest.approx(0.004, rel=0.3)
+    mask[60:92] = True
+    assert patch_width_m(level, 200.0) > 0.008
+
+
+def test_held_out_objects_are_marked():
+    marked = {
+        p.object_name for p in presses(GRID_OBJECTS + HELD_OUT_OBJECTS, (0.01,)) if p.held_out
+    }
+    assert marked == {"cross", "cylinder", "hex_nut"}
+
+
+def test_the_truth_itself_has_no_errors(sensor, bank):
+    sighting = bank.sighting(Press("sphere", 0.012, False))
+    pipeline = Pipeline(
+        sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update={"nodes": 3_000})})
+    )
+    assert np.array_equal(pipeline.mesh.nodes, bank.mesh.nodes)
+    truth = sighting.truth
+    estimate = Estimate(
+        "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
+    )
+    patch = replace(pipeline.patch(estimate), pixel_mask=truth.patch_mask)
+    result = Result(bank.frame(sighting, 0.0, 0), estimate, patch)
+    errors = Judge(pipeline, bank.mesh).errors(result, truth)
+    assert errors.iou == 1.0
+    assert errors.force_error_relative == pytest.approx(0.0, abs=1e-12)
+    assert errors.cop_error_m < 1e-3  # the reported centre is that of the patch alone
+    assert errors.displacement_rms_m < 1e-7  # the closest point is found in single precision
+    assert errors.iou_best_threshold > 0.85
+
+
+def test_iou_of_masks():
+    a, b = np.array([1, 1, 0, 0], bool), np.array([1, 0, 1, 0], bool)
+    assert iou(a, b) == pytest.approx(1 / 3)
+    assert iou(a & False, b & False) == 1.0
+
+
+def test_strided_camera_sees_the_same_rays(sensor):
+    from bubbleviz.camera.depth_camera import DepthCamera
+
+    every = DepthCamera.of(sensor.camera)
+    third = DepthCamera.of(strided(sensor, 3).camera)
+    size = (sensor.camera.height, sensor.camera.width, 3)
+    expected = every.directions.reshape(size)[::3, ::3].reshape(-1, 3)
+    assert np.allclose(third.directions, expected)
+
+
+def test_noise_differs_from_frame_to_frame_and_repeats(bank):
+    sighting = bank.sighting(Press("sphere", 0.012, False))
+    first, again, second = (bank.frame(sighting, 0.01, k).depth_m for k in (0, 0, 1))
+    assert np.array_equal(first, again, equal_nan=True)
+    assert not np.array_equal(first, second, equal_nan=True)
+
+
+def test_structure(study):
+    assert len(study.rows) == 2 * 2 * len(SETUPS)
+    assert study.omitted == []
+    for row in study.rows:
+        assert row.status == "ok"
+        assert 0.0 < row.iou <= 1.0
+        assert 0.0 < row.iou_best_threshold <= 1.0
+        assert row.force_error_relative < (0.1 if row.setup == "default" else 0.25)
+        assert row.displacement_rms_m < 1e-3
+        assert row.cop_error_m < 2e-3
+        assert row.warm_ms > 0.0
+    assert {row.held_out for row in study.rows if row.object_name == "hex_nut"} == {True}
+
+
+def test_the_oracle_is_the_best_threshold_and_no_better_than_1(study, bank):
+    assert len(study.baselines) == 2 * 2 * 3
+    assert all(0.0 < base.iou <= 1.0 for base in study.baselines)
+    sighting = bank.sighting(Press("sphere", 0.012, False))
+    scores = _iou_by_threshold(bank, sighting, 0.01, 0.0, 0)
+    frame = bank.frame(sighting, 0.01, 0)
+    change = np.abs(np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m))
+    for k in (0, 60, 100):
+        expected = iou(change > THRESHOLDS_M[k], sighting.truth.patch_mask)
+        assert scores[k] == pytest.approx(expected)
+    base = next(
+        b
+        for b in study.baselines
+        if (b.object_name, b.noise_relative, b.blur_px) == ("sphere", 0.01, 0.0)
+    )
+    assert base.iou == pytest.approx(scores.max())
+
+
+def test_a_solver_that_breaks_is_left_out_by_name(sensor):
+    grid = replace(GRID, objects=("sphere",), noises_relative=(0.0,), setups=(Setup("magic"),))
+    found = run_accuracy(sensor, grid)
+    assert found.rows == []
+    assert "magic" in found.omitted[0]
+    accuracy_report.to_text(found)
+
+
+def test_a_stopped_study_goes_on(sensor, tmp_path):
+    grid = replace(GRID, objects=("sphere",), noises_relative=(0.01,), setups=SETUPS[1:])
+    first = run_accuracy(sensor, grid, tmp_path)
+    again = run_accuracy(sensor, grid, tmp_path)
+    assert again.rows == first.rows
+    other = run_accuracy(sensor, replace(grid, seed=8), tmp_path)
+    assert other.rows == []
+    assert "another grid" in other.omitted[0]
+
+
+def test_report_files(study, tmp_path):
+    accuracy_report.write(study, tmp_path)
+    with (tmp_path / "accuracy.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == len(study.rows)
+    assert {"depth_m", "warm_ms", "cop_error_m", "gas_error_pa"} <= set(lines[0])
+    data = json.loads((tmp_path / "accuracy.json").read_text())
+    assert {"targets", "points", "baselines", "rows", "grid", "omitted"} == set(data)
+    assert any(point["on_front"] for point in data["points"])
+    assert (tmp_path / "accuracy.png").stat().st_size > 10_000
+    with pytest.raises(InputError, match="exists"):
+        accuracy_report.check_free(tmp_path)
+
+
+def row(setup, ms, overlap, force):
+    return Row("sphere", False, 0.015, 0.01, setup, "x", 800, 1, 2, 0.01, 0.003, "ok",
+               overlap, overlap, force, 1e-3, 1e-4, 1.0, 0.0, 100.0, ms)  # fmt: skip
+
+
+def test_front_and_targets_on_known_rows(study):
+    setups = tuple(Setup(s) for s in ("a", "b", "c"))
+    rows = [row("a", 5, 0.8, 0.01), row("b", 9, 0.7, 0.02), row("c", 3, 0.6, 0.03)]
+    known = replace(study, grid=replace(GRID, setups=setups), rows=rows)
+    front = {p.setup: p.on_front for p in accuracy_report.points(known)}
+    assert front == {"a": True, "b": False, "c": True}
+    met = {t.name: t.met for t in accuracy_report.targets(known)}
+    assert met["grid, 1 %: median force error"]
+    assert met["grid, 1 %: mean patch IoU"]
+    worse = replace(known, rows=[row("a", 5, 0.1, 0.021)])
+    assert not any(t.met for t in accuracy_report.targets(worse))
+
+
+def test_linear_model_is_worse_the_deeper(sensor, tmp_path):
+    bubble = linear_model.bubble_of(sensor)
+    found = linear_model.compare(bubble, np.array([0.005, 0.02]), nodes=800)
+    assert {c.object_name for c in found} == set(linear_model.BALLS_M)
+    for name in linear_model.BALLS_M:
+        shallow, deep = (abs(c.force_error_relative) for c in found if c.object_name == name)
+        assert shallow < deep < 0.4
+    linear_model.write(found, tmp_path)
+    assert (tmp_path / "linear_model.png").stat().st_size > 10_000
+
+
+def test_products_are_the_whole_way_to_the_patch():
+    assert {"estimate", "patch", "pixel_mask"} == PRODUCTS

@@ -1,0 +1,138 @@
+"""The speed study: what it measures adds up; growth and targets on known numbers."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.sensor import load_sensor
+from bubbleviz.study.accuracy.accuracy_study import Setup
+from bubbleviz.study.speed import speed_report
+from bubbleviz.study.speed.speed_study import (
+    Run,
+    SpeedRow,
+    measure,
+    read_ms,
+    run_speed,
+    scaled_camera,
+)
+from bubbleviz.study.speed.stopwatch import PeakMemory, Stopwatch
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_sensor("pico_flexx_75mm")
+
+
+@pytest.fixture(scope="module")
+def measured(sensor):
+    return measure(sensor, Run("stream", Setup(nodes=300), frames=3))
+
+
+def test_stages_add_up_to_the_total(measured):
+    stages = [getattr(measured, f"{name}_ms") for name in speed_report.STAGES]
+    assert all(np.isfinite(stages))
+    by_name = dict(zip(speed_report.STAGES, stages, strict=True))
+    assert by_name.pop("linearise") >= 0.0  # rays are not cast again where little moved
+    assert min(list(by_name.values())[:3]) > 0.0
+    assert measured.solver == "active-set"
+    assert measured.frames == 3
+    assert measured.memory_peak_bytes >= 0  # here it may all fit into memory freed before
+    assert 0.0 < measured.iou_mean <= 1.0
+
+
+def test_a_run_that_breaks_says_why(sensor):
+    (row,) = run_speed(sensor, [Run("stream", Setup("magic"), frames=1)])
+    assert "magic" in row.error
+    text = speed_report.to_text(speed_report.Speed([row], 0.1))
+    assert "magic" in text
+
+
+def test_scaled_camera_sees_the_same(sensor):
+    for pixels in (5_000, 1_000_000):
+        camera = scaled_camera(sensor, pixels).camera
+        assert camera.width * camera.height == pytest.approx(pixels, rel=0.01)
+        for name, length, focal in (("cx", "width", "fx"), ("cy", "height", "fy")):
+            left = [(-0.5 - getattr(c, name)) / getattr(c, focal) for c in (camera, sensor.camera)]
+            assert left[0] == pytest.approx(left[1])
+            right = [
+                (getattr(c, length) - 0.5 - getattr(c, name)) / getattr(c, focal)
+                for c in (camera, sensor.camera)
+            ]
+            assert right[0] == pytest.approx(right[1])
+
+
+def test_reading_is_measured(sensor):
+    assert read_ms(sensor, frames=3) > 0.0
+
+
+class Part:
+    def solve(self, x):
+        return 2 * x
+
+
+class Whole:
+    def __init__(self):
+        self.part, self.other = Part(), Part()
+
+
+def test_stopwatch_measures_this_instance_alone():
+    whole, untouched = Whole(), Part()
+    watch = Stopwatch(whole)
+    assert whole.part.solve(3) == 6
+    assert set(watch.lap()) == {"solve"}
+    assert watch.lap() == {}
+    untouched.solve(1)
+    assert watch.lap() == {}
+
+
+def test_peak_memory_sees_what_was_freed_again():
+    with PeakMemory() as memory:
+        block = np.ones(30_000_000)
+        del block
+    assert memory.increase_bytes > 200_000_000
+
+
+def rows_of(sweep, sizes, exponent, solver="osqp"):
+    return [
+        SpeedRow(sweep, f"{solver}_{n}", solver, *((n, 38_304) if sweep == "nodes" else (800, n)),
+                 5, total_ms=1e-3 * n**exponent, memory_peak_bytes=n**2)
+        for n in sizes
+    ]  # fmt: skip
+
+
+def test_growth_of_known_rows():
+    rows = rows_of("nodes", (200, 1_000, 5_000, 20_000), 1.4)
+    (growth,) = speed_report.growths(rows)
+    assert (growth.sweep, growth.setup, growth.sizes) == ("nodes", "osqp", 3)
+    assert growth.exponent == pytest.approx(1.4)
+    assert growth.memory_exponent == pytest.approx(2.0)
+
+
+def test_targets_of_known_rows(measured, tmp_path):
+    fast = replace(measured, setup="default", total_ms=6.0, total_p95_ms=12.0)
+    base = replace(fast, sweep="baseline", iou_mean=0.8)
+    loose = replace(base, setup="osqp-cold_eps1e-03", total_ms=30.0, iou_mean=0.7)
+    same = replace(base, setup="osqp-cold_eps1e-05", total_ms=90.0, iou_mean=0.795)
+    rows = [
+        *(fast, base, loose, same),
+        *rows_of("nodes", (1_000, 20_000), 1.5),
+        *rows_of("pixels", (38_304, 10**6), 0.5),
+    ]
+    found = speed_report.Speed(rows, 0.3)
+    aims = speed_report.targets(found)
+    assert len(aims) == 5
+    assert all(aim.met for aim in aims)
+    assert "eps1e-05" in aims[2].name and aims[2].value == pytest.approx(15.0)
+    slower = replace(fast, total_ms=9.5, total_p95_ms=17.0)
+    rows = [
+        *(slower, replace(base, total_ms=9.5), loose, same),
+        *rows_of("nodes", (1_000, 20_000), 1.7),
+        *rows_of("pixels", (38_304, 10**6), 0.9),
+    ]
+    assert not any(aim.met for aim in speed_report.targets(speed_report.Speed(rows, 0.3)))
+    speed_report.write(found, tmp_path)
+    data = json.loads((tmp_path / "speed.json").read_text())
+    assert {"read_ms", "targets", "growth", "rows"} == set(data)
+    assert (tmp_path / "speed.png").stat().st_size > 10_000

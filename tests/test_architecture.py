@@ -1,0 +1,94 @@
+"""The packages as docs and names promise them: small rooms, one name for one thing, no cycles."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+PACKAGES = (REPOSITORY / "bubbleviz", REPOSITORY / "ui" / "bubbleviz_ui")
+FILES = [file for package in PACKAGES for file in sorted(package.rglob("*.py"))]
+
+AT_A_ROOT = 10
+IN_A_FOLDER = 15
+SOLVERS = {"scipy", "osqp", "clarabel", "open3d"}
+"""Numerics of the backend, which the window leaves to it."""
+WINDOW = {"bubbleviz_ui", "PySide6", "pyqtgraph", "pyvista", "pyvistaqt"}
+
+
+def name_of(file: Path) -> str:
+    """Import name of a module."""
+    package = next(package for package in PACKAGES if file.is_relative_to(package))
+    parts = file.relative_to(package.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(file): file for file in FILES}
+
+
+def imported(node: ast.AST) -> Iterator[str]:
+    """Modules that are imported at run time below a node, inside functions too."""
+    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        return
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        assert node.level == 0 and node.module, "imports are absolute"
+        for alias in node.names:
+            full = f"{node.module}.{alias.name}"
+            yield full if full in MODULES else node.module
+    for child in ast.iter_child_nodes(node):
+        yield from imported(child)
+
+
+IMPORTS = {name: set(imported(ast.parse(file.read_text()))) for name, file in MODULES.items()}
+
+
+def importing(package: str, others: set[str]) -> list[str]:
+    """Modules of a package that import any of other top-level packages."""
+    return [
+        f"{name} imports {target}"
+        for name, targets in IMPORTS.items()
+        if name.split(".")[0] == package
+        for target in targets
+        if target.split(".")[0] in others
+    ]
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_the_root_holds_only_what_crosses_all_rooms(package: Path) -> None:
+    assert len(list(package.glob("*.py"))) <= AT_A_ROOT
+
+
+def test_no_folder_is_too_full() -> None:
+    modules = Counter(file.parent.relative_to(REPOSITORY) for file in FILES)
+    assert not {folder: n for folder, n in modules.items() if n > IN_A_FOLDER}
+
+
+def test_a_base_name_stands_for_one_module() -> None:
+    places = defaultdict(list)
+    for file in FILES:
+        if file.name != "__init__.py":
+            places[file.stem].append(file)
+    assert not {name: files for name, files in places.items() if len(files) > 1}
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    graph = {name: targets & MODULES.keys() - {name} for name, targets in IMPORTS.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" → ".join(error.args[1]))
+
+
+def test_the_backend_knows_nothing_of_the_window() -> None:
+    assert not importing("bubbleviz", WINDOW)
+
+
+def test_the_window_leaves_numerics_to_the_backend() -> None:
+    assert not importing("bubbleviz_ui", SOLVERS)

@@ -1,0 +1,95 @@
+"""What other packages load for nothing is left out, and is there when it is asked for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+CODE = """
+import sys
+from bubbleviz.lazy_imports import import_without
+import_without({package!r}, {part!r})
+{first}
+print({heavy!r} in sys.modules)
+{then}
+print({heavy!r} in sys.modules)
+"""
+
+
+@pytest.mark.parametrize(
+    ("package", "part", "heavy", "first", "then"),
+    [
+        (
+            "open3d", "visualization", "dash",
+            "from open3d import core; from open3d.t.geometry import RaycastingScene",
+            "import open3d; assert callable(open3d.visualization.draw_plotly)",
+        ),
+        (
+            "open3d", "visualization", "dash",
+            "from open3d.pipelines import registration",
+            "import open3d.visualization as v; assert callable(v.draw_plotly)",
+        ),
+        (
+            "matplotlib", "pyplot", "matplotlib.figure",
+            "import pyvista.plotting.colors; import matplotlib.pyplot as plt",
+            "from matplotlib import pyplot; assert callable(pyplot.subplots);"
+            "import matplotlib.pyplot as plt; plt.figure()",
+        ),
+    ],
+)  # fmt: skip
+def test_a_part_is_loaded_when_it_is_used(
+    package: str, part: str, heavy: str, first: str, then: str
+) -> None:
+    code = CODE.format(package=package, part=part, heavy=heavy, first=first, then=then)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        env=os.environ | {"MPLBACKEND": "agg"},  # its look for a screen may be the X server's last
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["False", "True"]
+
+
+def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None:
+    code = (
+        "import sys; from bubbleviz.lazy_imports import import_without, made_later\n"
+        "import_without('matplotlib', 'pyplot')\n"
+        "with made_later('matplotlib.backends.backend_agg', 'FigureCanvasAgg'):\n"
+        "    import pyvista.plotting.charts\n"
+        "print('matplotlib.backends._backend_agg' in sys.modules)\n"
+        "import matplotlib.pyplot as plt; figure, axes = plt.subplots(); axes.plot([0, 1])\n"
+        "from matplotlib.backends.backend_agg import FigureCanvasAgg as named\n"
+        "print(isinstance(named, type), type(pyvista.ChartMPL(figure)._canvas).__module__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        env=os.environ | {"MPLBACKEND": "agg"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["False", "True", "matplotlib.backends.backend_agg"]
+
+
+def test_what_is_imported_meanwhile_stays_and_garbage_is_collected_again() -> None:
+    code = (
+        "import gc; from bubbleviz.lazy_imports import everything_stays\n"
+        "with everything_stays(): import fractions; print(gc.isenabled())\n"
+        "print(gc.isenabled(), gc.get_freeze_count() > 1000)\n"
+        "import weakref\n"
+        "class Ring: pass\n"
+        "ring = Ring(); ring.itself = ring; gone = weakref.ref(ring); del ring; gc.collect()\n"
+        "print(gone())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True", "True", "None"]
+
+
+def test_a_package_that_is_not_there_leaves_nothing() -> None:
+    code = (
+        "import sys; from bubbleviz.lazy_imports import import_without\n"
+        "try: import_without('no_such_package', 'part')\n"
+        "except ModuleNotFoundError: print([m for m in sys.modules if 'no_such' in m])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,46 @@
+"""A short run of the monkey; the long one is `bubbleviz bench monkey`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parents[1]
+PROGRAM = """
+import json, sys
+sys.path.insert(0, {here!r})
+from fakes import small_sensor
+from bubbleviz_ui.bench.monkey import monkey_run
+report = monkey_run(small_sensor(), None, {seconds}, seed={seed}, memory=False)
+print(json.dumps([report.actions, report.problems]))
+"""
+
+
+def monkey(seconds: float, seed: int, before: str = "") -> tuple[int, list[str]]:
+    code = before + PROGRAM.format(here=str(HERE), seconds=seconds, seed=seed)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=200,
+        cwd=HERE.parents[1], env=os.environ,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    import json
+
+    actions, problems = json.loads(done.stdout.splitlines()[-1])
+    return actions, problems
+
+
+def test_a_monkey_breaks_nothing() -> None:
+    actions, problems = monkey(6.0, seed=7)
+    assert not problems, problems[0]
+    assert actions > 0
+
+
+def test_a_monkey_finds_an_exception_in_a_slot() -> None:
+    broken = (
+        "from bubbleviz_ui.model.session_state import SessionState\n"
+        "SessionState.choose_panel = lambda *a, **k: 1 / 0\n"
+    )
+    _, problems = monkey(2.0, seed=1, before=broken)
+    assert any("ZeroDivisionError" in problem for problem in problems)

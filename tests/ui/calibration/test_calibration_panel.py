@@ -1,0 +1,424 @@
+"""The γ0 panel in the real window: clicks, drags and keys on a dome known exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import small_sensor
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtWidgets import QFileDialog, QWidget
+from resting import REST, TENSION, RestingSource
+from window_driver import Driver
+
+from bubbleviz.calibration.workbench import Step
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
+from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.playback.range_strip import RangeStrip
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+
+
+class Bench:
+    """The window with its γ0 panel open, and what a person does with it."""
+
+    def __init__(self, driver: Driver) -> None:
+        self.driver = driver
+        driver.window.use_scene(load_scene("calibrate"))
+        driver.settle()
+
+    @property
+    def undone(self) -> int:
+        return self.driver.window.undo_stack.index()
+
+    @property
+    def panel(self) -> Gamma0Panel:
+        return self.driver.window.gamma0
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        return self.panel.calibration.answer.draft.ranges
+
+    def done(self) -> None:
+        self.driver.wait(lambda: not self.panel.calibration.busy)
+
+    def click(self, widget: QWidget, *, wait: bool = True) -> None:
+        assert widget.isEnabled()
+        self.driver.bot.mouseClick(widget, LEFT)
+        if wait:
+            self.done()
+
+    def identify(self) -> None:
+        self.click(self.panel.next)
+        self.click(self.panel.all)
+        assert self.panel.message.text() == ""
+
+    def key(
+        self, key: Qt.Key, modifier: Qt.KeyboardModifier, widget: QWidget | None = None
+    ) -> None:
+        window = self.driver.window
+        with self.driver.bot.waitActive(window):
+            window.activateWindow()
+        self.driver.bot.keyClick(widget or window, key, modifier)
+        self.done()
+
+    def undo(self) -> None:
+        self.key(Qt.Key.Key_Z, CTRL)
+
+    def redo(self) -> None:
+        self.key(Qt.Key.Key_Z, CTRL | SHIFT)
+
+    def drag(self, strip: RangeStrip, start: int, end: int) -> None:
+        bot, y = self.driver.bot, strip.height() // 2
+        places = [QPoint(round(strip.x_of(f)), y) for f in (start, (start + end) // 2, end)]
+        bot.mousePress(strip, LEFT, pos=places[0])
+        for place in places[1:]:
+            bot.mouseMove(strip, place)
+        bot.mouseRelease(strip, LEFT, pos=places[-1])
+        self.done()
+
+
+@pytest.fixture
+def bench(drive: Drive) -> Iterator[Bench]:
+    made = Bench(drive(RestingSource))
+    yield made
+    del made.driver  # pytest keeps the fixture's value a little longer than the window may live
+
+
+def test_steps_end_in_gamma0_with_its_interval(bench: Bench) -> None:
+    panel = bench.panel
+    assert not panel.strip.isVisible()
+    bench.click(panel.next)
+    assert abs(bench.ranges[0][1] - REST) <= 3 and panel.strip.isVisible()
+    for step in (Step.PIXELS, Step.SURFACE, Step.TENSION):
+        bench.click(panel.next)
+        assert panel.calibration.answer.work.settings.reached == step
+        assert panel.page.view.image is not None
+    estimate = panel.calibration.answer.draft.tension
+    value, half = estimate.tension.value, estimate.tension.half_width
+    assert panel.tension.numbers.text("γ0") == f"{value:.2f} ± {half:.2f} N/m"
+    assert estimate.tension.low < TENSION < estimate.tension.high
+    assert value == pytest.approx(TENSION, rel=0.01)
+    assert panel.verdict.isVisible() and f"{value:.2f} N/m" in panel.verdict.text()
+
+
+def test_an_end_is_dragged_on_the_timeline(bench: Bench) -> None:
+    bench.identify()
+    before = bench.panel.calibration.answer.draft
+    bench.drag(bench.panel.strip, before.ranges[0][1] - 1, 13)
+    assert bench.ranges == ((0, 14),)
+    assert bench.panel.calibration.answer.draft.samples.frames == tuple(range(14))
+    assert bench.panel.calibration.answer.draft.tension is not before.tension
+    bench.drag(bench.panel.strip, 16, 19)  # over empty frames: another range
+    assert bench.ranges == ((0, 14), (16, 20))
+    bench.undo()
+    bench.undo()
+    assert bench.panel.calibration.answer.draft is before  # remembered, not computed again
+
+
+def test_an_end_is_moved_by_keys_without_seeking(bench: Bench) -> None:
+    bench.click(bench.panel.next)
+    strip, stop, frame = bench.panel.strip, bench.ranges[0][1], bench.driver.state.frame
+    strip.setFocus()
+    none = Qt.KeyboardModifier.NoModifier
+    bench.key(Qt.Key.Key_Left, none, strip)
+    bench.key(Qt.Key.Key_Left, none, strip)
+    assert bench.ranges == ((0, stop - 2),)
+    bench.key(Qt.Key.Key_Space, none, strip)
+    bench.key(Qt.Key.Key_Right, none, strip)
+    assert bench.ranges == ((1, stop - 2),)
+    assert bench.driver.state.frame == frame and not bench.driver.state.playing
+
+
+def test_a_sample_is_taken_out_and_the_rest_is_kept(bench: Bench) -> None:
+    bench.identify()
+    panel, before = bench.panel, bench.panel.calibration.answer.draft
+    bench.click(panel.steps.button(0))
+    panel.frames.first.setValue(5)
+    panel.frames.last.setValue(9)
+    bench.click(panel.frames.take_out)
+    after = panel.calibration.answer.draft
+    assert after.ranges == ((0, 5), (10, before.ranges[0][1]))
+    assert not set(range(5, 10)) & set(after.samples.frames)
+    assert after.contact_free is before.contact_free
+    assert after.tension.tension.value != before.tension.tension.value
+    assert panel.frames.said.text().startswith("frames 0–4, 10–")
+
+
+def test_thresholds_move_the_mask_and_nothing_else(bench: Bench) -> None:
+    bench.identify()
+    panel, before = bench.panel, bench.panel.calibration.answer.draft
+    bench.click(panel.steps.button(1))
+    shown, said = panel.pixels.view.image, panel.pixels.numbers.text("used")
+    panel.pixels.deviations.box.setValue(1.0)
+    bench.done()
+    after = panel.calibration.answer.draft
+    assert after.pixels.mask.sum() < before.pixels.mask.sum()
+    assert (panel.pixels.view.image.sum(), panel.pixels.numbers.text("used")) == (
+        after.pixels.mask.sum(),
+        f"{after.pixels.mask.sum()} of {after.pixels.mask.size} pixels",
+    )
+    assert shown.sum() == before.pixels.mask.sum() and panel.pixels.numbers.text("used") != said
+    assert after.surfaces is before.surfaces and after.tension is before.tension
+    panel.pixels.validity.box.setValue(100.0)
+    bench.done()
+    assert panel.calibration.settings.min_validity == pytest.approx(1.0)
+
+
+def test_a_dragged_slider_is_undone_at_once(bench: Bench) -> None:
+    bench.identify()
+    bench.click(bench.panel.steps.button(1))
+    slider, before = bench.panel.pixels.deviations.slider, bench.panel.calibration.settings
+    slider.setSliderDown(True)
+    for place in (25, 20, 15):
+        slider.setSliderPosition(place)
+    slider.setSliderDown(False)
+    bench.done()
+    assert bench.panel.calibration.settings.deviations == pytest.approx(1.5)
+    bench.undo()
+    assert bench.panel.calibration.settings == before
+
+
+def test_every_step_is_undone_and_done_again(bench: Bench) -> None:
+    panel = bench.panel
+    for _ in range(4):
+        bench.click(panel.next)
+    last = panel.calibration.answer
+    for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
+        bench.undo()
+        assert panel.calibration.settings.reached == step
+        assert (panel.calibration.answer.draft.tension is None) and not panel.verdict.isVisible()
+    assert not panel.strip.isVisible()
+    for _ in range(4):
+        bench.redo()
+    assert panel.calibration.answer.work == last.work
+    got = panel.calibration.answer.draft.tension.tension
+    assert got == last.draft.tension.tension
+
+
+def test_undo_works_from_within_a_text_box(bench: Bench) -> None:
+    bench.identify()
+    bench.click(bench.panel.steps.button(2))
+    nodes = bench.panel.surface.nodes
+    nodes.setFocus()
+    nodes.selectAll()
+    bench.driver.bot.keyClicks(nodes, "300\r")
+    bench.done()
+    assert bench.panel.calibration.settings.nodes == 300
+    bench.key(Qt.Key.Key_Z, CTRL, nodes)
+    assert bench.panel.calibration.settings.nodes == 200 == nodes.value()
+
+
+def test_cancel_leaves_everything_as_it_was(drive: Drive) -> None:
+    bench = Bench(drive(lambda sensor: RestingSource(sensor, slow_s=0.05)))
+    panel = bench.panel
+    bench.click(panel.next)
+    before, work, index = panel.calibration.answer, panel.calibration.work, bench.undone
+    bench.click(panel.all, wait=False)
+    bench.driver.wait(lambda: panel.progress.isVisible() and panel.progress.value() > 5)
+    bench.driver.seek(7)  # the window goes on
+    assert panel.calibration.busy
+    bench.click(panel.cancel)
+    assert panel.calibration.answer is before and panel.calibration.work == work
+    assert bench.undone == index and not panel.progress.isVisible()
+    bench.driver.bot.wait(300)  # nothing is heard of it later
+    assert panel.calibration.answer is before
+    bench.click(panel.all)  # and it can be done after all
+    assert panel.calibration.answer.draft.tension is not None
+
+
+def test_what_cannot_be_done_is_said_and_changes_nothing(bench: Bench) -> None:
+    bench.identify()
+    before = bench.panel.calibration.answer
+    bench.panel.frames.set_ranges(((0, 3),), "Too few")
+    bench.done()
+    assert "at least 5" in bench.panel.message.text() and bench.panel.message.isVisible()
+    assert bench.panel.calibration.answer is before
+    bench.undo()
+    assert bench.panel.calibration.work == before.work and bench.panel.message.text() == ""
+
+
+def test_table_and_picture_compare_with_the_sensor_in_use(bench: Bench) -> None:
+    bench.identify()
+    panel = bench.panel
+    bench.click(panel.steps.button(len(panel.pages) - 1))
+    table, found = panel.report.table, panel.calibration.answer.draft.found
+    cells = {
+        table.item(k, 0).text(): (table.item(k, 1).text(), table.item(k, 2).text())
+        for k in range(table.rowCount())
+    }
+    own = found.tension.tension
+    assert cells["γ0"][1] == f"{own.value:.2f} ± {own.half_width:.2f} N/m"
+    assert float(cells["γ0"][0].removesuffix(" N/m")) == pytest.approx(TENSION, rel=0.02)
+    assert cells["height"][0] == "50.00 mm"
+    assert cells["pixels used"] == ("– pixels", f"{found.pixels.mask.sum()} pixels")
+    assert panel.report.view.image.shape == found.pixels.mask.shape
+    assert np.nanmedian(np.abs(panel.report.view.image)) < 1e-3
+
+
+def test_use_it_opens_the_new_sensor_and_undo_the_old_one(bench: Bench, sensor: Sensor) -> None:
+    bench.identify()
+    panel, controller = bench.panel, bench.driver.window.controller
+    answer = panel.calibration.answer
+    bench.click(panel.steps.button(len(panel.pages) - 1))
+    bench.click(panel.report.use_it)
+    bench.driver.wait(lambda: controller.sensor is not sensor)
+    assert controller.sensor.calibration is not None
+    assert bench.driver.pipeline.pixels is not None
+    assert panel.calibration.answer is answer  # the same source: nothing is lost
+    bench.undo()
+    bench.driver.wait(lambda: controller.sensor is sensor)
+
+
+def test_the_new_sensor_is_sent_with_the_session(
+    drive: Drive, sensor: Sensor, tmp_path: Path
+) -> None:
+    """Identified and used, but saved nowhere: its files are gone when the window is."""
+    source, mine = RestingSource(sensor), tmp_path / "mine"
+    mine.mkdir()
+    with RecordingWriter(mine / "rest.mcap") as writer:
+        for k in range(len(source)):
+            writer.write(source[k])
+    bench = Bench(drive(recording(mine / "rest.mcap")))
+    bench.identify()
+    window = bench.driver.window
+    bench.click(bench.panel.steps.button(len(bench.panel.pages) - 1))
+    bench.click(bench.panel.report.use_it)
+    bench.driver.wait(lambda: window.controller.sensor is not sensor)
+    used = window.controller.sensor
+    assert not any(str(used.folder) in path for path in window.session_saver.recent)
+    window.session_saver.save_as(mine / "look.bubbleviz")
+    window.close()
+    assert not used.folder.exists()
+    mine.rename(tmp_path / "theirs")
+    other = drive()
+    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
+    other.wait(lambda: other.state.facts.frames == len(source))
+    other.settle()
+    theirs = other.window.controller.sensor
+    assert theirs.pneumatics == used.pneumatics and theirs.calibration == used.calibration
+    assert other.pipeline.pixels is not None and not other.window.message.isVisible()
+
+
+def test_saved_preset_loads_and_is_never_overwritten(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.identify()
+    panel, out = bench.panel, tmp_path / "mine.toml"
+    bench.click(panel.steps.button(len(panel.pages) - 1))
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(out), ""))
+    bench.click(panel.report.save_as)
+    assert "Saved" in panel.message.text()
+    sensor = load_sensor(out)
+    found = panel.calibration.answer.draft.found
+    assert sensor.pneumatics.tension_n_per_m == pytest.approx(found.tension_n_per_m, abs=1e-3)
+    assert sensor.resolve(sensor.calibration.pixels_file).exists()
+    assert (tmp_path / "mine_report" / "report.html").exists()
+    before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
+    bench.click(panel.report.save_as)
+    assert "exists already" in panel.message.text()
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
+
+
+def test_frames_are_collected_live_until_the_interval_is_small(drive: Drive) -> None:
+    bench = Bench(drive(lambda s: RestingSource(s, fresh=True), playing=True, live=True))
+    panel, box = bench.panel, bench.panel.frames.collect
+    assert not panel.next.isEnabled() and box.isVisible()
+    box.count.setValue(400)
+    box.target.setValue(5.0)
+    bench.click(box.button)
+    bench.driver.wait(lambda: not box.collector.active)
+    bench.done()
+    draft = panel.calibration.answer.draft
+    frames = len(draft.samples.frames)
+    assert 10 <= frames < 400
+    tension = draft.tension.tension
+    assert tension.half_width <= 0.05 * tension.value
+    assert tension.value == pytest.approx(TENSION, rel=0.02)
+    collected = panel.calibration.work.collected
+    assert max(collected[k].index for k in range(len(collected))) < REST + 2  # no contact
+    bench.undo()
+    assert panel.calibration.work.collected is None
+
+
+def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(drive: Drive) -> None:
+    kept = RestingSource(small_sensor())
+    frames = [kept[k] for k in range(len(kept))]
+
+    class Loop(RestingSource):
+        def __getitem__(self, index: int):
+            return frames[index]
+
+    bench = Bench(drive(Loop, playing=True, live=True))
+    box = bench.panel.frames.collect
+    bench.click(box.button)
+    collector = box.collector
+    bench.driver.wait(lambda: len(collector.frames) >= 10)
+    bench.driver.bot.wait(1500)  # more than one round
+    assert len(collector.frames) <= REST + 2
+    bench.click(box.cancel)
+    assert not collector.active and bench.panel.calibration.work.collected is None
+
+
+def test_another_inflation_level_is_added_and_undone(bench: Bench, tmp_path: Path) -> None:
+    bench.identify()
+    panel = bench.panel
+    low = small_sensor()
+    membrane = low.membrane.model_copy(update={"height_m": 0.042})
+    source = RestingSource(low.model_copy(update={"membrane": membrane}))
+    with RecordingWriter(tmp_path / "low.mcap") as writer:
+        for k in range(REST):
+            writer.write(source[k])
+    bench.click(panel.steps.button(4))
+    assert panel.rectification.numbers.text("line") == "offset only"
+    panel.rectification.add_level(tmp_path / "low.mcap")
+    bench.done()
+    assert panel.calibration.answer.draft.found.pixels.line.levels == 2
+    assert "2 levels" in panel.rectification.numbers.text("line")
+    bench.undo()
+    assert panel.calibration.answer.draft.found.pixels.line is None
+
+
+def test_a_known_press_is_predicted_and_painted(drive: Drive, press) -> None:
+    """The built-in press: its object and pose are known."""
+    frame = 80
+    bench = Bench(drive(frame=frame))
+    panel, source = bench.panel, press._source
+    bench.identify()
+    bench.click(panel.steps.button(5))
+    page = panel.validation
+    page.obj.setCurrentText("two_legged_toy")
+    from scipy.spatial.transform import Rotation
+
+    pose = source.poses[frame]
+    numbers = [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]
+    page.pose.setText(" ".join(f"{x:.9g}" for x in numbers))
+    page.first.setValue(frame)
+    page.last.setValue(frame)
+    bench.click(page.predict)
+    assert panel.message.text() == ""
+    found = panel.calibration.answer.draft.validation
+    assert found.rms_m < 0.3 * found.untouched_rms_m
+    assert page.numbers.text("distance, rms") == f"{1e3 * found.rms_m:.3f} mm"
+    assert page.view.image.shape == found.predicted_patch.shape
+    before = bench.driver.window.view.pixels()
+    bench.click(page.paint)
+    bench.driver.settle()
+    assert np.any(bench.driver.window.view.pixels() != before)
+
+
+def test_real_press(drive: Drive, punyo_press: Path) -> None:
+    sensor = load_sensor("punyo_oval_d405")
+    bench = Bench(drive(lambda _: Recording(punyo_press), sensor=sensor))
+    bench.identify()
+    draft = bench.panel.calibration.answer.draft
+    assert len(draft.ranges) == 1 and abs(draft.ranges[0][1] - 60) <= 3
+    assert draft.tension.tension.value == pytest.approx(132.7, abs=0.5)

@@ -1,0 +1,114 @@
+"""Latest request wins; nothing queues up; errors come back as answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from threading import Event
+
+import pytest
+from fakes import DentSource
+from pytestqt.qtbot import QtBot
+
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.request_slots import RequestSlots
+from bubbleviz_ui.engine.requests import (
+    Answer,
+    Failed,
+    FrameRequest,
+    Opened,
+    OpenRequest,
+    Request,
+    Solved,
+)
+from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.engine.solver_thread import Worker
+
+
+def frame(number: int, index: int = 0, session: int = 1) -> FrameRequest:
+    return FrameRequest(session, number, index, frozenset({"cloud"}), None)
+
+
+def opening(sensor: Sensor, session: int = 1, at: int = 0) -> OpenRequest:
+    return OpenRequest(session, "dent", DentSource, lambda: sensor, at, frozenset({"cloud"}), None)
+
+
+def test_one_slot_a_kind(sensor: Sensor) -> None:
+    slots = RequestSlots()
+    assert slots.put(frame(1)) is None
+    assert slots.put(frame(2)) == frame(1)
+    request = opening(sensor)
+    slots.put(request)
+    assert slots.take() is request
+    assert slots.take() == frame(2)
+    slots.close()
+    assert slots.take() is None
+
+
+def test_server_opens_and_solves(sensor: Sensor) -> None:
+    server = Server()
+    assert server.serve(frame(1)) is None
+    opened = server.serve(opening(sensor, at=99))
+    assert isinstance(opened, Opened) and opened.frame == opened.facts.frames - 1
+    solved = server.serve(frame(1, index=3))
+    assert isinstance(solved, Solved) and solved.result.frame.index == 3
+    assert solved.result.estimate is None
+    server.close()
+
+
+def test_requests_of_a_session_that_is_gone_are_not_served(sensor: Sensor) -> None:
+    server = Server()
+    server.serve(opening(sensor, session=1))
+    server.serve(opening(sensor, session=2))
+    assert server.serve(frame(1, session=1)) is None
+    assert isinstance(server.serve(frame(2, session=2)), Solved)
+
+
+def test_a_failed_opening_keeps_the_open_source(sensor: Sensor) -> None:
+    server = Server()
+    server.serve(opening(sensor))
+    request = OpenRequest(2, "x", _no_source, lambda: sensor, 0, frozenset(), None)
+    failed = server.serve(request)
+    assert isinstance(failed, Failed) and "ValueError: no" in failed.message
+    assert isinstance(server.serve(frame(1)), Solved)
+
+
+def _no_source(sensor: Sensor) -> DentSource:
+    raise ValueError("no")
+
+
+class Held(Server):
+    """Serves nothing until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun, self.go = Event(), Event()
+        self.served: list[Request] = []
+
+    def serve(self, request: Request) -> Answer | None:
+        self.begun.set()
+        self.go.wait(20)
+        self.served.append(request)
+        return Failed(request, "held", "")
+
+
+@pytest.fixture
+def held() -> Iterator[tuple[Worker, Held]]:
+    server = Held()
+    worker = Worker(server)
+    yield worker, server
+    server.go.set()
+    worker.close()
+
+
+def test_frames_asked_for_meanwhile_are_dropped(qtbot: QtBot, held: tuple[Worker, Held]) -> None:
+    worker, server = held
+    answers: list[Answer] = []
+    worker.answered.connect(answers.append)
+    worker.ask(frame(1))
+    assert server.begun.wait(20)
+    for number in range(2, 6):
+        worker.ask(frame(number))
+    server.go.set()
+    qtbot.waitUntil(lambda: len(answers) == 2, timeout=20_000)
+    assert [r.id for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
+    assert worker.dropped == 3

@@ -1,0 +1,162 @@
+"""A recording made by `bubbleviz simulate`: its truth in the window, however it gets there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
+from PySide6.QtGui import QDropEvent
+from PySide6.QtWidgets import QFileDialog
+from window_driver import Driver
+
+from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.window_session import window_session
+
+Drive = Callable[..., Driver]
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def files(sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a simulated press, its truth under another name, and the sensor's file."""
+    folder = tmp_path_factory.mktemp("simulated")
+    poses = np.repeat(np.eye(4)[None], FRAMES, axis=0)
+    poses[:, 2, 3] = (0.045, 0.042, 0.040)
+    noise = DepthNoise(relative=0.001)
+    source = SyntheticSource(sensor, load_object("cylinder"), poses, noise, nodes=800)
+    write_simulation(source, folder / "sim.mcap", folder / "what_is_true.npz")
+    (folder / "dome.toml").write_text(sensor_to_toml(sensor))
+    return folder
+
+
+def opened(drive: Drive, sensor: Sensor, path: Path) -> Driver:
+    """A window on a recording with the Threshold panel open."""
+    driver = drive(recording(path), sensor, frame=2)
+    driver.window.threshold_dock.show()
+    driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
+    return driver
+
+
+def says_iou(driver: Driver) -> bool:
+    return "IoU" in driver.window.threshold.curve.frame.words.text
+
+
+def drop(driver: Driver, *paths: Path) -> None:
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
+    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    action = Qt.DropAction.CopyAction
+    driver.window.view.dropEvent(QDropEvent(QPointF(5, 5), action, data, buttons, keys))
+
+
+def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
+    drive: Drive, sensor: Sensor, files: Path
+) -> None:
+    driver = opened(drive, sensor, files / "sim.mcap")
+    driver.settle()
+    assert not says_iou(driver)
+    drop(driver, files / "what_is_true.npz")
+    driver.wait(lambda: says_iou(driver))
+    assert driver.state.frame == 2
+    curve = driver.window.controller.inspection.kappa_curve
+    assert curve.iou.max() > 0.7  # of a coarse mesh
+    driver.window.compare_dock.show()
+    values = driver.window.compare.a.values
+    driver.wait(lambda: values["iou"].text() not in ("", "–"))
+    assert float(values["iou"].text()) > 0.5
+    driver.window.session_saver.save_as(files / "look.bubbleviz")
+    other = drive()
+    other.window.open_file(files / "look.bubbleviz")
+    other.wait(lambda: other.state.facts.frames == FRAMES)
+    other.window.threshold_dock.raise_()  # above Compare
+    other.wait(lambda: other.window.threshold.curve is not None and says_iou(other))
+
+
+def test_a_truth_named_after_the_recording_is_found(
+    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
+) -> None:
+    for name, here in (("sim.mcap", "sim.mcap"), ("what_is_true.npz", "sim.npz")):
+        (tmp_path / here).write_bytes((files / name).read_bytes())
+    driver = opened(drive, sensor, tmp_path / "sim.mcap")
+    driver.wait(lambda: says_iou(driver))
+
+
+def test_recording_sensor_and_truth_are_dropped_together(drive: Drive, files: Path) -> None:
+    driver = drive()
+    driver.window.threshold_dock.show()
+    drop(driver, files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    driver.state.set_playing(False)
+    driver.wait(lambda: says_iou(driver))
+
+
+def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
+    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = drive()
+    message = driver.window.message
+    menu = driver.window.shortcuts.actions["File › Open truth of a simulation"]
+    name = str(files / "what_is_true.npz")
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (name, ""))
+    menu.trigger()  # what is open is no recording
+    assert "open the recording of that simulation first" in message.label.text()
+    driver = opened(drive, sensor, files / "sim.mcap")
+    message = driver.window.message
+    other = tmp_path / "other.npz"
+    arrays = dict(np.load(files / "what_is_true.npz"))
+    np.savez(other, **{**arrays, "time_s": 1.5 * arrays["time_s"]})
+    drop(driver, other)
+    driver.wait(message.isVisible)
+    assert "other.npz: is the truth of another recording" in message.label.text()
+    assert driver.state.facts.frames == FRAMES and driver.state.frame == 2
+    menu = driver.window.shortcuts.actions["File › Open truth of a simulation"]
+    menu.trigger()
+    driver.wait(lambda: says_iou(driver))
+
+
+def test_the_command_line_takes_a_truth(qtbot: object, sensor: Sensor, files: Path) -> None:
+    rec, truth = files / "sim.mcap", files / "what_is_true.npz"
+    with window_session(sensor, rec, 2, None, truth=truth) as session:
+        session.window.show()
+        session.window.threshold_dock.show()
+        curve = lambda: session.controller.inspection.kappa_curve  # noqa: E731
+        session.wait_for(lambda: curve() is not None and curve().iou is not None, "IoU")
+    done = bubbleviz("open", str(rec), "--sensor", str(files / "dome.toml"), "--truth", str(rec))
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1
+    assert "cannot be read as TRUTH.npz" in done.stderr
+    done = bubbleviz("open", "--source", "synthetic:", "--truth", str(truth))
+    assert done.returncode == 2 and "--truth" in done.stderr
+
+
+def bubbleviz(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """The program, without a display."""
+    kept = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return subprocess.run(
+        [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", *arguments],
+        env=kept, capture_output=True, text=True, timeout=200, check=False,
+        cwd=Path(__file__).parents[3],
+    )  # fmt: skip
+
+
+def test_a_truth_beside_a_recording_that_is_not_its_own_is_told(
+    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
+) -> None:
+    shutil.copy(files / "sim.mcap", tmp_path)
+    truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
+    np.savez(tmp_path / "sim.npz", **truth)
+    driver = opened(drive, sensor, tmp_path / "sim.mcap")
+    assert driver.window.message.isVisible()
+    assert "sim.npz: is the truth of another recording" in driver.window.message.label.text()
+    assert not says_iou(driver)

@@ -1,0 +1,214 @@
+"""Exports from the window: chosen by clicks, read back from the files."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from fakes import FIRST_CONTACT, FRAMES, DentSource
+from live_bench import Bench as LiveBench
+from live_bench import sensor_file
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QFileDialog, QLabel
+from window_driver import Driver, warm
+
+from bubbleviz_ui.export.export_dialog import ExportDialog
+from bubbleviz_ui.live.connection import single
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+
+
+class Bench:
+    """The window with its export dialog open, and what a person does with it."""
+
+    def __init__(self, driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.driver, self._patch = driver, monkeypatch
+        driver.window.shortcuts.actions["File › Export"].trigger()
+        assert self.dialog.isVisible()
+
+    @property
+    def dialog(self) -> ExportDialog:
+        dialog = self.driver.window._export
+        assert dialog is not None
+        return dialog
+
+    def choose(self, title: str) -> None:
+        box = self.dialog.kind
+        box.setFocus()
+        self.driver.bot.keyClick(box, Qt.Key.Key_Home)
+        for _ in range(box.findText(title)):
+            self.driver.bot.keyClick(box, Qt.Key.Key_Down)
+        assert box.currentText() == title
+
+    def begin(self, title: str, out: Path, chosen: str = "") -> None:
+        self.choose(title)
+        self._patch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(out), chosen))
+        assert self.dialog.export.isEnabled()
+        self.driver.bot.mouseClick(self.dialog.export, LEFT)
+
+    def export(self, title: str, out: Path, chosen: str = "") -> str:
+        """Export, wait until it is over; what is said then."""
+        self.begin(title, out, chosen)
+        self.driver.wait(lambda: not self.driver.window.exporting.busy)
+        self.driver.wait(lambda: bool(self.dialog.said.text()))
+        assert self.driver.window.message.label.text() == self.dialog.said.text()
+        return self.dialog.said.text()
+
+
+@pytest.fixture
+def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    made = Bench(drive(DentSource, frame=6), monkeypatch)
+    yield made
+    del made.driver  # pytest keeps the fixture's value longer than the window lives
+
+
+def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> None:
+    state = bench.driver.state
+    state.choose_range((3, 8))
+    state.choose(kappa=2.0)
+    bench.dialog.step.setValue(2)
+    out = tmp_path / "mine.csv"
+    assert "3 frames" in bench.export("Table", out)
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frame"]) for row in rows] == [3, 5, 7]
+    assert float(rows[0]["patch_area_m2"]) == 0.0 < float(rows[2]["patch_area_m2"])
+    bench.driver.seek(7)
+    patch = bench.driver.window.controller.result.patch
+    assert float(rows[2]["threshold_pa"]) == pytest.approx(patch.threshold_pa, rel=0.2)
+    before = out.read_bytes()
+    assert "exists already" in bench.export("Table", out)
+    assert out.read_bytes() == before
+    assert "is no" not in bench.export("Table", tmp_path / "table", "Parquet (*.parquet)")
+    import pyarrow.parquet
+
+    assert pyarrow.parquet.read_table(tmp_path / "table.parquet").num_rows == 3
+    bench.dialog.frames.setCurrentIndex(1)
+    bench.dialog.step.setValue(1)
+    bench.export("Table", tmp_path / "all.csv")
+    assert len((tmp_path / "all.csv").read_text().splitlines()) == FRAMES + 1
+
+
+def test_poses_that_were_found_are_in_the_table(bench: Bench, tmp_path: Path) -> None:
+    window = bench.driver.window
+    window.pose.session.choose("cylinder")
+    bench.driver.wait(lambda: window.pose.session.obj is not None)
+    window.pose.session.track(True)
+    bench.driver.seek(8)
+    bench.driver.wait(lambda: 8 in window.pose.session.rows)
+    bench.export("Table", tmp_path / "poses.csv")
+    with (tmp_path / "poses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    row = window.pose.session.rows[8]
+    assert rows[8]["pose_status"] == row.status and not rows[0]["pose_status"]
+    assert np.isclose(float(rows[8]["pose_x_m"]), row.x_m, equal_nan=True)
+
+
+@pytest.mark.parametrize("chosen", ["PNG (*.png)", "SVG (*.svg)", "PDF (*.pdf)"])
+def test_plots(bench: Bench, tmp_path: Path, chosen: str) -> None:
+    bench.export("Plots", tmp_path / "plots", chosen)
+    out = tmp_path / f"plots.{chosen[:3].lower()}"
+    assert out.stat().st_size > 10_000
+    if out.suffix == ".png":
+        assert not QImage(str(out)).isNull()
+
+
+@pytest.mark.parametrize(
+    ("title", "suffix", "per_frame"),
+    [
+        ("ParaView series", ".vtp", True),
+        ("Membrane series", ".ply", True),
+        ("Patch clouds", ".ply", False),
+        ("Depth pictures", ".png", True),
+        ("Pressure pictures", ".png", True),
+    ],
+)
+def test_series_are_folders(
+    bench: Bench, tmp_path: Path, title: str, suffix: str, per_frame: bool
+) -> None:
+    out = tmp_path / "series"
+    bench.export(title, out)
+    files = sorted(out.glob(f"*{suffix}"))
+    assert len(files) == FRAMES if per_frame else len(files) >= FRAMES - FIRST_CONTACT - 2
+    if title == "Patch clouds":
+        assert int(re.search(rb"element vertex (\d+)", files[-1].read_bytes())[1]) > 3
+    assert "a series is a folder" in bench.export(title, tmp_path / f"other{suffix}") or (
+        "holds" in bench.dialog.said.text()
+    )
+
+
+def pictures(path: Path) -> list[np.ndarray]:
+    reader = imageio_ffmpeg.read_frames(str(path))
+    width, height = next(reader)["size"]
+    return [np.frombuffer(p, np.uint8).reshape(height, width, 3) for p in reader]
+
+
+def test_a_video_of_the_view_shows_each_frame_of_the_range(bench: Bench, tmp_path: Path) -> None:
+    driver = bench.driver
+    driver.state.choose(picture_size=(640, 480), speed=0.5)
+    driver.state.choose_range((2, 10))
+    driver.seek(6)
+    out = tmp_path / "press.mp4"
+    assert "9 frames" in bench.export("Video of the view", out)
+    assert driver.state.frame == 6 and not driver.state.playing
+    shown = pictures(out)
+    assert len(shown) == 9 and shown[0].shape == (480, 640, 3)
+    _, seconds = imageio_ffmpeg.count_frames_and_secs(str(out))
+    assert seconds == pytest.approx(9 / 15.0, rel=0.2)  # half of 30 Hz
+    assert len(warm(shown[0])) < 20 < len(warm(shown[-1]))  # the dent comes with frame 4
+    driver.settle()
+    assert driver.window.controller.result.frame.index == 6
+
+
+def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None:
+    driver, dialog = bench.driver, bench.dialog
+    driver.state.choose(picture_size=(1600, 1200))
+    for title, out in (
+        ("Video of the view", tmp_path / "a.mp4"),
+        ("Membrane series", tmp_path / "b"),
+    ):
+        bench.begin(title, out)
+        assert dialog.cancel.isVisible() and not dialog.export.isEnabled()
+        driver.bot.mouseClick(dialog.cancel, LEFT)
+        assert not dialog.cancel.isVisible() and dialog.export.isEnabled()
+    driver.seek(9)
+    driver.window.exporting.close()
+    assert not list(tmp_path.iterdir()) and driver.state.frame == 9
+
+
+def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    bench = Bench(drive(lambda sensor: DentSource(sensor, broken_from=9)), monkeypatch)
+    assert "frame 9 cannot be read" in bench.export("Table", tmp_path / "a.csv")
+    bench.begin("Video of the view", tmp_path / "a.mp4")
+    bench.driver.wait(lambda: not bench.driver.window.exporting.busy)
+    assert "frame 9 cannot be read" in bench.driver.window.message.label.text()
+    bench.driver.window.exporting.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_live_source_is_recorded_first(
+    open_bench: Callable[[], LiveBench], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    live = open_bench()
+    live.connect(single("synthetic:?frames=6", sensor_file(tmp_path)))
+    bench = Bench(live, monkeypatch)
+    assert "record it (Ctrl+R)" in bench.dialog.about.text()
+    assert not bench.dialog.export.isEnabled()
+
+
+def test_nothing_is_clipped(bench: Bench) -> None:
+    bench.driver.state.choose_range((3, 8))
+    for label in bench.dialog.findChildren(QLabel):
+        if label.isVisible() and not label.wordWrap():
+            assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width() + 1
+    box = bench.dialog.frames
+    assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()

@@ -1,0 +1,143 @@
+"""Two sensors in one view: both solved and drawn, the panels follow the chosen one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from live_bench import IMAGE, Bench, contents, robot_sensor, two
+from PySide6.QtCore import Qt
+
+from bubbleviz_ui.view3d.second_scene import SecondScene
+
+Open = Callable[[], Bench]
+
+
+def paired(open_bench: Open) -> Bench:
+    """A window on two sensors, both of which have shown something."""
+    bench = open_bench()
+    bench.connect(two(bench.folder))
+    bench.wait(lambda: bench.window.pair.second_sensor.open is not None)
+    return bench
+
+
+def other(bench: Bench) -> int:
+    """Number of the frame that the other sensor shows."""
+    opened = bench.window.pair.second_sensor.open
+    return opened.result.frame.index
+
+
+def world_camera(bench: Bench) -> np.ndarray:
+    """Place, focus and up of the view's camera in the world, (3, 3)."""
+    T = bench.run.preset.sensors[bench.live_controller.chosen].T_W_B
+    camera = bench.window.view.camera
+    points = np.array([camera.position, camera.focal_point]) @ T[:3, :3].T + T[:3, 3]
+    return np.vstack([points, T[:3, :3] @ camera.up])
+
+
+def drawn(drawing: SecondScene) -> np.ndarray:
+    """Ends of what the other sensor has in the view, (3, 2)."""
+    return np.array(drawing._assembly.GetBounds()).reshape(3, 2)
+
+
+def of_the_other(bench: Bench) -> int:
+    """Pixels in the colour of the other sensor's rim."""
+    colour = bench.run.preset.sensors[1].colour
+    own = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    away = np.abs(bench.window.view.pixels().astype(int) - own).max(axis=2)
+    return int(np.count_nonzero(away < 12))
+
+
+def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(
+    open_bench: Open,
+) -> None:
+    bench = paired(open_bench)
+    assert sum(t.name == "solver" for t in threading.enumerate()) == 2
+    before = other(bench)
+    bench.follow(5)
+    bench.wait(lambda: other(bench) > before + 3)
+    # The other's dome points at ours from 120 mm away, along our own z. Its rim is the same in
+    # every frame; the force arrow, for one, is longer or shorter.
+    drawing, dome = bench.window.pair.drawing, robot_sensor().membrane
+    bench.state.choose(layers=frozenset({"rim"}))
+    radius = dome.rim_radius_m
+    expected = [[-radius, radius], [-radius, radius], [0.12, 0.12]]
+    np.testing.assert_allclose(drawn(drawing), expected, atol=3e-3)
+    bench.state.choose(layers=frozenset({"rim", "membrane"}))
+    bench.wait(lambda: drawn(drawing)[2, 0] < 0.12 - 0.5 * dome.height_m)
+    bench.settle_picture()
+    assert of_the_other(bench) > 50
+    bench.window.pair.end()
+    bench.settle_picture()
+    assert of_the_other(bench) == 0
+
+
+def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:
+    bench = paired(open_bench)
+    bench.follow(5)
+    first, worker = bench.state.history, bench.window.controller.worker
+    known = len(first)
+    assert bench.state.facts.title == "Two, left"
+    bench.window.live.sensors[1].click()
+    assert bench.live_controller.chosen == 1 and bench.state.facts.title == "Two, right"
+    assert bench.window.controller.worker is not worker
+    assert bench.state.history is not first
+    bench.follow(5)
+    assert np.isfinite(bench.state.history.values["residual_m"][-3:-1]).all()
+    with bench.bot.waitActive(bench.window):
+        bench.window.activateWindow()
+    bench.bot.keyClick(bench.window, Qt.Key.Key_B)
+    assert bench.live_controller.chosen == 0 and bench.window.controller.worker is worker
+    assert bench.state.history is first and len(first) > known
+    bench.follow(3)
+    assert np.isfinite(first.values["residual_m"][1 : bench.shown]).all()
+    assert sum(t.name == "solver" for t in threading.enumerate()) == 2
+
+
+def test_turning_to_the_other_sensor_does_not_move_the_view_in_the_world(
+    open_bench: Open,
+) -> None:
+    bench = paired(open_bench)
+    bench.window.view.camera.position = (0.3, -0.2, 0.35)
+    before = world_camera(bench)
+    bench.live_controller.choose_other()
+    np.testing.assert_allclose(world_camera(bench), before, atol=1e-9)
+    bench.window.scene.reset_view()
+    np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
+
+
+def test_time_is_shared(open_bench: Open) -> None:
+    bench = paired(open_bench)
+    bench.follow(15)
+    bench.state.seek(bench.state.frame - 8)
+    bench.wait(lambda: bench.shown == bench.state.frame)
+    now = bench.state.facts.times_s[bench.state.frame]
+    frames = bench.run.frames[1]
+    bench.wait(lambda: other(bench) == frames.at(now))
+    shown, newest = other(bench), len(frames)
+    bench.bot.wait(200)
+    assert other(bench) == shown and len(frames) <= newest + 1
+    bench.state.freeze(False)
+    bench.wait(lambda: other(bench) > newest + 2)
+
+
+def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: Open) -> None:
+    bench = paired(open_bench)
+    bench.record()
+    bench.follow(10)
+    found = contents(bench.stop())
+    by_channel: dict[int, list[int]] = {}
+    for message in found[IMAGE]:
+        by_channel.setdefault(message.channel_id, []).append(message.sequence)
+    assert len(by_channel) == 2
+    for numbers in by_channel.values():
+        assert np.array_equal(numbers, np.arange(numbers[0], numbers[-1] + 1))
+    alone = two(bench.folder)
+    bench.connect(alone.model_copy(update={"sensors": alone.sensors[:1]}))
+    bench.wait(lambda: bench.state.facts.title.startswith("synthetic:"))
+    bench.follow(3)
+    assert bench.window.pair.second_sensor is None and not bench.window.live.sensors
+    assert not bench.window.pair.drawing._assembly.GetVisibility()
+    assert sum(t.name == "solver" for t in threading.enumerate()) == 1
+    assert tuple(bench.window.scene._beside_m.shape) == (0, 3)

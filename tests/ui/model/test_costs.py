@@ -1,0 +1,84 @@
+"""The table of what runs, against the pipeline's own counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QApplication
+from window_driver import Driver
+
+from bubbleviz.pipeline import stages
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.costs import STAGES, who_asks
+from bubbleviz_ui.model.demand import products
+from bubbleviz_ui.panels.costs_popup import NOBODY, CostsPopup
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+
+
+def rows(popup: CostsPopup) -> dict[str, list[str]]:
+    """Texts of each line by stage."""
+    return {
+        stage: [popup.table.item(row, column).text() for column in range(1, 5)]
+        for row, stage in enumerate(STAGES)
+    }
+
+
+def test_what_runs_is_what_somebody_asks_for() -> None:
+    for choices in (
+        Choices(),
+        Choices(layers=frozenset({"rim"}), panels=frozenset()),
+        Choices(layers=frozenset({"cloud"}), panels=frozenset(), cloud_colour="plain"),
+        Choices(layers=frozenset({"cloud"}), panels=frozenset(), cloud_colour="patch"),
+        Choices(layers=frozenset(), panels=frozenset({"plots"}), plots=frozenset({"gas"})),
+    ):
+        asked = who_asks(choices)
+        assert set(asked) == stages(products(choices))
+        for name in {n for names in asked.values() for n in names}:
+            without = replace(choices, layers=choices.layers - {name},
+                              panels=choices.panels - {name})  # fmt: skip
+            for stage, names in asked.items():
+                if names == [name]:
+                    assert stage not in stages(products(without))
+
+
+def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive: Drive) -> None:
+    driver = drive(frame=3)
+    for frame in (4, 5, 6):
+        driver.seek(frame)
+    driver.bot.mouseClick(driver.window.status.labels["solve"], LEFT)
+    popup = driver.window.findChildren(CostsPopup)[-1]
+    seen, counts = rows(popup), driver.pipeline.counts
+    for stage in STAGES:
+        assert seen[stage][2] == f"{counts[stage]}×"
+    last, median, _, why = seen["estimate"]
+    result = driver.window.controller.result
+    assert last == driver.state.units.duration.text(result.times_ms["estimate"])
+    assert median.endswith(" ms") and "Membrane" in why and "status bar" in why
+    assert seen["pixel_mask"][3] == NOBODY and seen["pixel_mask"][2] == "0×"
+    driver.state.choose(layers=frozenset({"rim"}))
+    popup.refresh()
+    seen = rows(popup)
+    assert seen["cloud"][3] == NOBODY and "Membrane" not in seen["estimate"][3]
+    popup.close()
+    before = driver.pipeline.counts["cloud"]
+    driver.seek(7)
+    assert driver.pipeline.counts["cloud"] == before
+    QApplication.processEvents()
+
+
+def test_nothing_in_the_pop_up_is_clipped(drive: Drive) -> None:
+    driver = drive(frame=3)
+    driver.window.show_costs()
+    popup = driver.window.findChildren(CostsPopup)[-1]
+    driver.bot.waitExposed(popup)
+    table = popup.table
+    for row in range(table.rowCount()):
+        for column in range(4):
+            text = table.item(row, column).text()
+            assert table.fontMetrics().horizontalAdvance(text) < table.columnWidth(column), text
+    assert not table.verticalScrollBar().isVisible()
+    popup.close()

@@ -1,0 +1,101 @@
+"""Scene presets: what they hide is not computed, and bad ones are refused by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from fakes import DentSource
+from window_driver import Driver
+
+from bubbleviz.cli.command_line import main
+from bubbleviz.errors import InputError
+from bubbleviz.files.preset_files import preset_names
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.demand import products
+from bubbleviz_ui.model.scene_presets import load_scene, read_scene
+from bubbleviz_ui.view3d.layers_panel import CLOUD_POINTS
+
+Drive = Callable[..., Driver]
+RUNS = {
+    "calibrate": {"estimate", "patch", "cloud", "residual"},
+    "press": {"estimate", "patch"},
+    "pose": {"estimate", "patch"},
+    "cloud": {"cloud"},
+    "dual_nut": {"estimate", "patch"},
+    "residual": {"estimate", "patch", "cloud", "residual"},
+    "review": {"estimate", "patch"},
+}
+"""Stages each scene runs."""
+
+
+def test_every_shipped_scene_is_known_here() -> None:
+    assert preset_names("scenes") == sorted(RUNS)
+    said = " ".join(CliRunner().invoke(main, ["open", "--help"]).stdout.split())
+    assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
+
+
+@pytest.mark.parametrize("name", sorted(RUNS))
+def test_what_a_scene_hides_is_not_computed(drive: Drive, name: str) -> None:
+    driver = drive(DentSource, frame=6)
+    driver.window.use_scene(load_scene(name))
+    driver.settle()
+    driver.seek(7)
+    before = driver.pipeline.counts.copy()
+    driver.seek(8)
+    ran = set((driver.pipeline.counts - before).elements()) - {"total"}
+    assert ran == RUNS[name]
+
+
+@pytest.mark.parametrize("name", sorted(RUNS))
+def test_a_scene_shows_its_panels_and_layers(drive: Drive, name: str) -> None:
+    driver, preset = drive(DentSource, frame=6), load_scene(name)
+    driver.window.use_scene(preset)
+    driver.settle()
+    shown = {panel for panel, w in driver.window.panels.items() if w.isVisible()}
+    assert shown == set(preset.panels)
+    boxes = driver.window.layers.boxes
+    assert {layer for layer, box in boxes.items() if box.isChecked()} == set(preset.layers)
+    assert driver.window.layers.cloud_points.currentIndex() >= 0
+    assert preset.cloud.points in CLOUD_POINTS
+
+
+def test_a_scene_has_its_point_of_view(drive: Drive) -> None:
+    driver = drive(DentSource, frame=6)
+    before = tuple(driver.window.view.camera.position)
+    driver.window.use_scene(load_scene("cloud"))
+    assert tuple(driver.window.view.camera.position) != pytest.approx(before)
+
+
+def test_a_scene_keeps_kappa_and_speed() -> None:
+    assert not {"kappa", "speed", "loop"} & set(load_scene("press").choices())
+
+
+def test_a_scene_starts_with_only_what_it_needs() -> None:
+    assert products(Choices(**load_scene("cloud").choices())) == {"cloud"}
+
+
+def test_an_unknown_scene_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match=r'"nope".*cloud, dual_nut, pose, press, residual'):
+        load_scene("nope")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("not toml", "not a readable TOML file"),
+        ('title = "x"\nlayers = ["membran"]', r"layers\.0"),
+        ('title = "x"\nlayers = []\npannels = []', "pannels"),
+        ('title = "x"\nlayers = []\n[membrane]\nopacity = 2.0', r"membrane\.opacity"),
+        ('title = "x"\nlayers = []\n[view]\nfrom = [0.0, 0.0, 1.0]', "lean it a little"),
+        ('title = "x"\nlayers = []\n[view]\nzoom = nan', r"view\.zoom"),
+    ],
+)
+def test_a_bad_scene_file_is_refused_with_its_key(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as refused:
+        read_scene(path)
+    assert "bad.toml" in str(refused.value) and "\n" not in str(refused.value)

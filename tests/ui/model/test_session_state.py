@@ -1,0 +1,84 @@
+"""The session model tells its observers what changed, and only that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bubbleviz_ui.model.events import (
+    ChoicesChanged,
+    Event,
+    FrameChanged,
+    PlayingChanged,
+    SourceChanged,
+    SourceFacts,
+)
+from bubbleviz_ui.model.session_state import SessionState
+
+
+@pytest.fixture
+def state() -> SessionState:
+    made = SessionState()
+    made.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=False)
+    return made
+
+
+def heard(state: SessionState) -> list[Event]:
+    events: list[Event] = []
+    state.subscribe(events.append)
+    return events
+
+
+def test_nothing_moves_before_a_source_is_open() -> None:
+    state = SessionState()
+    state.seek(3)
+    state.set_playing(True)
+    assert state.frame == 0 and not state.playing
+
+
+def test_the_cursor_stays_inside(state: SessionState) -> None:
+    events = heard(state)
+    state.seek(99)
+    state.seek(-5)
+    state.seek(0)
+    assert events == [FrameChanged(9, False), FrameChanged(0, False)]
+
+
+def test_stepping_pauses(state: SessionState) -> None:
+    state.set_playing(True)
+    events = heard(state)
+    state.step(2)
+    assert events == [PlayingChanged(False), FrameChanged(2, False)]
+
+
+def test_playing_from_the_end_without_a_loop_begins_anew(state: SessionState) -> None:
+    state.choose(loop=False)
+    state.seek(9)
+    state.set_playing(True)
+    assert state.frame == 0
+
+
+def test_only_choices_that_differ_are_told(state: SessionState) -> None:
+    events = heard(state)
+    state.choose(speed=2.0, loop=True)
+    state.choose(speed=2.0)
+    state.choose_layer("cloud", False)
+    assert events == [
+        ChoicesChanged(frozenset({"speed"})),
+        ChoicesChanged(frozenset({"layers"})),
+    ]
+
+
+def test_choices_outlive_a_new_source(state: SessionState) -> None:
+    state.choose(kappa=4.0, cloud_colour="patch")
+    events = heard(state)
+    facts = SourceFacts("other", "dome", np.arange(3) / 20.0)
+    state.open(facts, frame=7, playing=True)
+    assert state.choices.kappa == 4.0 and state.choices.cloud_colour == "patch"
+    assert state.frame == 2
+    assert events == [SourceChanged(facts), PlayingChanged(True)]
+
+
+def test_rate_of_a_source() -> None:
+    assert SourceFacts("", "", np.arange(11) / 20.0).rate_hz == pytest.approx(20.0)
+    assert np.isnan(SourceFacts("", "", np.zeros(1)).rate_hz)

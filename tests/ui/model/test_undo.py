@@ -1,0 +1,318 @@
+"""Undo and redo of the window's settings, by the keys a person would press."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QKeySequence
+from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
+from window_driver import Driver
+
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.rigid_object import load_object
+from bubbleviz.study.object_shapes import ply_bytes
+from bubbleviz_ui.model.choices import Choices, Setting
+from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.undo import LAYOUT
+from bubbleviz_ui.model.units import SYSTEMS
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+
+
+def undo(driver: Driver, widget: QWidget | None = None) -> None:
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(widget or driver.window, Qt.Key.Key_Z, CTRL)
+
+
+def redo(driver: Driver) -> None:
+    driver.bot.keyClick(driver.window, Qt.Key.Key_Z, CTRL | SHIFT)
+
+
+CHANGES = {
+    "layers": frozenset({"rim"}),
+    "kappa": 3.0,
+    "solver": "fast",
+    "speed": 2.0,
+    "every_frame": True,
+    "loop": False,
+    "plots": frozenset({"area"}),
+    "cloud_colour": "patch",
+    "cloud_points": 5000,
+    "membrane_opacity": 0.4,
+    "pressure_max_pa": 3000.0,
+    "residual_max_m": 2e-3,
+    "theme": "light",
+    "least_area_m2": 2e-5,
+    "images": frozenset({"depth"}),
+    "view_from": (0.0, -1.0, 1.0),
+    "zoom": 2.0,
+    "colour_map": "viridis",
+    "exaggeration": 3.0,
+    "section_axis": "x",
+    "section_at_m": 0.01,
+    "section_flipped": True,
+    "pose_object": "cylinder",
+    "pose_unit": "mm",
+    "pose_start": (0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0),
+    "pose_track": True,
+    "pose_stage": 1,
+    "compared": (Setting(nodes=300), Setting(solver="osqp")),
+    "picture_size": (800, 600),
+    "pre_roll_s": 5.0,
+    "record_folder": "/somewhere",
+    "publish_at": "tcp/127.0.0.1:7450",
+    "length_unit": "m",
+    "pressure_unit": "psi",
+    "force_unit": "mN",
+    "duration_unit": "s",
+}
+
+
+def test_every_choice_is_undone_and_done_again(drive: Drive) -> None:
+    assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Choices)}
+    driver = drive(frame=3)
+    seen = [driver.state.choices]
+    for name, value in CHANGES.items():
+        driver.state.choose(**{name: value})
+        seen.append(driver.state.choices)
+    assert driver.window.undo_stack.index() == len(CHANGES)
+    for before in reversed(seen[:-1]):
+        undo(driver)
+        assert driver.state.choices == before
+    for after in seen[1:]:
+        redo(driver)
+        assert driver.state.choices == after
+    driver.state.choose(theme="system")
+    driver.settle()
+
+
+def test_clicks_are_steps_and_the_panel_follows(drive: Drive) -> None:
+    driver = drive(frame=3)
+    layers = driver.window.layers
+    for name in ("wireframe", "rim"):
+        driver.bot.mouseClick(layers.boxes[name], LEFT, pos=QPoint(10, 8))
+    assert layers.boxes["wireframe"].isChecked() and not layers.boxes["rim"].isChecked()
+    undo(driver)
+    assert layers.boxes["rim"].isChecked() and layers.boxes["wireframe"].isChecked()
+    undo(driver)
+    assert not layers.boxes["wireframe"].isChecked()
+    assert driver.state.choices.layers == Choices().layers
+
+
+def test_a_dragged_slider_is_one_step(drive: Drive) -> None:
+    driver = drive(frame=3)
+    slider = driver.window.layers.opacity
+    option = QStyleOptionSlider()
+    slider.initStyleOption(option)
+    control, part = QStyle.ComplexControl.CC_Slider, QStyle.SubControl.SC_SliderHandle
+    place = slider.style().subControlRect(control, option, part, slider).center()
+    driver.bot.mousePress(slider, LEFT, pos=place)
+    for step in range(1, 8):
+        driver.bot.mouseMove(slider, place - QPoint(8 * step, 0))
+    driver.bot.mouseRelease(slider, LEFT, pos=place - QPoint(56, 0))
+    assert driver.state.choices.membrane_opacity < 0.8
+    assert driver.window.undo_stack.index() == 1
+    undo(driver)
+    assert driver.state.choices.membrane_opacity == 1.0 and slider.value() == 100
+
+
+def test_a_scene_is_one_step(drive: Drive) -> None:
+    driver = drive(frame=3)
+    driver.window.use_scene(load_scene("residual"))
+    assert driver.state.choices.layers != Choices().layers
+    assert driver.window.undo_stack.index() == 1
+    assert driver.window.threshold_dock.isHidden() and driver.window.layers_dock.isVisible()
+    driver.window.use_scene(load_scene("review"))
+    assert driver.window.plots_dock.isVisible()
+    driver.window.use_scene(load_scene("review"))  # nothing changes: no step
+    assert driver.window.undo_stack.index() == 2
+    undo(driver)
+    assert driver.window.plots_dock.isHidden()
+    undo(driver)
+    assert driver.state.choices.layers == Choices().layers
+    assert driver.state.choices.view_from == Choices().view_from
+
+
+def opened(driver: Driver) -> set[str]:
+    """Panels that are open, as seen: docks by their titles in the View menu, ticked or not."""
+    menu = next(a.menu() for a in driver.window.menuBar().actions() if a.text() == "&View")
+    menu.aboutToShow.emit()
+    return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
+
+
+def test_opening_and_closing_of_panels_is_undone(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window = driver.window
+    names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
+             "Plots", "Images", "Playback", "Status bar"]  # fmt: skip
+    at_first = opened(driver)
+    assert at_first == {"Layers", "Contact patch", "Playback", "Status bar"}
+    seen = [at_first]
+    for name in names:
+        window.shortcuts.actions[f"View › {name}"].trigger()
+        seen.append(opened(driver))
+        assert seen[-1] ^ seen[-2] == {name}
+    assert window.undo_stack.index() == len(names)
+    assert "status" not in driver.state.choices.panels
+    for before in reversed(seen[:-1]):
+        undo(driver)
+        assert opened(driver) == before
+    assert "status" in driver.state.choices.panels and window.status.isVisible()
+    for after in seen[1:]:
+        redo(driver)
+        assert opened(driver) == after
+    assert window.undo_stack.index() == len(names)
+
+
+def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window = driver.window
+    window.shortcuts.actions["View › Threshold"].trigger()
+    window.kappa_dock.raise_()
+    driver.wait(lambda: "threshold" not in driver.state.choices.panels)
+    assert window.undo_stack.index() == 1 and window.undo_stack.undoText() == "open panels"
+    cross = window.layers_dock.findChild(QAbstractButton, "qt_dockwidget_closebutton")
+    driver.bot.mouseClick(cross, LEFT)
+    assert window.layers_dock.isHidden() and window.undo_stack.index() == 2
+    undo(driver)
+    assert window.layers_dock.isVisible()
+    window.hide()
+    window.show()
+    assert window.undo_stack.index() == 1 and window.undo_stack.canRedo()
+
+
+def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window, state = driver.window, driver.state
+    window.tools_dock.show()
+
+    def shown() -> list[object]:
+        playback, layers, tools, kappa = window.playback, window.layers, window.tools, window.kappa
+        return [
+            kappa.solver.currentText(), kappa.automatic.isChecked(), kappa.box.value(),
+            playback.speed.currentText(), playback.mode.currentText(), playback.loop.isChecked(),
+            layers.cloud_colour.currentText(), layers.cloud_points.currentText(),
+            layers.opacity.value(), layers.pressure_max.value(), layers.residual_max.value(),
+            [box.isChecked() for box in layers.boxes.values()], tools.colour_map.currentText(),
+            tools.exaggeration.value(), tools.section.currentText(), tools.section_at.value(),
+            tools.flipped.isChecked(), tools.width_box.value(), tools.height_box.value(),
+            window.pose.object.currentText(), window.pose.unit.currentText(),
+            window.pose.search.isChecked(), window.pose.track.isChecked(),
+            window.pose.stage.currentText(), window.threshold.least.value(),
+            window.compare.a.nodes.value(), window.compare.b.solver.currentText(),
+            [action.isChecked() for action in window.plots.boxes.values()],
+            [action.isChecked() for action in window.images.boxes.values()],
+        ]  # fmt: skip
+
+    def settled() -> list[object]:
+        """Once the solver is built anew and the object is read; the pose panel writes at times."""
+        driver.wait(lambda: not window.pose.session.busy and not window.pose._due.isActive())
+        driver.settle()
+        return shown()
+
+    elsewhere = {"panels", "pre_roll_s", "record_folder", "publish_at", "view_from", "zoom",
+                 "theme"} | SYSTEMS.keys()  # fmt: skip
+    for name in sorted(CHANGES.keys() - elsewhere):
+        before = settled()
+        state.choose(**{name: CHANGES[name]})
+        changed = settled()
+        assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
+        undo(driver)
+        assert settled() == before, name
+
+
+def test_keys_are_undone(drive: Drive) -> None:
+    driver = drive(frame=3)
+    shortcuts = driver.window.shortcuts
+    shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
+    shortcuts.reset_all()
+    undo(driver)
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+    undo(driver)
+    assert shortcuts.keys("View › Reset view") == "R"
+    redo(driver)
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+
+
+def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Path) -> None:
+    driver = drive(frame=6)
+    for name in ("cylinder", "frustum"):
+        (tmp_path / f"{name}.ply").write_bytes(ply_bytes(load_object(name)))
+        driver.window.open_file(tmp_path / f"{name}.ply")
+        driver.wait(lambda name=name: driver.window.pose.session.obj is not None
+                    and driver.window.pose.session.obj.name == name)  # fmt: skip
+    assert driver.window.undo_stack.index() == 2
+    undo(driver)
+    driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
+    driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
+    undo(driver)
+    driver.wait(lambda: driver.window.pose.session.obj is None)
+    assert driver.window.pose_dock.isHidden()
+    redo(driver)
+    driver.wait(lambda: driver.window.pose.session.obj is not None)
+
+
+def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
+    driver = drive(frame=6)
+    driver.window.compare_dock.show()
+    panel = driver.window.compare
+    panel.b.nodes.setFocus()
+    panel.b.nodes.selectAll()
+    driver.bot.keyClicks(panel.b.nodes, "300")
+    driver.bot.keyClick(panel.b.nodes, Qt.Key.Key_Return)
+    driver.wait(lambda: panel.b.options().nodes == 300)
+    undo(driver, panel.b.nodes)
+    assert panel.b.nodes.value() == 0 and panel.b.options().nodes is None
+    assert panel.b.options() == EstimatorOptions("active-set", relinearisations=0)
+    assert panel.a.options() == EstimatorOptions("active-set")  # the defaults are the estimator's
+
+
+def test_boxes_of_the_calibration_are_undone(drive: Drive) -> None:
+    driver = drive()
+    window, frames = driver.window, driver.window.gamma0.frames.collect
+    picture, stack = window.gamma0.pixels.picture, window.undo_stack
+    before = (picture.currentText(), frames.count.value(), frames.untouched.isChecked())
+    picture.setCurrentIndex(1)
+    for count in (101, 150):  # typed, one digit after the other
+        frames.count.setValue(count)
+    frames.untouched.click()
+    after = (picture.currentText(), 150, not before[2])
+    assert stack.count() == 3
+    for _ in range(3):
+        stack.undo()
+    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == before
+    for _ in range(3):
+        stack.redo()
+    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
+
+
+def test_range_and_markers(drive: Drive) -> None:
+    driver = drive(frame=3)
+    driver.state.toggle_marker(3)
+    driver.state.choose_range((2, 9))
+    undo(driver)
+    assert driver.state.play_range is None and driver.state.markers == (3,)
+    undo(driver)
+    assert driver.state.markers == ()
+    redo(driver)
+    redo(driver)
+    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
+
+
+def test_undo_goes_to_the_window_from_within_a_number_box(drive: Drive) -> None:
+    driver = drive(frame=3)
+    box = driver.window.kappa.box
+    driver.window.kappa.automatic.setChecked(False)
+    box.setFocus()
+    box.selectAll()
+    driver.bot.keyClicks(box, "2.5")
+    driver.bot.keyClick(box, Qt.Key.Key_Return)
+    assert driver.state.choices.kappa == 2.5
+    undo(driver, box)
+    assert driver.state.choices.kappa != 2.5

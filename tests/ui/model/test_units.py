@@ -1,0 +1,136 @@
+"""Numbers come with their unit, whatever they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from PySide6.QtWidgets import QApplication, QMenu
+from window_driver import Driver
+
+from bubbleviz_ui.model.units import SYSTEMS, Units
+from bubbleviz_ui.view3d.scale_ranges import rounded_up
+
+Drive = Callable[..., Driver]
+CONTACT = 75
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (Units().pressure.text(1234.0), "1.23 kPa"),
+        (Units().area.text(231e-6), "231 mm²"),
+        (Units().length.text(4.6e-5), "0.05 mm"),
+        (Units().force.text(-0.001), "0.00 N"),
+        (Units().force.text(None), "– N"),
+        (Units().force.text(math.nan), "– N"),
+        (Units().gas_pressure.text(443.2, signed=True), "+443 Pa"),
+    ],
+)
+def test_text(text: str, expected: str) -> None:
+    assert text == expected
+
+
+def test_there_and_back() -> None:
+    unit = Units().pressure
+    assert unit.to_si(unit.of(321.0)) == pytest.approx(321.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "end"), [(0.9, 1.0), (1.0, 1.0), (1.01, 1.5), (8.1, 10.0), (646.0, 800.0)]
+)
+def test_scales_end_at_round_numbers(value: float, end: float) -> None:
+    assert rounded_up(value) == pytest.approx(end)
+
+
+def choose(driver: Driver, symbol: str) -> None:
+    """Trigger an entry of the menu of units."""
+    menu = driver.window.findChild(QMenu, "menu_units")
+    next(a for a in menu.actions() if a.text() == symbol).trigger()
+
+
+@pytest.mark.parametrize(
+    ("quantity", "symbol", "si", "text"),
+    [
+        ("pressure", "psi", 6894.757293168e4, "10000.000 psi"),
+        ("pressure", "Pa", 1234.4, "1234 Pa"),
+        ("gas_pressure", "psi", 689.4757, "0.1000 psi"),
+        ("length", "m", 0.0123, "0.01230 m"),
+        ("area", "m", 66e-6, "0.000066 m²"),
+        ("volume", "m", 2.2e-3, "0.0022000 m³"),
+        ("force", "mN", 2.68, "2680 mN"),
+        ("duration", "s", 9.4, "0.0094 s"),
+    ],
+)
+def test_other_units(quantity: str, symbol: str, si: float, text: str) -> None:
+    units = Units()
+    kind = next(k for k, s in SYSTEMS.items() if symbol in s and quantity in s[symbol])
+    units.use({kind: symbol})
+    assert getattr(units, quantity).text(si) == text
+
+
+def test_every_label_follows_the_units(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    window = driver.window
+    window.resize(1280, 800)
+    driver.state.choose(plots=frozenset({"force", "center"}), images=frozenset({"depth"}))
+    window.images_dock.show()
+    window.plots_dock.show()
+    driver.wait(lambda: "depth" in window.controller.inspection.images)
+    window.hover.at_pixel(24, 44)
+    driver.settle()
+    solved = driver.pipeline.counts["estimate"]
+    for symbol in ("m", "psi", "mN", "s"):
+        choose(driver, symbol)
+    driver.settle()
+    force = 1e3 * float((window.controller.result.patch.force_n**2).sum() ** 0.5)
+    labels = window.status.labels
+    assert labels["force"].text() == f"force {force:.0f} mN"
+    for name, symbol in {"area": "m²", "gas": "psi", "residual": "m", "solve": "Hz"}.items():
+        assert labels[name].text().endswith(f" {symbol}")
+    assert " s · " in labels["solve"].text()
+    assert window.kappa.force.text() == f"{force:.0f} mN"
+    assert window.kappa.threshold.text().endswith("psi")
+    assert window.layers.pressure_max.suffix() == " psi"
+    assert window.layers.residual_max.suffix() == " m"
+    for line, symbol in zip(window.images.lines, ("m", "m", "psi"), strict=True):
+        assert line.text().endswith(f" {symbol}")
+    assert window.images.cells["depth"].text.endswith(" m")
+    assert "mN" in window.plots.plots["force"].frame.text
+    assert window.plots.plots["center"].frame.text.endswith(" m")
+    layers = window.scene.layers
+    assert layers["readout"]._head.GetInput().endswith("mN")
+    assert "psi" in layers["readout"]._rest.GetInput()
+    assert layers["membrane"]._bar._bar.GetTitle().endswith("(psi)")
+    assert layers["cloud"]._bar._bar.GetTitle().endswith("(m)")
+    drawn = window.scene._surface.poly.point_data["contact pressure"].max()
+    peak = window.controller.result.estimate.contact_pressure_pa.max()
+    assert drawn == pytest.approx(peak / 6894.757293168)
+    assert driver.pipeline.counts["estimate"] == solved  # nothing is computed for it
+    choose(driver, "kPa")
+    assert window.kappa.threshold.text().endswith("kPa")
+
+
+def test_no_number_is_clipped_in_other_units(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.window.resize(1280, 800)
+    for symbol in ("m", "psi", "mN", "s"):
+        choose(driver, symbol)
+    driver.window.show_rates()
+    QApplication.processEvents()
+    assert driver.window.width() == 1280
+    for label in driver.window.status.labels.values():
+        assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
+
+
+def test_a_range_the_user_gave_stays_in_other_units(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    box = driver.window.layers.pressure_max
+    box.setValue(5.0)
+    assert driver.state.choices.pressure_max_pa == pytest.approx(5000.0)
+    choose(driver, "psi")
+    assert driver.state.choices.pressure_max_pa == pytest.approx(5000.0)
+    assert box.value() == pytest.approx(5000.0 / 6894.757, abs=1e-3)
+    choose(driver, "kPa")
+    assert box.value() == 5.0

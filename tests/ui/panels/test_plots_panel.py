@@ -1,0 +1,232 @@
+"""The plots by clicks; what they show read back; what nobody chose is not computed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fakes import FIRST_CONTACT, DentSource
+from PySide6.QtCore import QPoint, QPointF, Qt
+from PySide6.QtGui import QColor, QImage, QPalette
+from PySide6.QtWidgets import QApplication
+from window_driver import Driver
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.diagnostics.kappa_curve import KAPPAS, kappa_curve
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.patch.patch_finder import PatchFinder
+from bubbleviz.sensor import Sensor
+from bubbleviz.study.error_metrics import iou
+from bubbleviz_ui.model.frame_history import thinned
+from bubbleviz_ui.panels.plots_panel import PlotsPanel
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+
+
+def opened(driver: Driver, *plots: str) -> PlotsPanel:
+    """The panel with these plots, shown and laid out."""
+    driver.state.choose(plots=frozenset(plots))
+    driver.window.resize(1280, 800)
+    driver.window.plots_dock.show()
+    driver.wait(lambda: driver.window.plots.isVisible() and driver.window.plots._grid is not None)
+    QApplication.processEvents()
+    driver.settle()
+    return driver.window.plots
+
+
+def place(panel: PlotsPanel, name: str, time_s: float) -> QPoint:
+    """Where a time lies in a plot, in the graphics widget."""
+    box = panel.plots[name].box
+    low, high = box.viewRange()[1]
+    return panel._grid.mapFromScene(box.mapViewToScene(QPointF(time_s, 0.5 * (low + high))))
+
+
+def plain(panel: PlotsPanel, name: str) -> str:
+    return re.sub(r"<[^>]*>", "", panel.plots[name].frame.text)
+
+
+def test_all_frames_are_analysed_in_the_background(drive: Drive) -> None:
+    driver = drive()
+    panel = opened(driver, "force", "area")
+    steps: list[tuple[int, int]] = []
+    driver.window.controller.analysis.progressed.connect(lambda *step: steps.append(step))
+    driver.bot.mouseClick(panel.analyse, LEFT)
+    driver.wait(lambda: steps and steps[-1][0] == steps[-1][1] > 0)
+    history = driver.state.history
+    assert len(history.missing(frozenset({"estimate", "patch"}))) == 0
+    driver.wait(lambda: len(panel.plots["force"].data["force_n"][0]) == 150)
+    driver.wait(lambda: np.isfinite(panel.plots["force"].data["force_n"][1]).all())
+    force = panel.plots["force"].data["force_n"][1]
+    assert not panel.progress.isVisible() and driver.state.frame == 0
+    for frame in (1, 60, 75):  # the same as when one looks at them
+        driver.seek(frame)
+        found = np.linalg.norm(driver.window.controller.result.patch.force_n)
+        assert force[frame] == pytest.approx(found, rel=0.05, abs=1e-6)
+    assert force[1] == 0.0 and force[75] > 0.5
+
+
+class Repeated:
+    """A short source again and again: too long to be analysed while a test looks on."""
+
+    def __init__(self, source: FrameSource, frames: int) -> None:
+        self.name, self._source = source.name, source
+        self.times_s = np.arange(frames) / 30.0
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __getitem__(self, index: int) -> Frame:
+        return replace(self._source[index % len(self._source)], index=index)
+
+    def close(self) -> None:
+        pass
+
+
+def test_analysis_is_cancelled_and_seeking_stays_possible(drive: Drive, press: FrameSource) -> None:
+    driver = drive(lambda _: Repeated(press, 20_000))
+    panel = opened(driver, "force")
+    driver.bot.mouseClick(panel.analyse, LEFT)
+    driver.wait(lambda: panel.progress.value() > 3)
+    driver.seek(100)  # answered in between
+    assert panel.cancel.isVisible()
+    driver.bot.mouseClick(panel.cancel, LEFT)
+    assert not panel.cancel.isVisible() and panel.analyse.isEnabled()
+    missing = driver.state.history.missing(frozenset({"patch"}))
+    driver.seek(200)  # what was on its way is through
+    after = driver.state.history.missing(frozenset({"patch"}))
+    assert 0 < len(missing) < 20_000 and len(missing) - len(after) < 40
+    driver.seek(300)
+    assert len(after) - 2 <= len(driver.state.history.missing(frozenset({"patch"})))
+
+
+def test_a_click_seeks_and_the_cursor_and_the_numbers_follow(drive: Drive) -> None:
+    driver = drive(DentSource)
+    panel = opened(driver, "force", "residual")
+    frame = FIRST_CONTACT + 4
+    time_s = float(driver.state.facts.times_s[frame])
+    driver.bot.mouseClick(panel._grid.viewport(), LEFT, pos=place(panel, "residual", time_s))
+    assert driver.state.frame == frame
+    driver.settle()
+    driver.wait(lambda: driver.window.controller.result.patch is not None)
+    for name in ("force", "residual"):
+        assert panel.plots[name].cursor.value() == pytest.approx(time_s)
+    patch = driver.window.controller.result.patch
+    force = driver.state.units.force.text(float(np.linalg.norm(patch.force_n)))
+    driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
+
+
+def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
+    driver = drive(frame=75)
+    driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
+    driver.window.kappa_dock.hide()
+    panel = opened(driver, "latency")
+    driver.state.choose(panels=frozenset({"plots"}))
+    counts = driver.pipeline.counts
+    before = dict(counts)
+    driver.seek(76)
+    assert counts["estimate"] == before["estimate"] and counts["patch"] == before["patch"]
+    panel.boxes["residual"].trigger()
+    driver.wait(lambda: counts["estimate"] == before["estimate"] + 1)
+    assert counts["patch"] == before["patch"] and counts["look kappa_curve"] == 0
+    panel.boxes["force"].trigger()
+    panel.boxes["kappa"].trigger()
+    driver.wait(lambda: counts["patch"] > before["patch"] and counts["look kappa_curve"] > 0)
+    driver.window.plots_dock.hide()
+    driver.wait(lambda: "plots" not in driver.state.choices.panels)
+    looked = counts["look kappa_curve"], counts["estimate"]
+    driver.seek(77)
+    assert (counts["look kappa_curve"], counts["estimate"]) == looked
+
+
+def test_measured_and_estimated_gas_pressure(drive: Drive) -> None:
+    driver = drive(frame=75)
+    panel = opened(driver, "gas")
+    frame = driver.window.controller.result.frame
+    measured = (
+        frame.gas_pressure_pa - driver.window.controller.sensor.pneumatics.reference_pressure_pa
+    )
+    history = driver.state.history.values
+    assert history["gas_measured_pa"][75] == pytest.approx(measured)
+    mesh, estimate = driver.pipeline.mesh, driver.window.controller.result.estimate
+    a_bit = 1e-4 * estimate.displacement_m
+    change = 1e4 * (mesh.cap_volume(a_bit) - mesh.cap_volume())
+    V0 = driver.window.controller.sensor.pneumatics.chamber_volume_m3 + mesh.cap_volume()
+    P0 = frame.gas_pressure_pa - measured
+    law = P0 * V0 / (V0 + change) - P0
+    assert history["gas_law_pa"][75] == pytest.approx(law, rel=5e-3)
+    driver.wait(lambda: f"measured {measured:.0f} Pa" in plain(panel, "gas"))
+
+
+def test_the_plots_follow_the_theme(drive: Drive) -> None:
+    driver = drive(DentSource)
+    panel = opened(driver, "force")
+    palette = panel.palette()
+    palette.setColor(QPalette.ColorRole.Base, QColor("#fdfdfd"))
+    panel.setPalette(palette)
+    image = panel._grid.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    assert image.pixelColor(image.width() - 3, 3).lightness() > 240
+
+
+def test_the_plots_are_not_clipped_at_1280x800(drive: Drive) -> None:
+    driver = drive(frame=75)
+    panel = opened(driver, *driver.window.plots.boxes)
+    driver.wait(lambda: "mm" in plain(panel, "center"))
+    for plot in panel.plots.values():
+        place, words = plot.frame.item.sceneBoundingRect(), plot.frame.words
+        width = words.item.boundingRect().width() + words.pos().x()
+        assert width <= place.width() + 8, plot.frame.text
+        assert plot.box.height() > 40
+    assert driver.window.width() == 1280 and driver.window.height() == 800
+
+
+def test_the_kappa_curve_is_that_of_the_thresholds(drive: Drive) -> None:
+    driver = drive(frame=75)
+    panel = opened(driver, "kappa")
+    driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
+    curve = driver.window.controller.inspection.kappa_curve
+    estimate, pipeline = driver.window.controller.result.estimate, driver.pipeline
+    finder = PatchFinder(pipeline.mesh, 1.0, 1e-3)
+    for k in (0, 20, 40):
+        area = finder.find(estimate, float(KAPPAS[k])).area_m2
+        assert curve.area_m2[k] == pytest.approx(area)
+    x, y = panel.kappa.curve.getOriginalDataset()
+    np.testing.assert_allclose(y, 1e6 * curve.area_m2)
+    np.testing.assert_allclose(10.0**x, KAPPAS)
+
+
+def test_iou_over_kappa_is_that_of_the_masks(drive: Drive) -> None:
+    driver = drive(frame=75)
+    estimate, pipeline = driver.window.controller.result.estimate, driver.pipeline
+    view = MembraneView(pipeline.camera, pipeline.mesh)
+    truth = np.zeros(view.shape, bool)
+    truth[20:35, 30:50] = True
+    curve = kappa_curve(pipeline.mesh, estimate, truth, view)
+    pressure = estimate.contact_pressure_pa
+    mean = pipeline.mesh.areas @ pressure / pipeline.mesh.areas.sum()
+    for k in (5, 25, 40):
+        mask = view.above(estimate.displacement_m, pressure, float(KAPPAS[k] * mean))
+        assert curve.iou[k] == pytest.approx(iou(mask, truth), abs=0.02)
+
+
+def test_thin_curves_keep_every_peak() -> None:
+    times = np.arange(36_000) / 30.0
+    values = np.full(36_000, np.nan)
+    values[1000:30_000] = 1.0
+    values[17_100:17_140:2] = np.nan
+    values[17_123] = 50.0
+    x, y = thinned(times, values, (0.0, 1200.0))
+    assert len(x) == len(y) <= 3000
+    assert np.nanmax(y) == 50.0 and np.isnan(y[0])
+    assert x[np.nanargmax(y)] == pytest.approx(times[17_123], abs=1.0)
+    x, y = thinned(times, values, (570.0, 572.0))
+    assert len(x) < 70 and 17_123 / 30 in x
+
+
+def test_times_need_no_pixels(sensor: Sensor) -> None:
+    x, y = thinned(np.zeros(1), np.ones(1), (0.0, 1.0))
+    assert list(x) == [0.0] and list(y) == [1.0]

@@ -1,0 +1,267 @@
+"""The timeline by clicks, drags and keys, its pixels read back; what playback makes of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from fakes import FIRST_CONTACT, FRAMES, DentSource
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QImage
+from window_driver import Driver
+
+from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.frames.frame import Frame
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.events import FrameChanged, SourceFacts
+from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.playback.play_clock import PlayClock
+from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_maps import rgb
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+NONE = Qt.KeyboardModifier.NoModifier
+BELOW, ABOVE = RULER + 8, RULER // 2
+
+
+class GappySource(DentSource):
+    """Lacks three frames after its fifth."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        super().__init__(sensor)
+        self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
+
+
+class SlowSource(DentSource):
+    """Takes as long for a frame as ten are to take at the fastest speed."""
+
+    def __getitem__(self, index: int) -> Frame:
+        time.sleep(0.04)
+        return super().__getitem__(index)
+
+
+def pixels(timeline: Timeline) -> np.ndarray:
+    """What the timeline shows, (h, w, 3)."""
+    image = timeline.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    flat = np.frombuffer(image.constBits(), np.uint8)
+    rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
+    return rows.reshape(image.height(), image.width(), 3).copy()
+
+
+def at(timeline: Timeline, frame: float, y: int = BELOW) -> QPoint:
+    return QPoint(round(timeline.x_of(frame)), y)
+
+
+def key(driver: Driver, which: Qt.Key, modifier: Qt.KeyboardModifier = NONE) -> None:
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(driver.window, which, modifier)
+
+
+def drag(driver: Driver, first: int, last: int, y: int) -> None:
+    timeline = driver.window.playback.timeline
+    driver.bot.mousePress(timeline, LEFT, pos=at(timeline, first, y))
+    driver.bot.mouseMove(timeline, at(timeline, (first + last) / 2, y))
+    driver.bot.mouseMove(timeline, at(timeline, last, y))
+    driver.bot.mouseRelease(timeline, LEFT, pos=at(timeline, last, y))
+
+
+def test_click_and_drag_seek(drive: Drive) -> None:
+    driver = drive(DentSource)
+    timeline = driver.window.playback.timeline
+    driver.bot.mouseClick(timeline, LEFT, pos=at(timeline, 7))
+    assert driver.state.frame == 7
+    drag(driver, 7, 2, BELOW)
+    assert driver.state.frame == 2
+    driver.settle()
+    assert driver.window.playback.readout.text().startswith(f"frame 2 / {FRAMES - 1}")
+
+
+def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
+    driver = drive(DentSource)
+    timeline = driver.window.playback.timeline
+    for frame in (1, FIRST_CONTACT + 4):
+        driver.seek(frame)
+    seen = pixels(timeline)
+    row = RULER + 2
+
+    def colour(frame: int) -> tuple[int, ...]:
+        return tuple(int(c) for c in seen[row, round(timeline.x_of(frame)) + 4])
+
+    assert colour(1) == rgb(theme.DARK.free)
+    assert colour(FIRST_CONTACT + 4) == rgb(theme.CONTACT)
+    assert colour(FRAMES - 1 - 1) == rgb(theme.DARK.field)
+    driver.state.choose(kappa=3.0)  # another threshold: other patches
+    driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
+    assert driver.state.history.contact[1] == UNKNOWN
+
+
+def test_gaps_and_markers_are_seen(drive: Drive) -> None:
+    driver = drive(GappySource)
+    timeline = driver.window.playback.timeline
+    assert [(g.after_frame, g.missing) for g in timeline.gaps] == [(5, 3)]
+    before = pixels(timeline)
+    assert np.all(before == rgb(theme.GAP), axis=2)[RULER + 3, round(timeline.x_of(5.5)) - 1]
+    assert not np.all(before == rgb(theme.DARK.marker), axis=2).any()
+    driver.seek(9)
+    key(driver, Qt.Key.Key_M)
+    driver.seek(3)
+    driver.bot.mouseClick(driver.window.playback.mark, LEFT)
+    assert driver.state.markers == (3, 9)
+    marked = np.argwhere(np.all(pixels(timeline) == rgb(theme.DARK.marker), axis=2))[:, 1]
+    assert abs(marked.min() - timeline.x_of(3)) < 6 and abs(marked.max() - timeline.x_of(9)) < 6
+    key(driver, Qt.Key.Key_PageDown)
+    assert driver.state.frame == 9
+    key(driver, Qt.Key.Key_M)
+    assert driver.state.markers == (3,)
+    assert "3 missing after it" in timeline.words(5) and "marked" in timeline.words(3)
+
+
+def test_keys_and_buttons_jump_in_time(drive: Drive) -> None:
+    driver = drive(frame=30)  # 30 Hz
+    for which, modifier, frame in (
+        (Qt.Key.Key_Right, SHIFT, 33),
+        (Qt.Key.Key_Right, CTRL, 63),
+        (Qt.Key.Key_Left, CTRL, 33),
+        (Qt.Key.Key_Left, SHIFT, 30),
+    ):
+        key(driver, which, modifier)
+        assert driver.state.frame == frame
+    driver.bot.mouseClick(driver.window.playback.jumps[-1.0], LEFT)
+    assert driver.state.frame == 0
+    driver.bot.mouseClick(driver.window.playback.jumps[0.1], LEFT)
+    assert driver.state.frame == 3
+    driver.settle()
+
+
+def test_speed_mode_and_loop_by_keys(drive: Drive) -> None:
+    driver = drive()
+    panel = driver.window.playback
+    key(driver, Qt.Key.Key_Up, CTRL)
+    assert driver.state.choices.speed == 2.0 and panel.speed.currentText() == "2×"
+    for _ in range(8):
+        key(driver, Qt.Key.Key_Down, CTRL)
+    assert driver.state.choices.speed == 0.1
+    key(driver, Qt.Key.Key_E)
+    assert driver.state.choices.every_frame and panel.mode.currentText() == "every frame"
+    key(driver, Qt.Key.Key_L)
+    assert not driver.state.choices.loop and not panel.loop.isChecked()
+
+
+def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
+    driver = drive(DentSource)
+    timeline = driver.window.playback.timeline
+    drag(driver, 3, 6, ABOVE)
+    assert driver.state.play_range == (3, 6) and driver.state.frame == 0
+    edge = pixels(timeline)[RULER + 3, round(timeline.x_of(6))]
+    assert tuple(edge) == rgb(theme.DARK.accent)
+    played: list[int] = []
+    driver.state.subscribe(
+        lambda e: played.append(e.index) if isinstance(e, FrameChanged) else None
+    )
+    driver.state.choose(every_frame=True, speed=2.0)
+    key(driver, Qt.Key.Key_Space)
+    driver.wait(lambda: len(played) > 9)
+    key(driver, Qt.Key.Key_Space)
+    assert played[:9] == [3, 4, 5, 6, 3, 4, 5, 6, 3]
+    drag(driver, 6, 9, ABOVE)  # the end of the range is taken hold of
+    assert driver.state.play_range == (3, 9)
+    key(driver, Qt.Key.Key_Backspace)
+    assert driver.state.play_range is None
+    driver.settle()
+
+
+def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
+    driver = drive(SlowSource)
+    solved: list[int] = []
+    driver.window.controller.shown.connect(lambda r: solved.append(r.frame.index))
+    driver.state.choose(every_frame=True, speed=8.0, loop=False)
+    driver.state.set_playing(True)
+    driver.wait(lambda: not driver.state.playing)
+    driver.settle()
+    assert solved == list(range(1, FRAMES))
+    assert driver.window.controller.dropped == 0
+
+
+def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
+    driver = drive(playing=True, live=True)
+    panel = driver.window.playback
+    driver.wait(lambda: driver.state.frame > 2)
+    driver.bot.mouseClick(panel.freeze, LEFT)
+    assert driver.state.frozen
+    frame, now = driver.state.frame, driver.state.now
+    driver.wait(lambda: driver.state.now >= now + 5)
+    assert driver.state.frame == frame and driver.state.playing
+    driver.settle()
+    seen = pixels(panel.timeline)
+    assert np.all(seen == rgb(theme.FORCE), axis=2).any()
+    key(driver, Qt.Key.Key_N)
+    assert not driver.state.frozen and driver.state.frame == driver.state.now
+    driver.bot.mouseClick(panel.timeline, LEFT, pos=at(panel.timeline, 40))
+    assert driver.state.frozen and driver.state.frame == 40  # looking back freezes, too
+    driver.state.set_playing(False)
+
+
+def test_freeze_is_for_live_sources_only(drive: Drive) -> None:
+    driver = drive(DentSource, playing=False)
+    assert not driver.window.playback.freeze.isVisible()
+    key(driver, Qt.Key.Key_F)
+    assert not driver.state.frozen
+
+
+def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
+    frames = 36_000
+    state = SessionState()
+    state.open(SourceFacts("long", "dome", np.arange(frames) / 30.0), playing=False)
+    for frame in (17_999, 18_000, 18_001):
+        known = Numbers(status="ok", has_patch=True, area_m2=1e-4)
+        state.history.take(frame, known, patch=True)
+    assert sum(a.nbytes for a in state.history.values.values()) < 8e6
+    timeline = Timeline(state)
+    timeline.resize(900, timeline.height())
+    timeline.show_source()
+    seen = np.all(pixels(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
+    assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_of(18_000)) < 2
+    assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)
+
+
+def test_one_contact_frame_is_never_lost_among_thousands() -> None:
+    contact = np.full(36_000, FREE, np.int8)
+    contact[12_345] = CONTACT
+    for width in (100, 777, 1000):
+        assert np.count_nonzero(columns(contact, width) == CONTACT) == 1
+    assert list(columns(np.array([0, 1], np.int8), 4)) == [0, 0, 1, 1]
+
+
+def test_what_is_missing_depends_on_what_is_asked() -> None:
+    history = History(4)
+    history.take(0, Numbers(), patch=True)
+    history.take(1, Numbers(status="ok"), patch=True)
+    known = Numbers(status="ok", has_patch=True, area_m2=1e-4, force_n=2.0)
+    history.take(2, known, patch=True)
+    history.take(3, known, patch=False)
+    assert list(history.missing(frozenset())) == []
+    assert list(history.missing(frozenset({"estimate"}))) == [0]
+    assert list(history.missing(frozenset({"estimate", "patch"}))) == [0, 1, 3]
+    history.forget_patches()
+    assert list(history.missing(frozenset({"patch"}))) == [0, 1, 2, 3]
+    assert history.values["force_n"][2] == 2.0  # the whole pressure's, whatever the threshold
+
+
+def test_the_clock_makes_up_for_small_delays_only() -> None:
+    clock = PlayClock(np.arange(10) / 10.0)
+    clock.start(0, 0.0, 1.0)
+    assert clock.following(0.05, loop=False) == (0, False)
+    assert clock.following(0.13, loop=False) == (1, False)
+    assert clock.following(0.201, loop=False) == (2, False)  # due at 0.2, not at 0.23
+    assert clock.following(5.0, loop=False) == (3, False)
+    assert clock.following(5.05, loop=False) == (3, False)
+    clock.start(9, 6.0, 1.0)
+    assert clock.following(6.2, loop=False) == (9, True)
+    assert clock.following(6.2, loop=True) == (0, False)

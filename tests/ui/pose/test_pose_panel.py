@@ -1,0 +1,229 @@
+"""The pose panel in the real window: clicks, keys, drags, and what is seen."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from PySide6.QtGui import QDropEvent
+from PySide6.QtWidgets import QFileDialog, QWidget
+from window_driver import Driver
+
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.study.object_shapes import ply_bytes
+from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.pose.pose_panel import PosePanel
+from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
+
+LEFT = Qt.MouseButton.LeftButton
+TRUE = np.array([0.004, 0.002, 0.037])
+FRAMES = 5
+
+
+@pytest.fixture(scope="module")
+def source() -> SyntheticSource:
+    T = np.eye(4)
+    T[:3, 3] = TRUE
+    return SyntheticSource(
+        load_sensor("pico_flexx_75mm"), load_object("frustum"), np.repeat(T[None], FRAMES, axis=0),
+        DepthNoise(relative=0.005), nodes=3_000,
+    )  # fmt: skip
+
+
+class Bench:
+    """The window with its pose panel open, and what a person does with it."""
+
+    def __init__(self, driver: Driver) -> None:
+        self.driver, self.window = driver, driver.window
+        self.window.use_scene(load_scene("pose"))
+        driver.settle()
+
+    @property
+    def panel(self) -> PosePanel:
+        return self.window.pose
+
+    def click(self, widget: QWidget) -> None:
+        assert widget.isEnabled()
+        self.driver.bot.mouseClick(widget, LEFT)
+
+    def choose(self, name: str) -> None:
+        box = self.panel.object
+        box.setFocus()
+        row = box.findData(name)
+        self.driver.bot.keyClick(box, Qt.Key.Key_Home)
+        for _ in range(row):
+            self.driver.bot.keyClick(box, Qt.Key.Key_Down)
+        box.activated.emit(box.currentIndex())
+        obj = lambda: self.panel.session.obj  # noqa: E731
+        self.driver.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
+
+    def fit(self) -> None:
+        self.click(self.panel.once)
+        self.driver.wait(lambda: not self.panel.session.busy)
+        self.driver.wait(lambda: self.text("state") != "fitting…")
+        self.driver.settle()
+
+    def text(self, name: str) -> str:
+        return self.panel.values[name].text()
+
+    def green(self) -> int:
+        """Pixels in the colour of a found object."""
+        red, green, blue = (self.window.view.pixels()[..., k].astype(int) for k in range(3))
+        return int(np.count_nonzero((green > red + 40) & (green > blue + 20)))
+
+
+@pytest.fixture
+def bench(drive: Callable[..., Driver], source: SyntheticSource) -> Iterator[Bench]:
+    made = Bench(drive(lambda _: source, sensor=source.sensor))
+    yield made
+    del made.driver, made.window  # pytest keeps the fixture's value longer than the window lives
+
+
+def test_fit_once_shows_the_object_and_says_how_well(bench: Bench) -> None:
+    assert bench.green() == 0
+    assert not bench.panel.once.isEnabled()
+    bench.choose("frustum")
+    bench.click(bench.panel.once)
+    assert bench.panel.session.busy
+    for widget in (bench.panel.object, bench.panel.once, bench.panel.track, bench.panel.start):
+        assert not widget.isEnabled()
+    bench.driver.wait(lambda: bench.text("state") == "found")
+    bench.driver.settle()
+    assert bench.panel.once.isEnabled()
+    assert bench.green() > 5_000
+    pose = bench.panel.session.pose
+    assert pose is not None
+    assert abs(pose.T_B_O[2, 3] - TRUE[2]) < 1e-3
+    assert "mm" in bench.text("fit") and "%" in bench.text("first")
+    assert bench.text("open") == "shift along 2 and turn about 1 axis"
+    fit = bench.window.scene.layers["fit"]
+    assert isinstance(fit, FitLayer) and fit.points.visibility and fit.arrows.visibility
+
+
+def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
+    bench.choose("frustum")
+    panel = bench.panel
+    for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
+        box.setFocus()
+        box.selectAll()
+        bench.driver.bot.keyClicks(box, f"{value:g}")
+        bench.driver.bot.keyClick(box, Qt.Key.Key_Return)
+    assert not panel.search.isChecked()
+    assert panel.session.start is not None
+    assert np.allclose(panel.session.start[:3, 3], [5e-3, 1e-3, 38e-3], atol=1e-5)
+    bench.fit()
+    assert bench.text("state") == "found"
+    place = bench.window.scene.object.place
+    assert place is not None and np.linalg.norm(place[:3, 3] - TRUE) < 3e-3
+    with bench.driver.bot.waitActive(bench.window):
+        bench.window.activateWindow()
+    bench.driver.bot.keyClick(bench.window, Qt.Key.Key_X)
+    assert panel.session.pose is None
+    bench.driver.wait(lambda: bench.text("state") == "not fitted yet")
+
+
+def test_tracking_runs_only_when_asked_and_exports(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.choose("frustum")
+    counts = bench.driver.pipeline.counts
+    bench.driver.seek(1)
+    assert counts["pose"] == 0
+    bench.click(bench.panel.track)
+    session = bench.panel.session
+    bench.driver.wait(lambda: session.pose is not None)
+    for frame in range(2, FRAMES):
+        bench.driver.seek(frame)
+    bench.driver.wait(lambda: len(session.rows) == FRAMES - 1)
+    assert counts["pose"] >= FRAMES - 1
+    bench.driver.wait(lambda: bench.panel.csv.isEnabled())
+    for button, name in ((bench.panel.csv, "p.csv"), (bench.panel.tum, "p.tum")):
+        out = str(tmp_path / name)
+        monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, out=out: (out, ""))
+        bench.click(button)
+    with (tmp_path / "p.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frame"]) for row in rows] == list(range(1, FRAMES))
+    assert np.loadtxt(tmp_path / "p.tum").shape == (FRAMES - 1, 8)
+    bench.click(bench.panel.csv)  # the name of the last dialog is taken
+    assert "exists already" in bench.window.message.label.text()
+    # closing what shows it stops it
+    ran = counts["pose"]
+    bench.window.pose_dock.hide()
+    bench.driver.state.choose(layers=frozenset({"membrane"}))
+    bench.driver.seek(0)
+    assert counts["pose"] == ran
+
+
+def test_stage_one_can_be_seen(bench: Bench) -> None:
+    bench.choose("frustum")
+    bench.fit()
+    pose = bench.panel.session.pose
+    assert pose is not None and pose.stage_one is not None
+    box = bench.panel.stage
+    box.setFocus()
+    bench.driver.bot.keyClick(box, Qt.Key.Key_Down)
+    box.activated.emit(box.currentIndex())
+    bench.driver.settle()
+    assert np.array_equal(bench.window.scene.object.place, pose.stage_one.T_B_O)
+
+
+def test_a_dropped_file_is_the_object(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "mine.ply"
+    path.write_bytes(ply_bytes(load_object("cylinder")))
+    drop(bench.panel, path)
+    bench.driver.wait(lambda: bench.panel.session.obj is not None)
+    assert bench.panel.session.obj.name == "mine"
+    flat = tmp_path / "flat.obj"
+    flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
+    drop(bench.panel, flat)
+    bench.driver.wait(lambda: "no area" in bench.window.message.label.text())
+    bench.driver.wait(lambda: bench.panel.session.obj is None)
+    assert not bench.panel.once.isEnabled()
+
+
+def drop(panel: PosePanel, path: Path) -> None:
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(path))])
+    action, keys = Qt.DropAction.CopyAction, Qt.KeyboardModifier.NoModifier
+    panel.dropEvent(QDropEvent(QPointF(5, 5), action, data, LEFT, keys))
+
+
+def test_the_object_is_moved_in_the_view(bench: Bench) -> None:
+    bench.choose("frustum")
+    bench.click(bench.panel.move_it)
+    bench.driver.settle()
+    gizmo, view = bench.window.overlay.gizmo, bench.window.view
+    assert gizmo.on
+    start = bench.panel.session.start
+    assert start is not None
+    assert bench.green() > 1_000  # drawn where it is to begin
+    before = start.copy()
+    renderer = view.renderer
+    middle = before[:3, 3] + [0.0, 0.0, 0.02]  # of the frustum, which is 40 mm tall
+    renderer.SetWorldPoint(*middle, 1.0)
+    renderer.WorldToDisplay()
+    x, y, _ = renderer.GetDisplayPoint()
+    ratio = view.devicePixelRatioF()
+    at = QPoint(round(x / ratio), round(view.height() - y / ratio))
+    bot = bench.driver.bot
+    bot.mouseMove(view, at)
+    bot.mousePress(view, LEFT, pos=at)
+    for step in range(1, 6):
+        bot.mouseMove(view, at + QPoint(8 * step, 0))
+        bot.wait(20)
+    bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
+    bench.driver.settle()
+    moved = bench.panel.session.start
+    assert moved is not None
+    assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
+    assert np.allclose(bench.window.scene.object.place, moved)
+    bench.click(bench.panel.move_it)
+    assert not gizmo.on

@@ -1,0 +1,313 @@
+"""Sessions: saved, restored, sent to a colleague, and found again after the program was killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import small_sensor
+from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from PySide6.QtGui import QDropEvent
+from window_driver import Driver
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.session_files.session_file import (
+    SavedSession,
+    plain_choices,
+    read_session,
+    read_user_file,
+    usable_choices,
+)
+
+Drive = Callable[..., Driver]
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory, sensor: Sensor) -> Path:
+    """A folder with a short recording and the file of its sensor."""
+    from fakes import DentSource
+
+    folder = tmp_path_factory.mktemp("session")
+    source = DentSource(sensor)
+    with RecordingWriter(folder / "press.mcap") as writer:
+        for frame in map(source.__getitem__, range(len(source))):
+            writer.write(frame)
+    (folder / "dome.toml").write_text(sensor_to_toml(sensor))
+    return folder
+
+
+def settings(driver: Driver, files: Path) -> None:
+    """Change something of every kind."""
+    driver.window.controller.opening.open(
+        "press", recording(files / "press.mcap"), lambda: load(files / "dome.toml"),
+        frame=7, playing=False,
+    )  # fmt: skip
+    driver.wait(lambda: driver.state.facts.frames == FRAMES and driver.state.frame == 7)
+    driver.state.choose(
+        kappa=2.5, speed=0.5, pressure_max_pa=4000.0, cloud_colour="plain", theme="light",
+        layers=frozenset({"membrane", "rim"}), plots=frozenset({"force"}),
+    )  # fmt: skip
+    driver.state.choose_markers((3, 9))
+    driver.state.choose_range((2, 10))
+    driver.window.plots_dock.show()
+    driver.window.layers_dock.hide()
+    driver.window.view.camera.position = (0.3, 0.2, 0.1)
+    driver.settle()
+
+
+def load(path: Path) -> Sensor:
+    from bubbleviz.sensor import load_sensor
+
+    return load_sensor(path)
+
+
+def check(driver: Driver) -> None:
+    """All of `settings` is there again."""
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    state, choices = driver.state, driver.state.choices
+    driver.settle()
+    assert (state.frame, state.markers, state.play_range) == (7, (3, 9), (2, 10))
+    assert (choices.kappa, choices.speed, choices.pressure_max_pa) == (2.5, 0.5, 4000.0)
+    assert choices.layers == {"membrane", "rim"} and choices.plots == {"force"}
+    assert driver.window.plots_dock.isVisible() and driver.window.layers_dock.isHidden()
+    assert driver.window.view.camera.position == pytest.approx((0.3, 0.2, 0.1))
+    assert driver.pipeline.kappa == 2.5
+    assert driver.window.controller.sensor.name == "small dome"
+
+
+@pytest.fixture(autouse=True)
+def dark_again() -> object:
+    yield
+    from PySide6.QtWidgets import QApplication
+
+    from bubbleviz_ui.shell import theme
+
+    theme.apply(QApplication.instance(), theme.DARK)  # type: ignore[arg-type]
+
+
+def test_a_session_is_sent_to_a_colleague(drive: Drive, files: Path, tmp_path: Path) -> None:
+    mine = drive()
+    settings(mine, files)
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
+    text = (files / "look.bubbleviz").read_text()
+    assert str(files) not in text  # nothing of my disk
+    theirs = tmp_path / "elsewhere"
+    shutil.copytree(files, theirs)
+    other = drive()
+    other.window.open_file(theirs / "look.bubbleviz")
+    check(other)
+    assert not other.window.message.isVisible()
+    assert other.state.choices.theme == "system"  # theirs stays theirs
+
+
+def test_what_is_missing_is_one_sentence_and_the_rest_is_restored(
+    drive: Drive, files: Path, tmp_path: Path
+) -> None:
+    mine = drive()
+    settings(mine, files)
+    mine.window.session_saver.save_as(files / "alone.bubbleviz")
+    shutil.copy(files / "alone.bubbleviz", tmp_path)
+    (files / "alone.bubbleviz").unlink()
+    other = drive(frame=5)
+    other.window.open_file(tmp_path / "alone.bubbleviz")
+    message = other.window.message
+    assert message.isVisible()
+    assert "press.mcap is not there" in message.label.text()
+    assert message.label.text().count(".") <= 6 and "\n" not in message.label.text()
+    assert other.state.choices.kappa == 2.5 and other.window.layers_dock.isHidden()
+    assert other.state.frame == 5  # what was open stays
+
+
+def test_a_file_that_is_no_session_is_a_message(drive: Drive, tmp_path: Path) -> None:
+    driver = drive()
+    bad = tmp_path / "bad.bubbleviz"
+    for text in ("not json", '{"schema_version": 99}', '{"frame": -1}', "[]", '{"camera": [1]}'):
+        bad.write_text(text)
+        driver.window.message.hide()
+        driver.window.open_file(bad)
+        assert driver.window.message.isVisible() and "bad.bubbleviz" in (
+            driver.window.message.label.text()
+        )
+
+
+def test_choices_of_another_version_cost_only_themselves() -> None:
+    mine = Choices(kappa=2.0, speed=4.0, layers=frozenset({"rim"}), theme="light")
+    assert usable_choices(json.loads(json.dumps(plain_choices(mine)))) == mine
+    fields_ = plain_choices(mine)
+    strange = {**fields_, "speed": 3.0, "theme": "pink", "new": 1, "layers": ["rim", "aura"],
+               "solver": "oracle", "view_from": [1, 2], "kappa": "x"}  # fmt: skip
+    got = usable_choices(strange)
+    assert got.layers == {"rim"} and got.speed == 1.0 and got.solver is None
+    assert got.theme == "system" and got.kappa is None and got.view_from == Choices().view_from
+
+
+def test_every_choice_is_in_the_file() -> None:
+    assert plain_choices(Choices()).keys() == {f.name for f in fields(Choices)}
+
+
+def test_an_unreadable_session_is_put_aside(tmp_path: Path) -> None:
+    file = tmp_path / "session.json"
+    file.write_text("{")
+    with pytest.raises(InputError, match=r"session\.json.*kept as session\.unreadable"):
+        read_user_file(file)
+    assert read_user_file(file).session == SavedSession()
+    assert (tmp_path / "session.unreadable").read_text() == "{"
+
+
+def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> None:
+    driver = drive()
+    window = driver.window
+    copy = tmp_path / "again.mcap"
+    shutil.copy(files / "press.mcap", copy)
+    window.controller.opening.open(
+        "again", recording(copy), lambda: load(files / "dome.toml"), frame=5, playing=False
+    )
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    menu = next(
+        a.menu() for a in window.menuBar().actions()[0].menu().actions() if "recent" in a.text()
+    )
+    assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml"]
+    driver.state.choose_markers((1,))
+    gone = window.controller.solved_session
+    window.shortcuts.actions["File › Reload"].trigger()
+    driver.wait(lambda: window.controller.solved_session > gone)
+    driver.settle()
+    assert driver.state.frame == 5 and driver.state.markers == (1,)
+    copy.unlink()
+    window.shortcuts.actions["File › Reload"].trigger()
+    driver.wait(window.message.isVisible)
+    assert "again.mcap" in window.message.label.text()
+
+
+def test_recording_and_sensor_dropped_together(drive: Drive, files: Path) -> None:
+    driver = drive(sensor=small_sensor("other", nodes=150))
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(files / n)) for n in ("press.mcap", "dome.toml")])
+    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    action = Qt.DropAction.CopyAction
+    driver.window.view.dropEvent(QDropEvent(QPointF(5, 5), action, data, buttons, keys))
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    driver.wait(lambda: driver.window.controller.sensor.name == "small dome")
+
+
+def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive: Drive) -> None:
+    driver = drive(frame=3)
+    assert driver.window.session_saver.snapshot().camera is None
+    view = driver.window.view
+    middle = view.rect().center()
+    driver.bot.mousePress(view, Qt.MouseButton.LeftButton, pos=middle)
+    driver.bot.mouseMove(view, middle + QPoint(40, 20))
+    driver.bot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=middle + QPoint(40, 20))
+    saved = driver.window.session_saver.snapshot().camera
+    assert saved is not None and saved.position == pytest.approx(view.camera.position)
+
+
+KILLED = """
+import os, sys
+sys.path.insert(0, {here!r})
+from pathlib import Path
+from bubbleviz.sensor import load_sensor
+from bubbleviz_ui.session_files import session_saver
+from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.session_files.session_saver import user_file
+session_saver.EVERY_MS = 100
+from bubbleviz_ui.window_session import application
+application()
+with window_session(load_sensor({sensor!r}), Path({rec!r}) if {rec!r} else None, None, None,
+                    user_file()) as session:
+    state = session.state
+    session.window.show()
+    if {first}:
+        state.set_playing(False)
+        state.seek(6)
+        state.choose(kappa=1.75)
+        state.toggle_marker(4)
+        session.window.shortcuts.set_keys("View › Reset view", "Ctrl+J")
+        print("ready", flush=True)
+        session.application.exec()
+    else:
+        import json
+        print(json.dumps([state.facts.title, state.frame, state.markers, state.choices.kappa,
+                          session.window.shortcuts.keys("View › Reset view"),
+                          session.window.message.label.text()]), flush=True)
+"""
+
+
+def run(files: Path, config: Path, *, first: bool, rec: str) -> subprocess.Popen[str]:
+    code = KILLED.format(
+        here=str(Path(__file__).parents[1]), first=first, rec=rec, sensor=str(files / "dome.toml")
+    )
+    code = code.replace('"Ctrl+J")', '__import__("PySide6.QtGui").QtGui.QKeySequence("Ctrl+J"))')
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "XDG_CONFIG_HOME": str(config)}, cwd=Path(__file__).parents[3],
+    )  # fmt: skip
+
+
+def test_after_a_kill_the_next_start_is_where_it_was(files: Path, tmp_path: Path) -> None:
+    rec = tmp_path / "press.mcap"
+    shutil.copy(files / "press.mcap", rec)
+    process = run(files, tmp_path / "config", first=True, rec=str(rec))
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n", process.communicate()[1]
+    file = tmp_path / "config" / "bubbleviz" / "session.json"
+    end = time.monotonic() + 20
+    while time.monotonic() < end and not (file.exists() and "1.75" in file.read_text()):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    again = run(files, tmp_path / "config", first=False, rec="")
+    out, errors = again.communicate(timeout=60)
+    assert again.returncode == 0, errors
+    title, frame, markers, kappa, keys, message = json.loads(out)
+    assert (Path(title).name, frame, markers, kappa) == ("press.mcap", 6, [4], 1.75)
+    assert keys == "Ctrl+J" and not message
+    rec.unlink()
+    gone = run(files, tmp_path / "config", first=False, rec="")
+    out, errors = gone.communicate(timeout=60)
+    assert gone.returncode == 0, errors
+    title, _, _, kappa, _, message = json.loads(out)
+    assert "press.mcap is not there" in message and kappa == 1.75 and title != "press.mcap"
+
+
+def test_a_session_is_a_small_file(drive: Drive, tmp_path: Path) -> None:
+    driver = drive()
+    driver.window.session_saver.save_as(tmp_path / "a.bubbleviz")
+    assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
+    assert np.isfinite(read_session(tmp_path / "a.bubbleviz").frame)
+
+
+def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
+    """Each answer holds a camera's rays and a frame: 15 MiB for a RealSense."""
+    import gc
+
+    from fakes import DentSource
+
+    from bubbleviz_ui.engine.requests import Opened
+    from bubbleviz_ui.window_session import window_session
+
+    sensor = load(files / "dome.toml")
+    with window_session(sensor, files / "press.mcap", 3) as session:
+        controller = session.controller
+        for frame in (1, 2, 3, 4):
+            before = controller.solved_session
+            controller.opening.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
+            session.wait_for(lambda before=before: controller.solved_session > before, "opening")
+        gc.collect()
+        kept = sum(isinstance(thing, Opened) for thing in gc.get_objects())
+        assert kept <= 1

@@ -1,0 +1,280 @@
+"""What a session remembers beyond a recording: live sources, sensors of no file, the object."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import DentSource, small_sensor
+from live_bench import sensor_file
+from PySide6.QtCore import Qt
+from window_driver import Driver
+
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.study.object_shapes import ply_bytes
+from bubbleviz_ui.bench.live_soak import free_port
+from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.session_files.session_file import (
+    SavedSession,
+    UserFile,
+    read_session,
+    read_user_file,
+)
+from bubbleviz_ui.window_session import WindowSession, window_session
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+FRAMES = 12
+
+
+@pytest.fixture
+def files(tmp_path: Path, sensor: Sensor) -> Path:
+    """A folder with a short recording, the file of its sensor, and a mesh."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    source = DentSource(sensor)
+    with RecordingWriter(folder / "press.mcap") as writer:
+        for frame in map(source.__getitem__, range(len(source))):
+            writer.write(frame)
+    (folder / "dome.toml").write_text(sensor_to_toml(sensor))
+    (folder / "stamp.ply").write_bytes(ply_bytes(load_object("cylinder")))
+    return folder
+
+
+@contextmanager
+def start(keep_in: Path | None = None, saved: Path | None = None) -> Iterator[WindowSession]:
+    """The program as `bubbleviz [open SAVED]` starts it, with a fast built-in press."""
+    with window_session(small_sensor(), None, None, None, keep_in, None, saved) as session:
+        session.window.show()
+        yield session
+
+
+def open_press(driver: Driver, files: Path, sensor: Sensor | None = None) -> None:
+    chosen = sensor or load_sensor(files / "dome.toml")
+    driver.window.controller.opening.open(
+        "press", recording(files / "press.mcap"), lambda: chosen, frame=8, playing=False
+    )
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+
+
+# -- the object ---------------------------------------------------------------------------------
+
+
+def test_the_object_its_start_and_tracking_go_to_a_colleague(
+    drive: Drive, files: Path, tmp_path: Path
+) -> None:
+    mine = drive()
+    open_press(mine, files)
+    mine.window.open_file(files / "stamp.ply")
+    pose = mine.window.pose
+    mine.wait(lambda: pose.session.obj is not None)
+    for box, value in zip(pose.start.places, (4.0, 1.0, 45.0), strict=True):
+        box.setFocus()
+        box.selectAll()
+        mine.bot.keyClicks(box, f"{value:g}")
+        mine.bot.keyClick(box, Qt.Key.Key_Return)
+    mine.bot.mouseClick(pose.track, LEFT)
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
+    assert str(files) not in (files / "look.bubbleviz").read_text()
+    shutil.move(files, tmp_path / "theirs")
+    other = drive()
+    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
+    theirs = other.window.pose
+    other.wait(lambda: other.state.facts.frames == FRAMES and theirs.session.obj is not None)
+    assert theirs.session.obj.name == "stamp"
+    assert np.allclose(theirs.session.start[:3, 3], [4e-3, 1e-3, 45e-3])
+    assert not theirs.search.isChecked() and theirs.start.places[2].value() == 45.0
+    assert theirs.track.isChecked() and other.window.pose_dock.isVisible()
+    other.wait(lambda: theirs.session.pose is not None)  # it is looked for in the frame one sees
+    other.wait(lambda: theirs.object.currentText() == "stamp.ply")
+
+
+def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
+    mine = drive()
+    open_press(mine, files)
+    mine.window.open_file(files / "stamp.ply")
+    mine.wait(lambda: mine.window.pose.session.obj is not None)
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
+    (files / "stamp.ply").unlink()
+    other = drive()
+    other.window.open_file(files / "look.bubbleviz")
+    other.wait(other.window.message.isVisible)
+    assert "stamp.ply is not there; the rest is restored" in other.window.message.label.text()
+    other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
+    assert other.window.pose.session.object_name is None
+
+
+# -- sensors of no file -------------------------------------------------------------------------
+
+
+def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: Path) -> None:
+    config = tmp_path / "config" / "session.json"
+    with start(config) as session:
+        session.window.controller.opening.use_sensor(small_sensor("edited", nodes=150))
+        session.wait_for(lambda: session.controller.sensor.name == "edited", "opening")
+    kept = list(config.parent.glob("session_sensor_*"))
+    assert len(kept) == 1
+    with start(config) as session:
+        assert session.controller.sensor.name == "edited"
+        assert session.controller.sensor.membrane.nodes == 150
+        assert not session.window.message.isVisible() and not session.window.session_saver.recent
+        session.window.controller.opening.use_sensor(load_sensor(files / "dome.toml"))
+        session.wait_for(lambda: session.controller.sensor.name == "small dome", "opening")
+    assert not list(config.parent.glob("session_sensor_*"))  # nobody needs it any more
+
+
+# -- live sources -------------------------------------------------------------------------------
+
+
+def test_a_live_source_is_connected_again_at_the_next_start(qtbot: object, tmp_path: Path) -> None:
+    config = tmp_path / "session.json"
+    live = single("synthetic:?frames=6", sensor_file(tmp_path))
+    with start(config) as session:
+        session.window.live_controller.connect_to(live)
+        session.wait_for(lambda: bool(session.state.facts.grows), "connecting")
+        session.state.choose(kappa=2.0)
+    with start(config) as session:
+        session.wait_for(lambda: bool(session.state.facts.grows), "connecting again")
+        assert session.state.facts.title == "synthetic:?frames=6"
+        assert session.controller.sensor.name == "robot dome"
+        assert session.state.choices.kappa == 2.0 and not session.window.message.isVisible()
+        session.window.live.leave.click()  # on purpose: the next start leaves it alone
+    assert json.loads(config.read_text())["session"]["live"] is None
+
+
+def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
+    qtbot: object, files: Path, tmp_path: Path
+) -> None:
+    config = tmp_path / "session.json"
+    rec = files / "press.mcap"
+    live = single(f"replay:{rec}?loop=1", str(files / "dome.toml"))
+    with start(config) as session:
+        session.window.live_controller.connect_to(live)
+        session.wait_for(lambda: bool(session.state.facts.grows), "connecting")
+        session.window.session_saver.save_as(files / "live.bubbleviz")
+    assert str(files) not in (files / "live.bubbleviz").read_text()
+    rec.rename(tmp_path / "away.mcap")
+    for _ in range(2):  # not even the second start has forgotten it
+        with start(config) as session:
+            message = session.window.message
+            session.wait_for(message.isVisible, "the message")
+            assert "press.mcap" in message.label.text()
+            assert not session.state.facts.grows and session.controller.result is not None
+            session.state.choose(solver="fast")  # opens the same press again
+            gone = session.controller.solved_session
+            session.wait_for(lambda gone=gone: session.controller.solved_session > gone, "again")
+            session.state.choose(solver=None)
+    (tmp_path / "away.mcap").rename(rec)
+    with start(config) as session:
+        session.wait_for(lambda: bool(session.state.facts.grows), "connecting again")
+    shutil.move(files, tmp_path / "theirs")
+    with start(saved=tmp_path / "theirs" / "live.bubbleviz") as session:
+        session.wait_for(lambda: bool(session.state.facts.grows), "connecting elsewhere")
+        assert session.state.facts.title.startswith(f"replay:{tmp_path / 'theirs'}")
+
+
+def test_a_robot_that_is_not_there_yet_is_waited_for(
+    qtbot: object, files: Path, tmp_path: Path
+) -> None:
+    config = tmp_path / "session.json"
+    robot = single(f"zenoh:tcp/127.0.0.1:{free_port()}", str(files / "dome.toml"))
+    config.write_text(UserFile(session=SavedSession(live=robot)).model_dump_json())
+    with start(config) as session:
+        bar = session.window.live
+        session.wait_for(bar.isVisible, "the bar")
+        assert session.controller.result is not None  # the built-in press, meanwhile
+        session.window.open_file(files / "dome.toml")  # another sensor, but no other source
+        session.wait_for(lambda: session.controller.sensor.file == "dome.toml", "the sensor")
+        bar.leave.click()
+        assert not bar.isVisible()
+    assert read_user_file(config).session.live == robot
+    with start(config) as session:
+        session.wait_for(session.window.live.isVisible, "the bar")
+        session.window.open_file(files / "press.mcap")
+        session.wait_for(lambda: session.state.facts.frames == FRAMES, "the recording")
+        assert session.window.live_controller.connection is None  # it will not come in its place
+        assert not session.window.live.isVisible()
+    assert read_user_file(config).session.live is None
+
+
+def test_a_recording_that_is_gone_for_a_while_loses_nothing(
+    qtbot: object, files: Path, tmp_path: Path
+) -> None:
+    config, rec = tmp_path / "session.json", files / "press.mcap"
+    with window_session(load_sensor(files / "dome.toml"), rec, 5, None, keep_in=config) as session:
+        session.state.choose_markers((2, 9))
+    rec.rename(tmp_path / "away.mcap")
+    with start(config) as session:
+        assert "press.mcap is not there" in session.window.message.label.text()
+    (tmp_path / "away.mcap").rename(rec)
+    with start(config) as session:
+        assert session.state.facts.frames == FRAMES and session.state.frame == 5
+        assert session.state.markers == (2, 9)
+
+
+# -- the command line ---------------------------------------------------------------------------
+
+
+def bubbleviz(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The program without a display: it draws for some seconds and ends."""
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY")
+    kept = {k: v for k, v in os.environ.items() if k not in hidden}
+    return subprocess.run(
+        [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", *arguments],
+        env={**kept, **environment}, capture_output=True, text=True, timeout=200, check=False,
+        cwd=Path(__file__).parents[3],
+    )  # fmt: skip
+
+
+def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: Path) -> None:
+    mine = drive()
+    open_press(mine, files)
+    mine.state.choose_markers((2,))
+    mine.window.session_saver.save_as(files / "look.bubbleviz")
+    with start(saved=files / "look.bubbleviz") as session:
+        assert session.state.facts.frames == FRAMES and session.state.frame == 8
+        assert session.state.markers == (2,) and not session.window.message.isVisible()
+        assert Path(session.window.session_saver.recent[0]).name in ("press.mcap", "dome.toml")
+    done = bubbleviz("open", str(files / "look.bubbleviz"), TMPDIR=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "wrote" in done.stdout
+
+
+@pytest.mark.parametrize("text", [None, "", "[]", '{"schema_version": 9}', '{"live": {"a": 1}}'])
+def test_a_bad_session_file_is_one_sentence(tmp_path: Path, text: str | None) -> None:
+    bad = tmp_path / "bad.bubbleviz"
+    if text is not None:
+        bad.write_text(text)
+    done = bubbleviz("open", str(bad))
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1 and "bad.bubbleviz" in done.stderr
+
+
+def test_what_is_for_recordings_is_refused_with_a_session(tmp_path: Path) -> None:
+    done = bubbleviz("open", str(tmp_path / "a.bubbleviz"), "--frame", "3")
+    assert done.returncode == 2 and "--frame" in done.stderr
+
+
+def test_a_session_does_not_say_where_to_publish(drive: Drive, tmp_path: Path) -> None:
+    """Nor where to record: a file of somebody else must not open this computer to others."""
+    mine = drive()
+    mine.window.session_saver.save_as(tmp_path / "a.bubbleviz")
+    saved = read_session(tmp_path / "a.bubbleviz")
+    choices = {**saved.choices, "publish_at": "tcp/0.0.0.0:7448", "record_folder": "/"}
+    crafted = saved.model_copy(update={"choices": choices})
+    (tmp_path / "b.bubbleviz").write_text(crafted.model_dump_json())
+    mine.window.open_file(tmp_path / "b.bubbleviz")
+    assert mine.state.choices.publish_at.startswith("tcp/127.0.0.1")
+    assert mine.window.live_controller.publishing.endpoint.startswith("tcp/127.0.0.1")
+    assert mine.state.choices.record_folder is None

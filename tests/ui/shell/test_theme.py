@@ -1,0 +1,175 @@
+"""Dark and light: chosen in the menu, read back from pixels; and no text that does not fit."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor, QImage
+from PySide6.QtWidgets import QApplication, QLabel, QWidget
+from window_driver import Driver
+
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_maps import rgb
+
+Drive = Callable[..., Driver]
+HERE = Path(__file__).parents[1]
+CONTACT = 75
+
+
+@pytest.fixture(autouse=True)
+def dark_again() -> object:
+    yield
+    application = QApplication.instance()
+    assert isinstance(application, QApplication)
+    theme.apply(application, theme.DARK)
+
+
+def pixels(widget: QWidget) -> np.ndarray:
+    """RGB pixels of a widget as painted, (height, width, 3)."""
+    image = widget.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    flat = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
+    return flat[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
+
+
+def choose(driver: Driver, title: str) -> None:
+    """Trigger an action of the theme menu."""
+    menu = driver.window.findChild(QWidget, "menu_theme")
+    next(a for a in menu.actions() if title in a.text()).trigger()
+
+
+def contrast(one: QColor, other: QColor) -> float:
+    """Contrast ratio as WCAG 2 defines it, 1 … 21."""
+
+    def luminance(colour: QColor) -> float:
+        parts = [colour.redF(), colour.greenF(), colour.blueF()]
+        r, g, b = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    window = driver.window
+    parts = (window.status, window.menuBar(), window.layers, window.kappa, window.playback)
+    for title, colours in (("Light", theme.LIGHT), ("Dark", theme.DARK)):
+        choose(driver, title)
+        driver.settle()
+        corner = window.view.pixels()[-3, 3]
+        assert np.allclose(corner, rgb(colours.view), atol=2)
+        is_light = colours is theme.LIGHT
+        for part in parts:
+            assert (np.median(pixels(part)) > 127) == is_light, part
+        # Text of the readout, at the upper left of the view.
+        head = window.view.pixels()[:50, :160].reshape(-1, 3).astype(int)
+        assert np.abs(head - rgb(colours.text)).sum(axis=1).min() < 12
+        # The icon on the play button.
+        play = pixels(window.playback.play).reshape(-1, 3).astype(int)
+        assert np.abs(play - rgb(colours.text)).sum(axis=1).min() < 12
+        assert len(driver.warm_pixels()) > 200  # pressure has its colours on both
+
+
+def test_following_the_system(drive: Drive) -> None:
+    driver = drive()
+    changed = QApplication.styleHints().colorSchemeChanged  # a desktop emits it; Xvfb is none
+    changed.emit(Qt.ColorScheme.Light)
+    assert theme.of(driver.window) is theme.LIGHT
+    changed.emit(Qt.ColorScheme.Dark)
+    assert theme.of(driver.window) is theme.DARK
+    choose(driver, "Light")
+    changed.emit(Qt.ColorScheme.Dark)
+    assert theme.of(driver.window) is theme.LIGHT  # what was chosen outlives the system's
+
+
+@pytest.mark.parametrize("colours", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
+def test_text_can_be_read(colours: theme.Colours) -> None:
+    for ground in (colours.window, colours.panel, colours.field, colours.view, colours.button):
+        assert contrast(QColor(colours.text), QColor(ground)) > 7.0
+        assert contrast(QColor(colours.dim), QColor(ground)) > 4.5
+    for grade in (colours.good, colours.usable, colours.doubtful):
+        assert contrast(QColor(grade), QColor(colours.panel)) > 4.0
+    assert contrast(QColor(colours.on_accent), QColor(colours.accent)) > 4.5
+
+
+def test_colours_are_nowhere_else() -> None:
+    for path in (HERE.parents[1] / "ui").rglob("*.py"):
+        if path.name != "theme.py":
+            found = re.findall(r"[\"'>:]#[0-9a-fA-F]{3,8}\b", path.read_text(encoding="utf-8"))
+            assert not found, (path, found)
+
+
+FITS = """
+import json, sys
+sys.path.insert(0, {here!r})
+from fakes import small_sensor
+from PySide6.QtWidgets import QAbstractButton, QLabel
+from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.window_session import window_session
+with screen_for_pictures({screen}), window_session(small_sensor(), None, 75) as session:
+    window = session.window
+    window.resize(1280, 800)
+    window.show()
+    clipped = []
+    for name in ("dark", "light"):
+        session.state.choose(theme=name)
+        for title, panel in window.panels.items():
+            if panel.isHidden():
+                panel.show()
+        session.settle()
+        for widget in [*window.findChildren(QLabel), *window.findChildren(QAbstractButton)]:
+            text = widget.text().replace("&", "")
+            if not widget.isVisible() or not text or "<" in text:
+                continue
+            wraps = isinstance(widget, QLabel) and widget.wordWrap()
+            lines = text.split() if wraps else text.splitlines()
+            widest = max(widget.fontMetrics().horizontalAdvance(line) for line in lines)
+            if widest > widget.width():
+                clipped.append([name, text, widest, widget.width()])
+    print(json.dumps({{"clipped": clipped, "ratio": window.devicePixelRatio()}}))
+"""
+
+
+def fits(screen: str, **environment: str) -> dict[str, object]:
+    done = subprocess.run(
+        [sys.executable, "-c", FITS.format(here=str(HERE), screen=screen)],
+        env={**os.environ, **environment}, capture_output=True, text=True, check=False,
+        timeout=200, cwd=HERE.parents[1],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_nothing_is_clipped_at_200_percent() -> None:
+    seen = fits("3200, 2000", QT_SCALE_FACTOR="2")
+    assert seen["ratio"] == 2.0
+    assert not seen["clipped"]
+
+
+@pytest.mark.parametrize("name", ["dark", "light"])
+def test_the_window_fits_into_1280_by_800(drive: Drive, name: str) -> None:
+    driver = drive(frame=CONTACT, live=True)
+    driver.state.choose(theme=name)
+    driver.window.resize(1280, 800)
+    driver.window.show_rates()
+    driver.settle()
+    assert (driver.window.width(), driver.window.height()) == (1280, 800)
+    for panel in driver.window.panels.values():
+        shown = panel.isVisible()
+        panel.show()
+        QApplication.processEvents()
+        assert (driver.window.width(), driver.window.height()) == (1280, 800), panel
+        panel.setVisible(shown)
+    for label in driver.window.findChildren(QLabel):
+        if label.isVisible() and not label.wordWrap() and "<" not in label.text():
+            advance = label.fontMetrics().horizontalAdvance(label.text())
+            assert advance <= label.width(), label.text()

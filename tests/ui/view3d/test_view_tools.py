@@ -1,0 +1,263 @@
+"""The 3-D tools by clicks: what is looked at, measured, cut, exaggerated and saved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QApplication, QLabel, QTabBar
+from window_driver import Driver, in_view, near
+
+from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
+from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.tools.still_picture import still
+from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+CONTACT = 75
+
+
+def opened(driver: Driver) -> ViewTools:
+    driver.window.resize(1280, 800)
+    driver.window.tools_dock.show()
+    driver.window.tools_dock.raise_()
+    driver.state.choose(layers=frozenset({"membrane"}))
+    QApplication.processEvents()
+    driver.settle()
+    return driver.window.tools
+
+
+def nodes(driver: Driver) -> np.ndarray:
+    estimate = driver.window.controller.result.estimate
+    return driver.pipeline.mesh.deformed(estimate.displacement_m)
+
+
+def of_colour(pixels: np.ndarray, colour: str) -> int:
+    return int(np.all(pixels == rgb(colour), axis=2).sum())
+
+
+def test_views_look_along_the_axes_and_as_the_camera(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools, camera = opened(driver), driver.window.view.camera
+    for name, direction in {"top": (0, 0, -1), "side": (-1, 0, 0), "front": (0, 1, 0)}.items():
+        driver.bot.mouseClick(tools.views[name], LEFT)
+        np.testing.assert_allclose(camera.direction, direction, atol=1e-9)
+    driver.bot.mouseClick(tools.views["camera"], LEFT)
+    driver.settle()
+    view, depth_camera = driver.window.view, driver.pipeline.camera
+    np.testing.assert_allclose(camera.position, depth_camera.center)
+    # A pixel of the depth image is seen in the middle's distance that the intrinsics say.
+    own = depth_camera.intrinsics
+    point = depth_camera.center + 0.1 * np.array([0.2, -0.1, 1.0])
+    seen = in_view(driver, point)
+    off = np.array([seen.x() - view.width() / 2, seen.y() - view.height() / 2])
+    wide = own.width / own.fx * view.height() / view.width()
+    tall = view.height() / max(own.height / own.fy, wide)
+    np.testing.assert_allclose(off, tall * np.array([0.2, -0.1]), atol=2.0)
+    driver.window.scene.reset_view()
+    assert camera.view_angle == pytest.approx(30.0 / driver.state.choices.zoom)
+
+
+def test_distance_between_two_clicks(drive: Drive) -> None:
+    driver = drive(frame=3)
+    tools = opened(driver)
+    driver.window.scene.look("top")
+    driver.settle()
+    driver.bot.mouseClick(tools.tools["distance"], LEFT)
+    ends = [node for node in nodes(driver) if node[2] > 0.045][:2]
+    where = [in_view(driver, end) for end in ends]
+    for place in where:
+        driver.bot.mouseClick(driver.window.view, LEFT, pos=place)
+    assert len(tools.distance.points_m) == 2
+    true = float(np.linalg.norm(ends[1] - ends[0]))
+    assert tools.distance.length_m == pytest.approx(true, abs=5e-4)
+    assert tools.said[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
+    driver.settle()
+    assert of_colour(driver.window.view.pixels(), GREEN) > 50
+    driver.state.choose(length_unit="m")
+    assert tools.said[0].text().endswith(" m")
+    driver.bot.mouseClick(driver.window.view, LEFT, pos=where[0])
+    assert tools.distance.length_m is None
+    driver.bot.mouseClick(tools.tools["turn"], LEFT)
+    driver.settle()
+    assert of_colour(driver.window.view.pixels(), GREEN) == 0
+
+
+def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    driver.window.scene.look("top")
+    driver.settle()
+    driver.bot.mouseClick(tools.tools["pick"], LEFT)
+    pressure = driver.window.controller.result.estimate.contact_pressure_pa
+    node = nodes(driver)[int(np.argmax(pressure))]
+    driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
+    found = tools.picked.place
+    assert found is not None and np.linalg.norm(found.node_m - node) < 0.01
+    assert "kPa" in tools.said[2].text() and f"node {found.node}" in tools.said[0].text()
+    driver.settle()
+    assert near(driver.window.view.pixels(), in_view(driver, found.node_m), NODE)
+    before = tools.said[2].text()
+    driver.seek(2)
+    assert tools.said[2].text() != before and tools.picked.place.pressure_pa == 0.0
+
+
+def test_dragging_is_no_click(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    driver.bot.mouseClick(tools.tools["pick"], LEFT)
+    view, middle = driver.window.view, driver.window.view.rect().center()
+    driver.bot.mousePress(view, LEFT, pos=middle)
+    driver.bot.mouseMove(view, middle + QPoint(40, 0))
+    driver.bot.mouseRelease(view, LEFT, pos=middle + QPoint(40, 0))
+    assert tools.picked.place is None
+
+
+def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    driver.window.scene.look("top")
+    driver.settle()
+    view = driver.window.view
+    background = view.pixels()[5, 5]
+    left, right = (in_view(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
+
+    def drawn(place: QPoint) -> bool:
+        return bool(np.any(view.pixels()[place.y(), place.x()] != background))
+
+    assert drawn(left) and drawn(right)
+    tools.section.setFocus()
+    driver.bot.keyClick(tools.section, Qt.Key.Key_Down)
+    assert driver.state.choices.section_axis == "x"
+    driver.settle()
+    assert not drawn(left) and drawn(right)
+    assert of_colour(view.pixels(), ORANGE) > 50
+    driver.bot.mouseClick(tools.flipped, LEFT, pos=QPoint(10, tools.flipped.height() // 2))
+    driver.settle()
+    assert drawn(left) and not drawn(right)
+    tools.section_at.setValue(tools.section_at.maximum())
+    assert tools.section_text.text() == "at 75.00 mm"
+    driver.settle()
+    assert drawn(left) and drawn(right)
+    tools.section.setCurrentIndex(0)
+    driver.settle()
+    assert of_colour(view.pixels(), ORANGE) == 0
+
+
+def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    estimate, mesh = driver.window.controller.result.estimate, driver.pipeline.mesh
+    solved = driver.pipeline.counts["estimate"]
+    tools.exaggeration.setValue(3.0)
+    driver.settle()
+    drawn = np.asarray(driver.window.scene._surface.poly.points)
+    np.testing.assert_allclose(drawn, mesh.deformed(3.0 * estimate.displacement_m), atol=1e-7)
+    k = int(np.argmin(estimate.displacement_m))
+    true = driver.window.scene._surface.true_place(drawn[k])
+    np.testing.assert_allclose(true, mesh.deformed(estimate.displacement_m)[k], atol=1e-7)
+    assert driver.pipeline.counts["estimate"] == solved
+    driver.window.hover.at_point(mesh.deformed(estimate.displacement_m)[k])
+    dots = np.asarray(driver.window.scene.marks._dots.points)
+    np.testing.assert_allclose(dots[1], drawn[k], atol=1e-7)
+
+
+def test_colour_maps_change_the_colours_and_not_the_range(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    assert len(driver.warm_pixels()) > 100
+    tools.colour_map.setFocus()
+    driver.bot.keyClicks(tools.colour_map, "viridis")
+    driver.settle()
+    assert driver.state.choices.colour_map == "viridis" and len(driver.warm_pixels()) == 0
+
+
+def test_vectors_are_as_long_as_the_pressure_is_high(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    opened(driver)
+    driver.bot.mouseClick(
+        driver.window.layers.boxes["vectors"],
+        LEFT,
+        pos=QPoint(10, driver.window.layers.boxes["vectors"].height() // 2),
+    )
+    driver.state.choose(layers=frozenset({"vectors"}))
+    driver.settle()
+    points = np.asarray(driver.window.scene.layers["vectors"]._poly.points)
+    length = np.linalg.norm(points[0::2] - points[1::2], axis=1)
+    pressure = driver.window.controller.result.estimate.contact_pressure_pa
+    assert np.corrcoef(length, pressure)[0, 1] > 0.999 and length[pressure == 0.0].max() < 1e-9
+    assert of_colour(driver.window.view.pixels(), ORANGE) > 20
+
+
+def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    before = driver.window.view.pixels()
+    tools.width_box.setValue(1800)
+    tools.height_box.setValue(700)
+    tools.save_picture(tmp_path / "view.png")
+    image = QImage(str(tmp_path / "view.png"))
+    assert (image.width(), image.height()) == (1800, 700)
+    height, width = before.shape[:2]
+    same = still(driver.window.view, width, height)
+    assert np.abs(same.astype(int) - before).mean() < 1.0
+    large = still(driver.window.view, 1800, 700)
+    red, green, blue = (large[:, :1500, k].astype(int) for k in range(3))
+    assert np.count_nonzero((red > 130) & (red > 2 * blue) & (red > green + 30)) > 200
+    driver.settle()
+    np.testing.assert_array_equal(driver.window.view.pixels(), before)
+    tools.save_picture(tmp_path / "missing" / "view.png")
+    assert "cannot be written" in driver.window.message.label.text()
+
+
+def test_the_turntable_turns_until_it_is_told(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools, camera = opened(driver), driver.window.view.camera
+    start = np.array(camera.position)
+    driver.bot.mouseClick(tools.turn, LEFT)
+    driver.wait(lambda: np.linalg.norm(np.array(camera.position) - start) > 0.01)
+    driver.bot.mouseClick(tools.turn, LEFT)
+    height = camera.position[2]
+    assert height == pytest.approx(start[2], abs=1e-6) and not tools.turntable.turning
+    stopped = tuple(camera.position)
+    driver.bot.wait(100)
+    assert tuple(camera.position) == stopped
+
+
+def test_docks_become_tabs_and_the_window_keeps_its_size(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    window = driver.window
+    window.resize(1280, 800)
+    for dock in (window.tools_dock, window.threshold_dock, window.compare_dock):
+        dock.show()
+        QApplication.processEvents()
+        assert not dock.visibleRegion().isEmpty()
+    assert window.tools_dock in window.tabifiedDockWidgets(window.layers_dock)
+    assert window.compare_dock in window.tabifiedDockWidgets(window.kappa_dock)
+    assert (window.width(), window.height()) == (1280, 800)
+    for dock in (window.layers_dock, window.tools_dock):
+        dock.hide()
+    QApplication.processEvents()
+    shown = [bar for bar in window.findChildren(QTabBar) if not bar.visibleRegion().isEmpty()]
+    assert [bar.tabText(0) for bar in shown] == ["Contact patch"]
+
+
+def test_no_text_of_the_tools_is_clipped(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    tools.use_tool("pick")
+    tools.picked.at_pixel(24, 44)
+    driver.state.choose(length_unit="m", pressure_unit="psi", section_axis="x")
+    QApplication.processEvents()
+    assert driver.window.width() == 1280
+    for label in tools.findChildren(QLabel):
+        width = label.fontMetrics().horizontalAdvance(label.text())
+        assert width <= label.width() + 1, label.text()
+    for button in (*tools.views.values(), *tools.tools.values(), tools.turn, tools.save):
+        assert button.width() >= button.sizeHint().width(), button.text()
+        assert tools.rect().contains(button.geometry()), button.text()

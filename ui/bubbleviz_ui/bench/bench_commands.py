@@ -1,0 +1,155 @@
+"""The commands `bubbleviz bench …`: one thin function each, heavy imports inside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+
+if TYPE_CHECKING:
+    from bubbleviz.sensor import Sensor
+
+
+@click.group()
+def bench() -> None:
+    """Measure how fast this machine is."""
+
+
+@bench.command("window")
+@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@click.option("--synthetic", is_flag=True, help="The built-in press in place of a recording.")
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=8.0, help="How long.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_window(
+    recording: Path | None, synthetic: bool, sensor: str | None, seconds: float, as_json: bool
+) -> None:
+    """Replay with membrane and cloud shown, and count the rendered frames."""
+    if synthetic == (recording is not None):
+        raise click.UsageError("give either REC or --synthetic")
+    from bubbleviz_ui.bench.replay_rate import replay_fps
+
+    _print_measured(replay_fps(_sensor_for(recording, sensor), recording, seconds), as_json)
+
+
+@bench.command("start")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--runs", type=click.IntRange(1, 100), default=5, help="Processes to start.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -> None:
+    """Time from starting a process to its first picture of a recording."""
+    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz_ui.bench.start_times import start_times
+
+    checked_sensor(recording, sensor)
+    _print_measured(start_times(recording, sensor, runs), as_json)
+
+
+@bench.command("seek")
+@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--seeks", type=click.IntRange(1, 10_000), default=60, help="How many.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -> None:
+    """Time from a seek anywhere in a recording to the new picture."""
+    from bubbleviz_ui.bench.start_times import seek_times
+
+    _print_measured(seek_times(_sensor_for(recording, sensor), recording, seeks), as_json)
+
+
+@bench.command("monkey")
+@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--minutes", type=click.FloatRange(0.02, 600.0), default=10.0, help="How long.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the clicks.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def bench_monkey(
+    recording: Path | None, sensor: str | None, minutes: float, seed: int, as_json: bool
+) -> int:
+    """Click and type at random; exit code 1 after an exception or with 100 MiB more memory."""
+    from bubbleviz_ui.bench.monkey import monkey_run
+
+    report = monkey_run(_sensor_for(recording, sensor), recording, 60.0 * minutes, seed)
+    _print_measured(report.measured, as_json)
+    for problem in report.problems:
+        click.echo(problem, err=True)
+    return int(not report.passed)
+
+
+@bench.command("live")
+@click.option("--minutes", type=click.FloatRange(0.05, 600.0), default=1.0, help="How long.")
+@click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=60.0, help="Frames a second.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
+@click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
+@click.option("--window", is_flag=True, help="With the window open, on a screen nobody sees.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def bench_live(
+    minutes: float, rate: float, sensor: str, out: Path | None, window: bool, as_json: bool
+) -> int:
+    """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
+    if window:
+        from bubbleviz_ui.bench.window_soak import window_soak
+
+        whole = window_soak(sensor, 60.0 * minutes, rate, out)
+        click.echo(whole.to_json() if as_json else whole.to_text())
+        return whole.soak.exit_code
+    from bubbleviz_ui.bench.live_soak import soak
+
+    report = soak(sensor, 60.0 * minutes, rate, out)
+    click.echo(report.to_json() if as_json else report.to_text())
+    return report.exit_code
+
+
+@bench.command("pair")
+@click.option("--session", default="dual_nut", help="Session of two synthetic sensors.")
+@click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=20.0, help="How long.")
+@click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=30.0, help="Frames a second.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> None:
+    """Two 640×480 cameras over Zenoh into one window: what is solved and drawn a second."""
+    from bubbleviz.live.session_preset import load_session
+    from bubbleviz_ui.bench.live_pair import pair_bench
+
+    report = pair_bench(load_session(session), seconds, rate)
+    click.echo(report.to_json() if as_json else report.to_text())
+
+
+@bench.command("restarts")
+@click.option("--times", type=click.IntRange(1, 1000), default=20, help="How often.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the moments.")
+@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
+    """Kill and restart a publisher under a recording window; exit code 1 after a loss."""
+    from bubbleviz_ui.bench.live_restarts import restart_bench
+
+    report = restart_bench(sensor, times, seed)
+    click.echo(report.to_json() if as_json else report.to_text())
+    return int(not report.passed)
+
+
+def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
+    """The sensor named, else the preset that fits the recording or is simulated."""
+    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz.sensor import load_sensor
+
+    if recording is None:
+        return load_sensor(sensor or SYNTHETIC_SENSOR)
+    return checked_sensor(recording, sensor)[1]
+
+
+def _print_measured(measured: dict[str, float], as_json: bool) -> None:
+    """Numbers by name; a NaN is null in JSON, which has none."""
+    if as_json:
+        import json
+        import math
+
+        finite = {key: value if math.isfinite(value) else None for key, value in measured.items()}
+        click.echo(json.dumps(finite, indent=2, allow_nan=False))
+        return
+    for key, value in measured.items():
+        click.echo(f"{key:<16} {value:.4g}")

@@ -1,0 +1,266 @@
+"""The work of `bubbleviz bench live`: a stream over Zenoh recorded and solved, for minutes.
+
+The publisher is a process of its own. Every depth image must be in the file, counted by the
+publisher's own sequence; memory must not grow; what is solved must be young.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.commands.watch import PRODUCTS, Watcher
+from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import IMAGE
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import Sensor, load_sensor
+
+WARM_UP_S = 20.0
+"""Until then memory may grow: one round of the press, every buffer filled once."""
+_START_S = 60.0
+
+
+@dataclass(frozen=True)
+class SoakReport:
+    """What `bench live` measured.
+
+    Attributes
+    ----------
+    seconds, rate_hz : float
+    sent : int
+        Depth images the publisher counted while we were there.
+    recorded : int
+        Depth images in the file.
+    missing, repeated : int
+        Gaps and repetitions of the publisher's count in the file.
+    solved, skipped : int
+        Frames solved, and given up for newer ones.
+    latency_median_s, latency_p95_s, latency_worst_s : float
+        Stamp to result.
+    memory_growth_bytes : int
+        Highest resident memory after the warm-up less that at its end.
+    most_waiting_bytes, stalls : int
+        Of the recorder's queue.
+    recording_bytes : int
+    """
+
+    seconds: float
+    rate_hz: float
+    sent: int
+    recorded: int
+    missing: int
+    repeated: int
+    solved: int
+    skipped: int
+    latency_median_s: float
+    latency_p95_s: float
+    latency_worst_s: float
+    memory_growth_bytes: int
+    most_waiting_bytes: int
+    stalls: int
+    recording_bytes: int
+
+    @property
+    def exit_code(self) -> int:
+        """1 when the file lacks a frame, or has one twice."""
+        return int(self.missing > 0 or self.repeated > 0)
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False)
+
+    def to_text(self) -> str:
+        """A few lines for people, with units."""
+        return "\n".join(
+            [
+                f"stream    {self.rate_hz:g} Hz for {self.seconds:.0f} s over Zenoh, loopback",
+                f"recorded  {self.recorded} of {self.sent} depth images, {self.missing} missing, "
+                f"{self.repeated} twice; {self.recording_bytes / 1e6:.0f} MB",
+                f"solved    {self.solved}, {self.skipped} skipped for newer ones",
+                f"latency   {1e3 * self.latency_median_s:.1f} ms median, "
+                f"{1e3 * self.latency_p95_s:.1f} ms p95, {1e3 * self.latency_worst_s:.0f} ms worst",
+                f"memory    {self.memory_growth_bytes / 2**20:+.1f} MiB after the warm-up",
+                f"disk      at most {self.most_waiting_bytes / 1e6:.1f} MB waiting, "
+                f"{self.stalls} stalls",
+            ]
+        )
+
+
+def soak(
+    sensor_name: str, seconds: float, rate_hz: float = 60.0, out: Path | None = None
+) -> SoakReport:
+    """Stream, record and solve for some time.
+
+    Parameters
+    ----------
+    sensor_name : str
+        Simulated and solved.
+    seconds : float
+    rate_hz : float
+    out : Path, optional
+        Where the recording stays; by default it is deleted.
+    """
+    with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
+        path = out or Path(folder) / "soak.mcap"
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        publisher = start_publisher(sensor_name, endpoint, f"synthetic:?rate={rate_hz:g}")
+        try:
+            measured = _run(load_sensor(sensor_name), endpoint, seconds, path, publisher)
+        finally:
+            publisher.kill()
+            publisher.communicate()
+        return report_of(measured, path, seconds, rate_hz)
+
+
+def start_publisher(sensor_name: str, endpoint: str, source: str) -> subprocess.Popen[str]:
+    """Process that runs `bubbleviz publish` on a source."""
+    arguments = ["publish", "--source", source, "--sensor", sensor_name, "--listen", endpoint]
+    code = "from bubbleviz.cli.command_line import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *arguments, "--json"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def images_sent(publisher: subprocess.Popen[str]) -> int:
+    """End a publisher in order; how many depth images it has sent."""
+    publisher.terminate()
+    sent = json.loads(publisher.communicate(timeout=30)[0])["sent"]
+    return next(int(count) for topic, count in sent.items() if topic.endswith("image_raw"))
+
+
+def free_port() -> int:
+    """A port of loopback nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def resident_bytes() -> int:
+    """Memory of this process that is in use now; where the system does not tell, the most ever."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+@dataclass
+class Measured:
+    """What was counted while streaming; `memory` is (s since the start, bytes), `sent` images."""
+
+    solved: int
+    skipped: int
+    ages_s: list[float]
+    memory: list[tuple[float, int]]
+    status: RecorderStatus
+    sent: int
+
+
+def _run(
+    sensor: Sensor, endpoint: str, seconds: float, path: Path, publisher: subprocess.Popen[str]
+) -> Measured:
+    stream, recorder = open_stream(f"zenoh:{endpoint}", sensor), Recorder()
+    stream.listen(recorder.push)
+    recorder.start(path)
+    try:
+        with stream:
+            first = stream.take(_START_S)
+            if first is None:
+                raise InputError(f"bench live: nothing arrived: {stream.status().text}")
+            pipeline = Pipeline(sensor, intrinsics=first.intrinsics)
+            pipeline.prepare(PRODUCTS)
+            watcher = Watcher(stream, pipeline, None)
+            skipped_before = stream.counters().skipped
+            ages, memory = _solve_for(watcher, seconds)
+            sent = images_sent(publisher)
+            drain(stream)
+            skipped = stream.counters().skipped - skipped_before
+    finally:
+        status = recorder.stop()
+    if status.problem:
+        raise InputError(status.problem)
+    return Measured(len(ages), skipped, ages, memory, status, sent)
+
+
+def _solve_for(watcher: Watcher, seconds: float) -> tuple[list[float], list[tuple[float, int]]]:
+    began = looked = time.monotonic()
+    ages: list[float] = []
+    memory: list[tuple[float, int]] = []
+    while (now := time.monotonic()) - began < seconds:
+        result = watcher.step(0.1)
+        if result is not None:
+            ages.append((time.time_ns() - result.frame.stamp_ns) * 1e-9)
+        if now - looked >= 1.0:
+            looked = now
+            memory.append((now - began, resident_bytes()))
+    return ages, memory
+
+
+def drain(stream: LiveStream) -> None:
+    """Wait until nothing comes any more."""
+    received = -1
+    while stream.counters().received != received:
+        received = stream.counters().received
+        time.sleep(0.3)
+
+
+def sequences(path: Path) -> np.ndarray:
+    """The publisher's count of every depth image in a recording, in file order."""
+    from mcap.records import Channel, Message, Schema
+    from mcap.stream_reader import StreamReader  # a chunk at a time: the file may be gigabytes
+
+    schemas: set[int] = set()
+    channels: set[int] = set()
+    found = []
+    with path.open("rb") as file:
+        for record in StreamReader(file).records:
+            if isinstance(record, Schema) and record.name == IMAGE:
+                schemas.add(record.id)
+            elif isinstance(record, Channel) and record.schema_id in schemas:
+                channels.add(record.id)
+            elif isinstance(record, Message) and record.channel_id in channels:
+                found.append(record.sequence)
+    return np.array(found, dtype=np.int64)
+
+
+def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) -> SoakReport:
+    """Report on a recording and what was counted meanwhile."""
+    count = sequences(path)
+    steps = np.diff(np.sort(count))
+    ages = np.array(measured.ages_s)
+    warm_up = min(WARM_UP_S, 0.5 * seconds)
+    before = [size for at, size in measured.memory if at <= warm_up]
+    after = [size for at, size in measured.memory if at > warm_up]
+    missing = int(np.sum(np.maximum(steps - 1, 0))) + measured.sent - int(count.max())
+    return SoakReport(
+        seconds=seconds,
+        rate_hz=rate_hz,
+        sent=measured.sent - int(count.min()) + 1,
+        recorded=len(count),
+        missing=missing,
+        repeated=int(np.sum(steps == 0)),
+        solved=measured.solved,
+        skipped=measured.skipped,
+        latency_median_s=float(np.median(ages)),
+        latency_p95_s=float(np.percentile(ages, 95.0)),
+        latency_worst_s=float(ages.max()),
+        memory_growth_bytes=max(after) - before[-1] if before and after else 0,
+        most_waiting_bytes=measured.status.most_waiting_bytes,
+        stalls=measured.status.stalls,
+        recording_bytes=path.stat().st_size,
+    )

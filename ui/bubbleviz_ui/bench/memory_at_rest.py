@@ -1,0 +1,76 @@
+"""Memory of a window at rest, with the same things shown each time.
+
+What a calibration found stays, and so do caches: of two rests they may differ by 250 MiB.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bubbleviz.calibration.workbench import Step
+from bubbleviz_ui.bench.replay_rate import run_for
+from bubbleviz_ui.engine.memory_release import release_memory
+from bubbleviz_ui.shell.dock import Dock
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.window_session import WindowSession
+
+GLANCE_S = 0.5
+"""How long each panel is looked at."""
+CALIBRATION_S = 30.0
+"""How long a calibration is waited for; refused ones end sooner."""
+REST_S = 1.5
+OBJECT = "hex_nut"
+
+
+class Rest:
+    """Puts everything in a window away, and opens all of it once.
+
+    Parameters
+    ----------
+    session : WindowSession
+        What it shows now is what it shows at rest.
+    """
+
+    def __init__(self, session: WindowSession) -> None:
+        self._session = session
+        self._choices, self._panels = session.state.choices, session.window.open_panels.names
+
+    def tour(self) -> None:
+        """Open every panel, look for an object and calibrate: all is loaded that will be."""
+        window, state = self._session.window, self._session.state
+        for panel in window.panels.values():
+            if isinstance(panel, Dock):
+                panel.setVisible(True)
+                run_for(GLANCE_S)
+        state.choose(pose_object=OBJECT, pose_track=True, membrane_opacity=0.5)
+        calibration = window.gamma0.calibration
+        calibration.reach(Step.TENSION, "calibrate")
+        for _ in range(round(CALIBRATION_S / GLANCE_S)):
+            run_for(GLANCE_S)
+            if not calibration.busy:
+                break
+
+    def memory_mib(self) -> float:
+        """Put everything away, wait, and tell the resident memory of this process."""
+        window, state = self._session.window, self._session.state
+        window.gamma0.calibration.cancel()
+        with window.settings.unrecorded():
+            window.open_panels.show_only(self._panels)
+            state.choose(**{f.name: getattr(self._choices, f.name) for f in fields(self._choices)})
+        state.choose_range(None)
+        state.set_playing(False)
+        run_for(REST_S)
+        gc.collect()
+        release_memory()
+        return resident_mib()
+
+
+def resident_mib() -> float:
+    """Resident memory of this process, MiB."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

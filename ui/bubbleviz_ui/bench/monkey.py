@@ -1,0 +1,332 @@
+"""A monkey at the window: clicks, drags, keys and seeks at random, with a seed."""
+
+from __future__ import annotations
+
+import faulthandler
+import random
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.bench.memory_at_rest import Rest, resident_mib
+from bubbleviz_ui.bench.replay_rate import beats
+from bubbleviz_ui.window_session import WindowSession, window_session
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from PySide6.QtCore import QPoint
+    from PySide6.QtWidgets import QWidget
+
+REST_EVERY_S = 60.0
+"""How often everything is put away and memory looked at."""
+MOST_GROWTH_MIB = 100.0
+POP_UP_MS = 100
+PATIENCE_S = 150.0
+"""After so long without an end, all threads are written out and the process ends."""
+FORBIDDEN = ("Quit", "Open", "Save", "Screenshot", "screenshot", "Export", "Record", "Turntable")
+"""Words of actions that would end the run or ask for a file."""
+KEYS = "Left Right Up Down Space Home End Tab Backtab PageUp PageDown Escape Return Plus Minus 1 5"
+
+
+@dataclass
+class Report:
+    """What happened.
+
+    Attributes
+    ----------
+    actions : int
+    seconds : float
+    rest_mib : list of float
+        Resident memory with everything put away: after all was opened once, and from then on.
+    most_mib : float
+        Highest resident memory after an action.
+    longest_ms : float
+        Longest time the window's thread was kept from events.
+    longest : str
+        What was done then.
+    problems : list of str
+        Tracebacks, and messages of the window that came with one.
+    """
+
+    actions: int = 0
+    seconds: float = 0.0
+    rest_mib: list[float] = field(default_factory=list)
+    most_mib: float = 0.0
+    longest_ms: float = 0.0
+    longest: str = ""
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def growth_mib(self) -> float:
+        """Memory with everything put away: at the end against after the first tour."""
+        return self.rest_mib[-1] - self.rest_mib[0] if self.rest_mib else 0.0
+
+    @property
+    def passed(self) -> bool:
+        """No exception, and no more memory than allowed."""
+        return not self.problems and not self.growth_mib > MOST_GROWTH_MIB
+
+    @property
+    def measured(self) -> dict[str, float]:
+        """The numbers by name."""
+        return {
+            "actions": float(self.actions),
+            "seconds": self.seconds,
+            "rest_mib": self.rest_mib[-1] if self.rest_mib else float("nan"),
+            "growth_mib": self.growth_mib,
+            "most_mib": self.most_mib,
+            "longest_ms": self.longest_ms,
+            "problems": float(len(self.problems)),
+        }
+
+
+def monkey_run(
+    sensor: Sensor, recording: Path | None, seconds: float, seed: int, *, memory: bool = True
+) -> Report:
+    """Click and type at random in a window on a private screen.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    recording : Path, optional
+        None for the synthetic press.
+    seconds : float
+        How long.
+    seed : int
+        The same seed makes the same choices; what they hit depends on time.
+    memory : bool
+        Whether memory is compared: everything is opened first, which takes up to a minute.
+    """
+    report = Report()
+    with (
+        screen_for_pictures(1280, 800),
+        _caught(report),
+        window_session(sensor, recording, None) as session,
+    ):
+        session.window.resize(1280, 800)
+        session.window.show()
+        session.settle()
+        session.controller.failed.connect(
+            lambda failed: report.problems.append(failed.details) if failed.details else None
+        )
+        monkey = Monkey(session, random.Random(seed), report)
+        monkey.run(seconds, memory=memory)
+    return report
+
+
+class Monkey:
+    """Does one thing after another to a window."""
+
+    def __init__(self, session: WindowSession, dice: random.Random, report: Report) -> None:
+        self._session, self._dice, self._report = session, dice, report
+        self._rest = Rest(session)
+        self._things: tuple[tuple[float, Callable[[], None]], ...] = (
+            (5.0, self._click),
+            (3.0, self._key),
+            (3.0, self._seek),
+            (2.0, self._drag),
+            (2.0, self._action),
+            (1.0, self._wheel),
+            (0.3, self._resize),
+            (0.3, self._undo_all),
+        )
+
+    def run(self, seconds: float, *, memory: bool) -> None:
+        """Go on for some time; see `monkey_run`."""
+        from PySide6.QtCore import QTimer
+
+        leave = QTimer(self._session.window)  # menus and dialogs run event loops of their own
+        leave.timeout.connect(lambda: self._leave_pop_ups())
+        leave.start(POP_UP_MS)
+        faulthandler.dump_traceback_later(seconds + PATIENCE_S, exit=True)
+        try:
+            go_on = self._go_on_and_rest if memory else self._go_on
+            go_on(seconds)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+            leave.stop()
+
+    def _go_on_and_rest(self, seconds: float) -> None:
+        self._rest.tour()
+        self._report.rest_mib.append(self._rest.memory_mib())
+        rests = max(round(seconds / REST_EVERY_S), 1)
+        for _ in range(rests):
+            self._go_on(seconds / rests)
+            self._report.rest_mib.append(self._rest.memory_mib())
+
+    def _go_on(self, seconds: float) -> None:
+        report, start = self._report, time.monotonic()
+        weights = [weight for weight, _ in self._things]
+        with beats() as gaps_ms:
+            while time.monotonic() - start < seconds:
+                [(_, thing)] = self._dice.choices(self._things, weights)
+                gaps_ms.clear()
+                try:
+                    thing()
+                except Exception:
+                    report.problems.append(traceback.format_exc())
+                self._session.application.processEvents()
+                self._session.raise_if_interrupted()
+                longest_ms = max(gaps_ms, default=0.0)
+                if longest_ms > report.longest_ms:
+                    report.longest_ms, report.longest = longest_ms, f"{thing.__name__} {self._at}"
+                report.actions += 1
+                report.most_mib = max(report.most_mib, resident_mib())
+        report.seconds += time.monotonic() - start
+
+    _at = ""
+
+    # -- things to do -------------------------------------------------------------------------
+
+    def _click(self) -> None:
+        from PySide6.QtCore import Qt
+        from PySide6.QtTest import QTest
+
+        widget = self._some_widget()
+        if widget is not None:
+            QTest.mouseClick(widget, Qt.MouseButton.LeftButton, pos=self._place(widget))
+
+    def _drag(self) -> None:
+        from PySide6.QtCore import Qt
+        from PySide6.QtTest import QTest
+
+        widget = self._some_widget()
+        if widget is None:
+            return
+        left = Qt.MouseButton.LeftButton
+        QTest.mousePress(widget, left, pos=self._place(widget))
+        for _ in range(4):
+            QTest.mouseMove(widget, self._place(widget))
+        QTest.mouseRelease(widget, left, pos=self._place(widget))
+
+    def _wheel(self) -> None:
+        from PySide6.QtCore import QPoint, QPointF, Qt
+        from PySide6.QtGui import QWheelEvent
+        from PySide6.QtWidgets import QApplication
+
+        view = self._session.window.view
+        place, turn = QPointF(self._place(view)), self._dice.choice((-120, 120))
+        none = Qt.KeyboardModifier.NoModifier
+        event = QWheelEvent(
+            place, QPointF(view.mapToGlobal(place.toPoint())), QPoint(), QPoint(0, turn),
+            Qt.MouseButton.NoButton, none, Qt.ScrollPhase.NoScrollPhase, False,
+        )  # fmt: skip
+        QApplication.sendEvent(view, event)
+
+    def _key(self) -> None:
+        from PySide6.QtCore import Qt
+        from PySide6.QtTest import QTest
+
+        name = self._dice.choice([*KEYS.split(), *"BEFLMNR"])
+        modifier = self._dice.choice(
+            [Qt.KeyboardModifier.NoModifier] * 4
+            + [Qt.KeyboardModifier.ShiftModifier, Qt.KeyboardModifier.ControlModifier]
+        )
+        if modifier == Qt.KeyboardModifier.ControlModifier and name in "BEFLMNR":
+            return  # may open a file dialog
+        window = self._session.window
+        QTest.keyClick(window.focusWidget() or window, getattr(Qt.Key, f"Key_{name}"), modifier)
+
+    def _seek(self) -> None:
+        state = self._session.state
+        if state.facts is not None:
+            state.seek(self._dice.randrange(state.facts.frames))
+            state.set_playing(self._dice.random() < 0.5)
+
+    def _action(self) -> None:
+        actions = self._session.window.shortcuts.actions
+        name = self._dice.choice(sorted(actions))
+        self._at = name
+        if not _forbidden(name) and not _forbidden(actions[name].text()):
+            actions[name].trigger()
+
+    def _resize(self) -> None:
+        self._session.window.resize(self._dice.randint(900, 1280), self._dice.randint(600, 800))
+
+    def _undo_all(self) -> None:
+        stack = self._session.window.undo_stack
+        for _ in range(self._dice.randint(1, 12)):
+            stack.undo() if self._dice.random() < 0.7 else stack.redo()
+
+    # -- where --------------------------------------------------------------------------------
+
+    def _some_widget(self) -> QWidget | None:
+        """A visible control that does not ask for a file."""
+        from PySide6.QtWidgets import (
+            QAbstractButton,
+            QAbstractSlider,
+            QAbstractSpinBox,
+            QComboBox,
+            QGraphicsView,
+            QLabel,
+            QWidget,
+        )
+
+        window = self._session.window
+        kinds = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QGraphicsView)
+        found: list[QWidget] = [
+            widget
+            for widget in window.findChildren(QWidget)
+            if widget.isVisible() and widget.isEnabled() and isinstance(widget, kinds)
+        ]
+        found = [w for w in found if not _asks_for_a_file(w)]
+        view: QWidget = window.view
+        found += [view, view, view, window.playback.timeline, window.playback.timeline]
+        found += [window.status, *window.status.findChildren(QLabel)[-3:]]
+        chosen = self._dice.choice(found) if found else None
+        self._at = f"{type(chosen).__name__} {chosen.toolTip() if chosen else ''}"
+        return chosen
+
+    def _place(self, widget: QWidget) -> QPoint:
+        from PySide6.QtCore import QPoint
+
+        x = self._dice.randint(0, max(widget.width() - 1, 0))
+        return QPoint(x, self._dice.randint(0, max(widget.height() - 1, 0)))
+
+    def _leave_pop_ups(self) -> None:
+        """Close what popped up, so that the window is never locked; of a menu, do something."""
+        from PySide6.QtWidgets import QMenu
+
+        application = self._session.application
+        popup = application.activePopupWidget() or application.activeModalWidget()
+        if popup is None:
+            return
+        if isinstance(popup, QMenu):
+            allowed = [a for a in popup.actions() if a.isEnabled() and not _forbidden(a.text())]
+            if allowed:
+                self._dice.choice(allowed).trigger()
+        popup.close()
+
+
+def _asks_for_a_file(widget: QWidget) -> bool:
+    from PySide6.QtWidgets import QAbstractButton
+
+    return isinstance(widget, QAbstractButton) and _forbidden(widget.text())
+
+
+def _forbidden(text: str) -> bool:
+    return "…" in text or any(word in text.replace("&", "") for word in FORBIDDEN)
+
+
+@contextmanager
+def _caught(report: Report) -> Iterator[None]:
+    """Exceptions in slots, which Qt only prints, are problems."""
+    before = sys.excepthook
+
+    def note(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        report.problems.append("".join(traceback.format_exception(kind, error, trace)))
+
+    sys.excepthook = note
+    try:
+        yield
+    finally:
+        sys.excepthook = before

@@ -1,0 +1,141 @@
+"""How long a person waits: from the process's start to the first picture, and from a seek to it."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.engine.requests import Failed
+from bubbleviz_ui.window_session import WindowSession, window_session
+
+FIRST = "first picture at"
+CHILD = (
+    "from bubbleviz_ui.bench.start_times import first_picture; "
+    "first_picture({recording!r}, {sensor!r})"
+)
+
+
+def start_times(recording: Path, sensor: str | None, runs: int = 5) -> dict[str, float]:
+    """Time from the start of a process to the first picture of a recording, s.
+
+    Each run is a process of its own that does what `bubbleviz open` does. The first warms the
+    disk's cache and is reported as `cold_s`; `cpu_s` is the mean processor time of a run with its
+    screen, which a busy machine changes least.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be opened.
+    """
+    times = []
+    for _ in range(runs + 1):
+        with screen_for_pictures(1280, 800):  # one each: it ends with its last client
+            times.append(_start(CHILD.format(recording=str(recording), sensor=sensor)))
+    counted = times[1:]
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "fastest_s": min(counted),
+        "median_s": median(counted),
+        "longest_s": max(counted),
+        "cold_s": times[0],
+        "cpu_s": (spent.ru_utime + spent.ru_stime) / (runs + 1),
+        "runs": runs,
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def _start(code: str) -> float:
+    start = time.time()
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    said = [line for line in done.stdout.splitlines() if line.startswith(FIRST)]
+    if not said:
+        raise InputError(
+            f"no picture appeared: {(done.stderr.splitlines() or ['nothing said'])[-1]}"
+        )
+    return float(said[0].removeprefix(FIRST)) - start
+
+
+def first_picture(recording: str, sensor: str | None) -> None:
+    """Open a recording as the command does, say when its first picture is drawn, and leave."""
+    import bubbleviz.cli.command_line  # noqa: F401  as the command's process has it
+    from bubbleviz.frames.sensor_matching import checked_sensor
+
+    _, chosen = checked_sensor(Path(recording), sensor)
+    with window_session(chosen, Path(recording), None) as session:
+        seen: list[float] = []
+        session.window.view.rendered.connect(lambda: seen.append(time.time()))
+        session.window.show()
+        session.wait_for(lambda: bool(seen), "drawing")
+        print(f"{FIRST} {seen[0]}", flush=True)
+
+
+def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) -> dict[str, float]:
+    """Time from a seek anywhere to the picture of that frame, ms.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be opened.
+    """
+    with screen_for_pictures(1280, 800), window_session(sensor, recording, 0) as session:
+        session.window.resize(1280, 800)
+        session.window.show()
+        session.settle()
+        frames = session.state.facts.frames if session.state.facts else 0
+        order = np.random.default_rng(seed).integers(0, frames, seeks)
+        took = [_seek(session, int(frame)) for frame in order if int(frame) != session.state.frame]
+    return {
+        "median_ms": median(took),
+        "p95_ms": float(np.quantile(took, 0.95)),
+        "longest_ms": max(took),
+        "seeks": len(took),
+        "frames": frames,
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def _seek(session: WindowSession, frame: int) -> float:
+    """Seek and wait as the application does, in its event loop, until the frame is drawn, ms.
+
+    Raises
+    ------
+    InputError
+        The frame cannot be shown.
+    """
+    from PySide6.QtCore import QEventLoop
+
+    controller, view, loop = session.controller, session.window.view, QEventLoop()
+
+    def note() -> None:
+        result = controller.result
+        if result is not None and result.frame.index == frame:
+            drawn.append(time.perf_counter())
+            loop.quit()
+
+    def give_up(failed: Failed) -> None:
+        problems.append(failed.message)
+        loop.quit()
+
+    drawn, problems = list[float](), list[str]()
+    seen, failed = view.rendered.connect(note), controller.failed.connect(give_up)
+    start = time.perf_counter()
+    session.state.seek(frame)
+    loop.exec()
+    view.rendered.disconnect(seen)
+    controller.failed.disconnect(failed)
+    session.raise_if_interrupted()
+    if problems:
+        raise InputError(problems[0])
+    return 1e3 * (drawn[0] - start)

@@ -1,0 +1,1 @@
+"""The calibration panel, step by step, with its session and its answers."""

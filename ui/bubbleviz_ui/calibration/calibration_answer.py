@@ -1,0 +1,82 @@
+"""What the calibration thread hands to the window: a draft and the pictures it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bubbleviz.calibration.reports.pixel_images import (
+    BeforeAfter,
+    before_after,
+    local_tension_image,
+)
+from bubbleviz.calibration.reports.verdict import Verdict, judge
+from bubbleviz.calibration.rest.collected_frames import CollectedFrames
+from bubbleviz.calibration.sensor_comparison import Comparison, compare
+from bubbleviz.calibration.workbench import Draft, Settings, Workbench
+from bubbleviz.progress import Progress
+from bubbleviz.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class Work:
+    """All that a person decided; undo puts an older one back.
+
+    Attributes
+    ----------
+    settings : Settings
+    collected : CollectedFrames or None
+        Frames of a live source; None: the recording itself.
+    """
+
+    settings: Settings = field(default_factory=Settings)
+    collected: CollectedFrames | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of it.
+
+    Attributes
+    ----------
+    work : Work
+    draft : Draft
+    frames : int
+        Of the source.
+    last : BeforeAfter or None
+    local_tension : (H, W) array or None
+        N/m.
+    verdict : Verdict or None
+    comparison : Comparison or None
+        Against the sensor that was in use.
+    compared_with : Sensor or None
+    """
+
+    work: Work
+    draft: Draft
+    frames: int = 0
+    last: BeforeAfter | None = None
+    local_tension: np.ndarray | None = None
+    verdict: Verdict | None = None
+    comparison: Comparison | None = None
+    compared_with: Sensor | None = None
+
+
+def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
+    """Do the work and everything that is shown of it; runs in the calibration thread."""
+    draft = bench.work(work.settings, progress)
+    frames = len(bench.source)
+    if draft.found is None:
+        return Answer(work, draft, frames)
+    progress("pictures", 0.0)
+    return Answer(
+        work,
+        draft,
+        frames,
+        last=before_after(draft.found),
+        local_tension=local_tension_image(draft.found),
+        verdict=judge(draft.found),
+        comparison=compare(in_use, draft.found),
+        compared_with=in_use,
+    )

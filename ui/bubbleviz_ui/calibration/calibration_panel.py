@@ -1,0 +1,289 @@
+"""The γ0 panel: the steps one after another, with what is going on below them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PySide6.QtCore import QEvent, Signal
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QGraphicsView,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QScrollArea,
+    QStackedWidget,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.calibration.workbench import Step
+from bubbleviz.progress import Progress
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.calibration.calibration_page import Page
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.calibration.frames_page import FramesPage
+from bubbleviz_ui.calibration.pixels_page import PixelsPage
+from bubbleviz_ui.calibration.rectification_page import RectificationPage
+from bubbleviz_ui.calibration.report_page import ReportPage
+from bubbleviz_ui.calibration.surface_page import SurfacePage
+from bubbleviz_ui.calibration.tension_page import TensionPage
+from bubbleviz_ui.calibration.validation_page import ValidationPage
+from bubbleviz_ui.model.undo import Change
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.playback.range_strip import RangeStrip
+from bubbleviz_ui.shell import theme
+
+WIDTH = 400
+STEP_WIDTH = 34
+
+
+class Gamma0Panel(QWidget):
+    """Steps, the page of one of them, verdict, progress.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The panel closes it.
+    units : Units
+    strip : RangeStrip
+        The one on the playback's timeline.
+
+    Attributes
+    ----------
+    painted : Signal
+        Points (k, 3) and numbers (k,), both in m, for the 3-D view.
+    """
+
+    painted = Signal(object, object)
+
+    def __init__(self, calibration: Calibration, units: Units, strip: RangeStrip) -> None:
+        super().__init__()
+        self.calibration, self.units, self.strip = calibration, units, strip
+        self._folders: list[TemporaryDirectory[str]] = []
+        self._make_pages()
+        self.steps = QButtonGroup(self)
+        self._said_of = calibration.work
+        self.title, self.verdict, self.message = QLabel(), QLabel(), QLabel()
+        self.back, self.next = QPushButton("Back"), QPushButton()
+        self.all = QPushButton("Identify")
+        self.progress = QProgressBar()
+        self.cancel = QPushButton("Cancel")
+        self.back.setToolTip("The step before")
+        self.next.setToolTip("Do the next step")
+        self.cancel.setToolTip("Stop computing; everything is as it was before")
+        self._lay_out()
+        self._connect()
+        keep_keys(self)
+        self.go_to(0)
+
+    @property
+    def boxes(self) -> dict[str, QWidget]:
+        """Boxes whose contents no sensor file rests on, by what they set."""
+        collect = self.frames.collect
+        return {
+            "picture": self.pixels.picture,
+            "frames to collect": collect.count,
+            "precision to collect for": collect.target,
+            "frames with contact": collect.untouched,
+        }
+
+    @property
+    def page(self) -> Page:
+        """The page that is shown."""
+        return self.pages[self.stack.currentIndex()]
+
+    def go_to(self, number: int) -> None:
+        """Show a page."""
+        self.stack.setCurrentIndex(number)
+        self.steps.button(number).setChecked(True)
+        self.title.setText(f"{number + 1} · {self.page.title}")
+        self._show()
+
+    def save(self, path: Path) -> None:
+        """Write sensor file, mesh, pixels and report in the calibration thread."""
+        from bubbleviz.calibration.save_identification import save
+
+        work, draft = self.calibration.answer.work, self.calibration.answer.draft
+        found, validation = draft.found, draft.validation
+        given = self.calibration.given
+        if found is None or given is None:
+            return
+        benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
+
+        def job(progress: Progress) -> Path:
+            save(found, benches.source(work), given.name, path, report, progress, validation)
+            return path
+
+        self.calibration.start(job, lambda done: self._say(f"Saved {done} and {report.name}"))
+
+    def use_it(self) -> None:
+        """Open the identified sensor on the present source; undo opens the one before."""
+        from bubbleviz.calibration.sensor_writer import write_sensor
+
+        found, present = self.calibration.answer.draft.found, self.calibration.controller.sensor
+        if found is None or present is None:
+            return
+        folder = TemporaryDirectory(prefix="bubbleviz-")
+        self._folders.append(folder)  # the sensor reads its files when it is opened again
+        path = Path(folder.name) / "sensor.toml"
+        write_sensor(found, path)
+        new = load_sensor(path)
+        open_sensor = self.calibration.controller.opening.use_sensor
+        self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
+
+    def holds(self, sensor: Sensor) -> bool:
+        """Whether a sensor was identified here and its files are gone when this closes."""
+        return any(sensor.folder == Path(folder.name) for folder in self._folders)
+
+    def close_all(self) -> None:
+        """Stop the threads, let go of the plots, remove what was written for the time being."""
+        for plot in self.findChildren(QGraphicsView):
+            plot.close()  # pyqtgraph's would keep the window alive
+        self.frames.collect.collector.close()
+        self.calibration.close()
+        for folder in self._folders:
+            folder.cleanup()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
+            self._show()
+
+    def _make_pages(self) -> None:
+        calibration, units = self.calibration, self.units
+        self.frames = FramesPage(calibration, units)
+        self.pixels = PixelsPage(calibration, units)
+        self.surface = SurfacePage(calibration, units)
+        self.tension = TensionPage(calibration, units)
+        self.rectification = RectificationPage(calibration, units)
+        self.validation = ValidationPage(calibration, units)
+        self.report = ReportPage(calibration, units)
+        self.pages: list[Page] = [
+            self.frames,
+            self.pixels,
+            self.surface,
+            self.tension,
+            self.rectification,
+            self.validation,
+            self.report,
+        ]
+
+    def _connect(self) -> None:
+        calibration = self.calibration
+        self.steps.idClicked.connect(self.go_to)
+        self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
+        self.next.clicked.connect(self._on_next)
+        self.all.clicked.connect(partial(calibration.reach, Step.TENSION, "Identify"))
+        self.cancel.clicked.connect(calibration.cancel)
+        calibration.changed.connect(self._show)
+        calibration.progressed.connect(self._on_progress)
+        calibration.failed.connect(lambda message, _: self._say(message))
+        self.strip.edited.connect(self.frames.set_ranges)
+        self.surface.painted.connect(self.painted)
+        self.validation.painted.connect(self.painted)
+        self.report.use.connect(self.use_it)
+        self.report.save.connect(self.save)
+
+    def _on_next(self) -> None:
+        """First do this page's step, then go on to the next page and do its step."""
+        if not isinstance(self.page, FramesPage) or self.calibration.settings.reached:
+            self.go_to(self.stack.currentIndex() + 1)
+        self.page.enter()
+
+    def _on_progress(self, step: str, done: float) -> None:
+        self.progress.setFormat(f"{step} %p %")
+        self.progress.setValue(round(100 * done))
+
+    def _say(self, message: str) -> None:
+        self._said_of = self.calibration.work
+        self.message.setText(message)
+        self.message.setVisible(bool(message))
+
+    def _show(self) -> None:
+        calibration, page = self.calibration, self.page
+        answer, busy = calibration.answer, calibration.busy
+        if busy or calibration.work != self._said_of:
+            self._say("")
+        page.show_answer(answer)
+        place, reached = self.stack.currentIndex(), calibration.settings.reached
+        started = reached > Step.START
+        waits_for_live = calibration.live and calibration.work.collected is None
+        following = self.pages[min(place + 1, len(self.pages) - 1)]
+        self.next.setVisible(place + 1 < len(self.pages))
+        self.next.setText(following.next_title if started else self.frames.next_title)
+        self.next.setEnabled(not waits_for_live)
+        self.back.setEnabled(place > 0)
+        self.all.setEnabled(reached < Step.TENSION and not waits_for_live)
+        if busy and not self.progress.isVisible():
+            self._on_progress("starting", 0.0)
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        known = self._known()
+        for number in range(len(self.pages)):
+            self.steps.button(number).setEnabled(number == place or number < known)
+        verdict = answer.verdict
+        self.verdict.setVisible(verdict is not None)
+        if verdict is not None:
+            self.verdict.setText(verdict.summary)
+            self.verdict.setStyleSheet(f"color: {getattr(theme.of(self), verdict.grade)}")
+        recorded = calibration.work.collected is None and not calibration.live
+        self.strip.set_ranges(answer.frames, answer.draft.ranges)
+        self.strip.setVisible(recorded and bool(answer.draft.ranges))
+
+    def _known(self) -> int:
+        """Pages there is something to see on."""
+        reached = self.calibration.answer.work.settings.reached
+        return len(self.pages) if reached >= Step.TENSION else max(1, int(reached))
+
+    def _lay_out(self) -> None:
+        self.setMinimumWidth(WIDTH)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 8, 12, 10)
+        row = QHBoxLayout()
+        row.setSpacing(4)
+        self.stack = QStackedWidget()
+        for number, page in enumerate(self.pages):
+            button = QToolButton()
+            button.setText(str(number + 1))
+            button.setToolTip(page.title)
+            button.setCheckable(True)
+            button.setFixedWidth(STEP_WIDTH)
+            self.steps.addButton(button, number)
+            row.addWidget(button)
+            self.stack.addWidget(_scrolling(page))
+        self.title.setObjectName("value")
+        row.addStretch(1)
+        column.addLayout(row)
+        column.addWidget(self.title)
+        column.addWidget(self.stack, 1)
+        for label in (self.verdict, self.message):
+            label.setWordWrap(True)
+            label.hide()
+            column.addWidget(label)
+        self.message.setObjectName("dim")
+        self.progress.setRange(0, 100)
+        working = QHBoxLayout()
+        working.addWidget(self.progress, 1)
+        working.addWidget(self.cancel)
+        column.addLayout(working)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.back)
+        buttons.addWidget(self.all)
+        buttons.addWidget(self.next, 1)
+        column.addLayout(buttons)
+        self.all.setToolTip("All steps at once")
+
+
+def _scrolling(page: Page) -> QScrollArea:
+    area = QScrollArea()
+    area.setWidget(page)
+    area.setWidgetResizable(True)
+    area.setFrameShape(QScrollArea.Shape.NoFrame)
+    return area

@@ -1,0 +1,204 @@
+"""The calibration session: every choice can be undone, every answer comes from a thread."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import Any
+
+from PySide6.QtCore import QObject, Signal
+from PySide6.QtGui import QUndoStack
+
+from bubbleviz.calibration.rest.collected_frames import CollectedFrames
+from bubbleviz.calibration.workbench import Draft, Settings, Step, Workbench
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.progress import Progress
+from bubbleviz.sensor import Sensor
+from bubbleviz.wording import count_of
+from bubbleviz_ui.calibration.calibration_answer import Answer, Work, answer
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.job_runner import Done, Runner
+from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.model.undo import Change
+
+REMEMBERED = 4
+"""Answers that undo finds again without computing."""
+
+
+class Calibration(QObject):
+    """What the γ0 panel shows and changes.
+
+    Attributes
+    ----------
+    changed : Signal
+        Another choice, another answer, or work began or ended.
+    progressed : Signal
+        Step in plain words and the share of it that is done.
+    failed : Signal
+        A message and its details.
+    work : Work
+        What is decided.
+    answer : Answer
+        What is shown: of `work` unless something is being computed or has failed.
+    """
+
+    changed = Signal()
+    progressed = Signal(str, float)
+    failed = Signal(str, str)
+
+    def __init__(self, controller: Controller, stack: QUndoStack) -> None:
+        super().__init__()
+        self.controller, self.stack = controller, stack
+        self.work = Work()
+        self.answer = self._nothing = Answer(self.work, Draft(self.settings))
+        self.live = False
+        self.name = ""
+        self.given: Sensor | None = None
+        self._opener: Callable[[Sensor], FrameSource] | None = None
+        self._holding = False
+        self._remembered: OrderedDict[Work, Answer] = OrderedDict()
+        self.benches = Benches()
+        self.runner = Runner(at_end=self.benches.close)
+        self.runner.progressed.connect(self.progressed)
+        self.runner.done.connect(self._on_done)
+        controller.opened.connect(self._on_opened)
+
+    @property
+    def busy(self) -> bool:
+        """Something is being computed."""
+        return self.runner.busy
+
+    @property
+    def settings(self) -> Settings:
+        """What is decided of the steps."""
+        return self.work.settings
+
+    def edit(self, text: str, gesture: Hashable = None, **changes: Any) -> None:
+        """Change settings by name, so that it can be undone."""
+        new = replace(self.work, settings=replace(self.settings, **changes))
+        self._push(text, new, gesture)
+
+    def use_collected(self, frames: CollectedFrames, settings: Settings) -> None:
+        """Work on frames of a live source."""
+        self._push(f"Collect {count_of(len(frames), 'frame')}", Work(settings, frames), None)
+
+    def reach(self, step: Step, text: str) -> None:
+        """Do the steps up to one, unless they are done."""
+        if self.settings.reached < step:
+            self.edit(text, reached=step)
+
+    def cancel(self) -> None:
+        """Stop computing; everything is as it was before."""
+        if not self.busy:
+            return
+        self.runner.cancel()
+        self._holding = True
+        while self.work != self.answer.work and self._is_own(self.stack.index() - 1):
+            self.stack.undo()
+        if self.work != self.answer.work:  # another setting was changed meanwhile
+            self.stack.push(Change("Cancel", self._apply, self.work, self.answer.work))
+        self._holding = False
+        self.changed.emit()
+
+    def start(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
+        """Run another long job of the session in its thread; `then` gets what it returns."""
+        self._then = then
+        self._job = self.runner.start(job)
+        self.changed.emit()
+
+    def close(self) -> None:
+        """Stop the thread; it lets go of the source."""
+        self.runner.close()
+
+    _then: Callable[[Any], None] | None = None
+    _job = -1
+
+    def _push(self, text: str, new: Work, gesture: Hashable) -> None:
+        if new != self.work:
+            self.stack.push(Change(text, self._apply, self.work, new, gesture))
+
+    def _is_own(self, index: int) -> bool:
+        command = self.stack.command(index) if index >= 0 else None
+        return isinstance(command, Change) and command.apply == self._apply
+
+    def _apply(self, work: Work) -> None:
+        """Make it the present work: its answer is remembered, or computed now."""
+        self.work = work
+        if self._holding:
+            return
+        nothing = self._nothing if work == self._nothing.work else None
+        known = nothing or self._remembered.get(work)
+        if known is not None:
+            self.runner.cancel()
+            self.answer = known
+        else:
+            self._compute(work)
+        self.changed.emit()
+
+    def _compute(self, work: Work) -> None:
+        opener, given, in_use = self._opener, self.given, self.controller.sensor
+        if opener is None or given is None or in_use is None:
+            return
+        benches = self.benches
+        self.runner.start(
+            lambda progress: answer(benches.of(work, opener, given), work, in_use, progress)
+        )
+
+    def _on_done(self, done: Done) -> None:
+        if done.message:
+            self.failed.emit(done.message, done.details)
+        elif done.number == self._job and self._then is not None:
+            self._then(done.answer)
+        else:
+            self.answer = done.answer
+            self._remembered[done.answer.work] = done.answer
+            while len(self._remembered) > REMEMBERED:
+                self._remembered.popitem(last=False)
+        self.changed.emit()
+
+    def _on_opened(self, opened: Opened) -> None:
+        if opened.request.open_source is self._opener:
+            return  # the same source with another sensor, perhaps the one identified here
+        self.runner.cancel()
+        self.stack.clear()  # what could be undone belongs to the source that is gone
+        self._remembered.clear()
+        self._opener, self.given = opened.request.open_source, opened.sensor
+        self.live, self.name = opened.facts.live, opened.facts.title
+        self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
+        self.answer = self._nothing = Answer(self.work, Draft(self.settings))
+        self.changed.emit()
+
+
+class Benches:
+    """The workbench of the open source; lives in the calibration thread."""
+
+    def __init__(self) -> None:
+        self._opener: Callable[[Sensor], FrameSource] | None = None
+        self._bench: Workbench | None = None
+        self._collected: tuple[CollectedFrames, Workbench] | None = None
+
+    def of(self, work: Work, opener: Callable[[Sensor], FrameSource], given: Sensor) -> Workbench:
+        """Workbench of a work, made where it is not there yet."""
+        if work.collected is not None:
+            if self._collected is None or self._collected[0] is not work.collected:
+                self._collected = (work.collected, Workbench(work.collected, given))
+            return self._collected[1]
+        if self._bench is None or self._opener is not opener:
+            self.close()
+            self._bench, self._opener = Workbench(opener(given), given), opener
+        return self._bench
+
+    def source(self, work: Work) -> FrameSource:
+        """Source of a work that was done."""
+        if work.collected is not None:
+            return work.collected
+        if self._bench is None:
+            raise AssertionError("nothing was done with the source")
+        return self._bench.source
+
+    def close(self) -> None:
+        """Let go of the source."""
+        if self._bench is not None:
+            self._bench.source.close()
+        self._bench = self._collected = None

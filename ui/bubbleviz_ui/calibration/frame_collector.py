@@ -1,0 +1,139 @@
+"""Collecting frames of a live source until there are enough, or γ0 is known well enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtCore import QObject, Signal
+
+from bubbleviz.calibration.rest.collected_frames import CollectedFrames
+from bubbleviz.calibration.tension.tension_estimate import Quantity
+from bubbleviz.calibration.workbench import Settings, Step, Workbench
+from bubbleviz.frames.frame import Frame
+from bubbleviz.progress import Progress
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.job_runner import Done, Runner
+
+FIRST_LOOK, LOOK_EVERY = 10, 10
+"""Frames before γ0 is first estimated, and between estimates."""
+
+
+class Collector(QObject):
+    """Takes frames as they are shown.
+
+    Attributes
+    ----------
+    changed : Signal
+        Another frame, another estimate, or collecting began or ended.
+    complete : Signal
+        The `CollectedFrames`: enough of them, or γ0's interval is as small as wanted.
+    frames : list of Frame
+    tension : Quantity or None
+        γ0 so far, N/m.
+    """
+
+    changed = Signal()
+    complete = Signal(object)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.frames: list[Frame] = []
+        self.tension: Quantity | None = None
+        self.active = False
+        self.message = ""
+        self._count, self._target, self._only_untouched = 0, 0.0, True
+        self._name, self._sensor = "", None  # type: tuple[str, Sensor | None]
+        self._looked_at = 0
+        self._runner = Runner()
+        self._runner.done.connect(self._on_estimate)
+
+    def start(
+        self, name: str, sensor: Sensor, count: int, target: float | None, only_untouched: bool
+    ) -> None:
+        """Begin anew.
+
+        Parameters
+        ----------
+        name : str
+            Of the source.
+        sensor : Sensor
+            To start from.
+        count : int
+            Frames to collect at most.
+        target : float or None
+            Half of γ0's 95 % interval over γ0 at which to stop before.
+        only_untouched : bool
+            Leave out frames in which the sensor in use sees a contact.
+        """
+        self._name, self._sensor = name, sensor
+        self._count, self._target, self._only_untouched = count, target or 0.0, only_untouched
+        self.frames, self.tension, self._looked_at, self.message = [], None, 0, ""
+        self.active = True
+        self.changed.emit()
+
+    def take(self, result: Result) -> None:
+        """Take the frame of a result, unless it is touched or was taken before."""
+        if not self.active:
+            return
+        status = result.estimate.status if result.estimate is not None else None
+        if self._only_untouched and status == "ok":
+            return
+        frame = result.frame
+        if any(frame.depth_m is kept.depth_m for kept in self.frames):
+            return  # the same noise again tells nothing new
+        self.frames.append(frame)
+        if len(self.frames) >= self._count:
+            self.finish()
+            return
+        self._look()
+        self.changed.emit()
+
+    def finish(self) -> None:
+        """Use what is there."""
+        frames = self.frames
+        self.cancel()
+        if frames:
+            self.complete.emit(CollectedFrames(self._name, frames))
+
+    def cancel(self) -> None:
+        """Forget what was collected."""
+        self._runner.cancel()
+        self.active = False
+        self.frames = []
+        self.changed.emit()
+
+    def close(self) -> None:
+        """Stop the thread."""
+        self._runner.close()
+
+    def _look(self) -> None:
+        many = len(self.frames)
+        due = many >= max(FIRST_LOOK, self._looked_at + LOOK_EVERY)
+        if not due or not self._target or self._runner.busy or self._sensor is None:
+            return
+        self._looked_at = many
+        frames = CollectedFrames(self._name, self.frames)
+        self._runner.start(_estimate(frames, self._sensor))
+
+    def _on_estimate(self, done: Done) -> None:
+        if not self.active:
+            return
+        self.message = done.message
+        self.tension = done.answer
+        if self.tension is not None and (
+            self.tension.half_width <= self._target * self.tension.value
+        ):
+            self.finish()
+        self.changed.emit()
+
+
+def _estimate(frames: CollectedFrames, sensor: Sensor) -> Callable[[Progress], Quantity | None]:
+    """Job that estimates γ0 from the frames so far."""
+
+    def job(progress: Progress) -> Quantity | None:
+        settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),))
+        tension = Workbench(frames, sensor).work(settings, progress).tension
+        return tension.tension if tension is not None else None
+
+    return job

@@ -1,0 +1,220 @@
+"""Step 1: frames in which nothing touches the sensor, found, corrected, or collected live."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QDoubleSpinBox,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSpinBox,
+    QVBoxLayout,
+)
+
+from bubbleviz.calibration.rest.collected_frames import CollectedFrames
+from bubbleviz.calibration.rest.frame_ranges import Ranges, in_words, numbers, tidy, without
+from bubbleviz.calibration.workbench import Step
+from bubbleviz.wording import count_of
+from bubbleviz_ui.calibration.calibration_answer import Answer
+from bubbleviz_ui.calibration.calibration_page import Page
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.calibration.frame_collector import Collector
+from bubbleviz_ui.calibration.score_plot import ScorePlot
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.playback.range_strip import RangeStrip
+
+ENDED_BY = {
+    "depth": "the depth image moves then",
+    "pressure": "the gas pressure moves then",
+    "recording": "nothing touches the sensor up to the end",
+}
+
+
+class FramesPage(Page):
+    """Strip of ranges, plot of how far each frame is from rest, boxes for exact numbers."""
+
+    title = "Contact-free frames"
+    next_title = "Find contact-free frames"
+
+    def __init__(self, calibration: Calibration, units: Units) -> None:
+        super().__init__(calibration, units)
+        self.plot = ScorePlot()
+        self.strip = RangeStrip()
+        self.said = QLabel()
+        self.said.setWordWrap(True)
+        self.first, self.last = QSpinBox(), QSpinBox()
+        self.add = QPushButton("Add")
+        self.take_out = QPushButton("Take out")
+        self.find_again = QPushButton("Find again")
+        self.first.setToolTip("First frame of a contact-free range to add")
+        self.last.setToolTip("Last frame of a contact-free range to add")
+        self.add.setToolTip("Add these frames to the contact-free ones")
+        self.find_again.setToolTip("Search the recording for contact-free frames anew")
+        self.collect = CollectBox(calibration, units)
+        self._lay_out()
+        self.strip.edited.connect(self.set_ranges)
+        self.add.clicked.connect(self._on_add)
+        self.take_out.clicked.connect(self._on_take_out)
+        self.find_again.clicked.connect(
+            lambda: calibration.edit("Find contact-free frames", ranges=None, reached=self._least())
+        )
+
+    def enter(self) -> None:
+        """Find the frames."""
+        self.calibration.reach(Step.FRAMES, self.next_title)
+
+    def set_ranges(self, ranges: Ranges, what: str) -> None:
+        """Use these frames."""
+        self.calibration.edit(what, ranges=ranges, reached=self._least())
+
+    def show_answer(self, answer: Answer) -> None:
+        """Show the ranges and what they rest on."""
+        ranges = self.ranges(answer)
+        self.strip.set_ranges(answer.frames, ranges)
+        self.plot.show_scores(answer.draft.contact_free)
+        for box in (self.first, self.last):
+            box.setMaximum(max(answer.frames - 1, 0))
+        count = len(numbers(ranges))
+        live = self.calibration.live
+        for widget in (self.find_again, self.add, self.take_out):
+            widget.setEnabled(answer.frames > 0)
+        self.collect.setVisible(live)
+        if not answer.frames:
+            self.said.setText("Collect frames of the live source." if live else "")
+            return
+        found = answer.draft.contact_free
+        text = f"frames {in_words(ranges)}: {count} of {answer.frames}"
+        if found is not None and answer.work.settings.ranges is None:
+            text += f" – found; {ENDED_BY[found.ended_by]}"
+        self.said.setText(text)
+
+    @staticmethod
+    def ranges(answer: Answer) -> Ranges:
+        """Contact-free ranges of an answer."""
+        return answer.draft.ranges
+
+    def _least(self) -> Step:
+        return max(self.calibration.settings.reached, Step.FRAMES)
+
+    def _on_add(self) -> None:
+        answer = self.calibration.answer
+        more = (self.first.value(), self.last.value() + 1)
+        self.set_ranges(tidy([*self.ranges(answer), more], answer.frames), "Add frames")
+
+    def _on_take_out(self) -> None:
+        first, last = self.first.value(), self.last.value()
+        left = without(self.ranges(self.calibration.answer), first, last + 1)
+        self.set_ranges(left, f"Take out frames {first}–{last}")
+
+    def _lay_out(self) -> None:
+        self.column.addWidget(self.plot)
+        self.column.addWidget(self.strip)
+        self.column.addWidget(self.said)
+        row = QHBoxLayout()
+        row.addWidget(QLabel("frames"))
+        row.addWidget(self.first)
+        row.addWidget(QLabel("to"))
+        row.addWidget(self.last)
+        row.addWidget(self.add)
+        row.addWidget(self.take_out)
+        row.addStretch(1)
+        self.column.addLayout(row)
+        self.column.addWidget(self.find_again)
+        self.column.addWidget(self.collect)
+        self.column.addStretch(1)
+        self.first.setToolTip("First frame of a sample")
+        self.last.setToolTip("Last frame of a sample")
+        self.take_out.setToolTip("Leave this sample out; what the others gave is kept")
+
+
+class CollectBox(QGroupBox):
+    """Collects frames of a live source; stops when there are enough or γ0 is known."""
+
+    def __init__(self, calibration: Calibration, units: Units) -> None:
+        super().__init__("Live source")
+        self._calibration, self._units = calibration, units
+        self.collector = Collector()
+        self.count, self.target = QSpinBox(), QDoubleSpinBox()
+        self.untouched = QCheckBox("Leave out frames with contact")
+        self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
+        self.count.setToolTip("Frames of the untouched membrane to collect")
+        self.button.setToolTip("Collect frames of the live source")
+        self.stop.setToolTip("Stop collecting; calibrate with the frames there are")
+        self.cancel.setToolTip("Stop collecting and forget the frames")
+        self.said = QLabel()
+        self._lay_out()
+        self.button.clicked.connect(self._start)
+        self.stop.clicked.connect(self.collector.finish)
+        self.cancel.clicked.connect(self.collector.cancel)
+        self.count.valueChanged.connect(lambda _: self._show())
+        self.collector.changed.connect(self._show)
+        self.collector.complete.connect(self._use)
+        calibration.controller.shown.connect(self.collector.take)
+        self._show()
+
+    def _lay_out(self) -> None:
+        self.count.setRange(5, 2000)
+        self.count.setValue(100)
+        self.count.setSuffix(" frames")
+        self.target.setRange(0.0, 20.0)
+        self.target.setSingleStep(0.1)
+        self.target.setSuffix(" %")
+        self.target.setSpecialValueText("never")
+        self.target.setToolTip("Stop when half of the 95 % interval of γ0 is smaller; 0: never")
+        self.untouched.setChecked(True)
+        self.untouched.setToolTip("As the sensor in use sees it")
+        self.stop.setText("Use what is there")
+        self.cancel.setText("Cancel")
+        self.said.setWordWrap(True)
+        column = QVBoxLayout(self)
+        row = QHBoxLayout()
+        for widget in (self.count, QLabel("or until ±"), self.target):
+            row.addWidget(widget)
+        row.addStretch(1)
+        column.addLayout(row)
+        column.addWidget(self.untouched)
+        buttons = QHBoxLayout()
+        for button in (self.button, self.stop, self.cancel):
+            buttons.addWidget(button)
+        column.addLayout(buttons)
+        column.addWidget(self.said)
+
+    def _start(self) -> None:
+        calibration = self._calibration
+        sensor = calibration.controller.sensor
+        if sensor is None:
+            return
+        calibration.controller.state.set_playing(True)
+        target = self._units.share.to_si(self.target.value())
+        self.collector.start(
+            calibration.name, sensor, self.count.value(), target, self.untouched.isChecked()
+        )
+
+    def _use(self, frames: CollectedFrames) -> None:
+        untouched = self.untouched.isChecked()
+        ranges = ((0, len(frames)),) if untouched else None
+        settings = replace(
+            self._calibration.settings, reached=Step.TENSION, ranges=ranges, press=None
+        )
+        self._calibration.use_collected(frames, settings)
+
+    def _show(self) -> None:
+        collector = self.collector
+        self.button.setText(f"Collect {count_of(self.count.value(), 'frame')}")
+        self.button.setVisible(not collector.active)
+        self.stop.setVisible(collector.active)
+        self.cancel.setVisible(collector.active)
+        if not collector.active:
+            self.said.setText("")
+            return
+        text = f"{len(collector.frames)} of {self.count.value()} frames"
+        tension = collector.tension
+        if tension is not None:
+            share = self._units.share.text(tension.half_width / tension.value)
+            shown = self._units.tension.with_interval(tension.value, tension.half_width)
+            text += f" · γ0 so far {shown} ({share})"
+        self.said.setText(f"{text} {collector.message}".strip())

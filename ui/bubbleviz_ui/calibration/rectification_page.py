@@ -1,0 +1,89 @@
+"""Step 5: what each pixel is off by, from one inflation level or several, before and after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QPushButton
+
+from bubbleviz_ui.calibration.calibration_answer import Answer
+from bubbleviz_ui.calibration.calibration_page import Numbers, Page
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.calibration.image_view import ImageView
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell.menus import RECORDINGS
+
+
+class RectificationPage(Page):
+    """Residual of the last frame before and after rectification; further inflation levels."""
+
+    title = "Rectification"
+    next_title = "Look at the rectification"
+
+    def __init__(self, calibration: Calibration, units: Units) -> None:
+        super().__init__(calibration, units)
+        self.before, self.after = ImageView(), ImageView()
+        self.levels = QLabel()
+        self.levels.setWordWrap(True)
+        self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
+        self.add.setToolTip("Recording of the untouched membrane at another gauge pressure")
+        self.drop.setToolTip("Take the recording added last out again")
+        self.numbers = Numbers()
+        row = QHBoxLayout()
+        row.addWidget(self.add)
+        row.addWidget(self.drop)
+        self.column.addWidget(self.before)
+        self.column.addWidget(self.after)
+        self.column.addWidget(self.numbers)
+        self.column.addWidget(self.levels)
+        self.column.addLayout(row)
+        self.column.addStretch(1)
+        self.add.setToolTip("Recording of the untouched sensor at another inflation level")
+        self.add.clicked.connect(self._choose_level)
+        self.drop.clicked.connect(
+            lambda: calibration.edit("Take a level out", levels=calibration.settings.levels[:-1])
+        )
+
+    def add_level(self, path: Path) -> None:
+        """Rectify with another inflation level, too."""
+        levels = (*self.calibration.settings.levels, path)
+        self.calibration.edit(f"Add the level {path.name}", levels=levels)
+
+    def show_answer(self, answer: Answer) -> None:
+        """Show both images, their rms and the levels."""
+        unit, last = self.units.fine_length, answer.last
+        before = last.before_m if last is not None else None
+        after = last.after_m if last is not None else None
+        limit = 3.0 * float(np.nanstd(before)) if before is not None else 1.0
+        for view, title, image in (
+            (self.before, "Last frame before", before),
+            (self.after, "Last frame after", after),
+        ):
+            view.show_image(title, image, unit, -limit, limit, diverging=True)
+        for name, image in (("rms before", before), ("rms after", after)):
+            rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
+            self.numbers.set(name, unit.text(rms))
+        self._show_levels(answer)
+
+    def _show_levels(self, answer: Answer) -> None:
+        levels = self.calibration.settings.levels
+        self.drop.setEnabled(bool(levels))
+        names = ", ".join(path.name for path in levels)
+        self.levels.setText(f"Further levels: {names}" if levels else "One level: an offset each.")
+        line = answer.draft.pixels.line if answer.draft.pixels is not None else None
+        if line is None or answer.draft.found is None:
+            self.numbers.set("line", "offset only")
+            self.numbers.set("holds over", None)
+            return
+        mask = answer.draft.found.pixels.mask
+        slope, spread = float(np.median(line.slope[mask])), float(np.std(line.slope[mask]))
+        self.numbers.set("line", f"slope {slope:.4f}, spread {spread:.4f}, {line.levels} levels")
+        span = float(np.median((line.farthest_m - line.nearest_m)[mask]))
+        text = f"{self.units.length.text(span)}; beyond, the nearest level's offset"
+        self.numbers.set("holds over", text)
+
+    def _choose_level(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self, "Add an inflation level", "", RECORDINGS)
+        if name:
+            self.add_level(Path(name))

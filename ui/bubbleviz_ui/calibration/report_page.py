@@ -1,0 +1,130 @@
+"""Last step: verdict, the new sensor beside the one in use, use it, save it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QFileDialog,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+)
+
+from bubbleviz.calibration.sensor_comparison import Comparison, Kind
+from bubbleviz_ui.calibration.calibration_answer import Answer
+from bubbleviz_ui.calibration.calibration_page import Page
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.calibration.image_view import ImageView
+from bubbleviz_ui.model.units import Unit, Units
+
+
+class ReportPage(Page):
+    """What the identification is worth, and what to do with it.
+
+    Attributes
+    ----------
+    use : Signal
+        Open the identified sensor on the present source.
+    save : Signal
+        Path of the sensor file to write.
+    """
+
+    title = "Report"
+    next_title = "Compare and save"
+    use = Signal()
+    save = Signal(object)
+
+    def __init__(self, calibration: Calibration, units: Units) -> None:
+        super().__init__(calibration, units)
+        self.advice = QLabel()
+        self.advice.setWordWrap(True)
+        self.advice.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.compared = QLabel()
+        self.compared.setWordWrap(True)
+        self.table = QTableWidget(0, 3)
+        self.table.setHorizontalHeaderLabels(["", "in use", "new"])
+        self.view = ImageView()
+        self.use_it = QPushButton("Use it")
+        self.save_as = QPushButton("Save as a preset…")
+        self._lay_out()
+        self.use_it.clicked.connect(self.use)
+        self.save_as.clicked.connect(self._choose_file)
+
+    def show_answer(self, answer: Answer) -> None:
+        """Show verdict, table and difference."""
+        verdict, comparison = answer.verdict, answer.comparison
+        for button in (self.use_it, self.save_as):
+            button.setEnabled(comparison is not None and not self.calibration.busy)
+        advice = "" if verdict is None else "\n".join(f"• {line}" for line in verdict.advice)
+        self.advice.setText(advice)
+        old = answer.compared_with
+        self.compared.setText(f"In use: {old.name}" if old is not None else "")
+        self._show_table(comparison)
+        length = self.units.fine_length
+        difference = comparison.difference_m if comparison is not None else None
+        limit = comparison.largest_m if comparison is not None else 1e-3
+        self.view.show_image(
+            "Range expected of the untouched membrane, new minus in use",
+            difference, length, -limit, limit, diverging=True,
+        )  # fmt: skip
+
+    def _show_table(self, comparison: Comparison | None) -> None:
+        rows = comparison.rows if comparison is not None else ()
+        self.table.setRowCount(len(rows))
+        for number, row in enumerate(rows):
+            unit = self._unit(row.kind)
+            texts = (row.name, unit.text(row.old), unit.with_interval(row.new, row.half_width))
+            for column, text in enumerate(texts):
+                self.table.setItem(number, column, QTableWidgetItem(text))
+        height = self.table.horizontalHeader().height() + 4
+        height += sum(self.table.rowHeight(k) for k in range(len(rows)))
+        self.table.setFixedHeight(height)
+
+    def _unit(self, kind: Kind) -> Unit:
+        units = self.units
+        by_kind: dict[Kind, Unit] = {
+            "tension": units.tension,
+            "pressure": units.gas_pressure,
+            "length": units.length,
+            "fine length": units.fine_length,
+            "volume": units.volume,
+            "area": units.area,
+            "count": Unit("pixels", 1.0, 0),
+        }
+        return by_kind[kind]
+
+    def _choose_file(self) -> None:
+        name, _ = QFileDialog.getSaveFileName(
+            self, "Save as a preset", "sensor.toml", "Sensor files (*.toml)"
+        )
+        if name:
+            self.save.emit(Path(name))
+
+    def _lay_out(self) -> None:
+        table = self.table
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        table.verticalHeader().hide()
+        table.verticalHeader().setDefaultSectionSize(22)
+        header = table.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.use_it)
+        buttons.addWidget(self.save_as)
+        for widget in (self.compared, self.table):
+            self.column.addWidget(widget)
+        self.column.addLayout(buttons)
+        self.column.addWidget(self.view)
+        self.column.addWidget(self.advice)
+        self.column.addStretch(1)
+        self.use_it.setToolTip("Open the new sensor on the present source; undo goes back")
+        self.save_as.setToolTip("Sensor file, mesh, pixels and report, all or nothing")

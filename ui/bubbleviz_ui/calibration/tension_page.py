@@ -1,0 +1,61 @@
+"""Step 4: γ0 by Young–Laplace, its interval, and its spread over the surface."""
+
+from __future__ import annotations
+
+from bubbleviz.calibration.workbench import Step
+from bubbleviz_ui.calibration.calibration_answer import Answer
+from bubbleviz_ui.calibration.calibration_page import Numbers, Page
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.calibration.image_view import ImageView
+from bubbleviz_ui.model.units import Units
+
+SPREAD = 0.2
+"""Of γ0, at the ends of the picture's colours."""
+
+
+class TensionPage(Page):
+    """γ0 ± its interval and what the interval is made of."""
+
+    title = "γ0"
+    next_title = "Estimate γ0"
+
+    def __init__(self, calibration: Calibration, units: Units) -> None:
+        super().__init__(calibration, units)
+        self.view = ImageView()
+        self.numbers = Numbers()
+        self.column.addWidget(self.view)
+        self.column.addWidget(self.numbers)
+        self.column.addStretch(1)
+
+    def enter(self) -> None:
+        """Estimate γ0."""
+        self.calibration.reach(Step.TENSION, self.next_title)
+
+    def show_answer(self, answer: Answer) -> None:
+        """Show γ0 and its parts."""
+        units, estimate = self.units, answer.draft.tension
+        unit = units.tension
+        if estimate is None:
+            self.view.show_image("γ0 of each neighbourhood", None, unit, 0.0, 1.0)
+            self.numbers.set("γ0", unit.text(None))
+            return
+        value = estimate.tension.value
+        self.view.show_image(
+            "γ0 of each neighbourhood",
+            answer.local_tension,
+            unit,
+            (1.0 - SPREAD) * value,
+            (1.0 + SPREAD) * value,
+        )
+        say = self.numbers.set
+        say("γ0", unit.with_interval(value, estimate.tension.half_width))
+        say("95 % interval", f"{estimate.tension.low:.2f} … {unit.text(estimate.tension.high)}")
+        for name, size in estimate.dimensions.items():
+            text = units.length.with_interval(size.value, size.half_width)
+            say(name.removesuffix("_m").replace("_", " "), text)
+        say("gauge pressure", units.gas_pressure.text(estimate.gauge_pressure_pa))
+        say("γ0 for 100 Pa more", unit.text(100.0 * estimate.per_pascal, signed=True))
+        for name, each in estimate.by_surface.items():
+            say(f"γ0 by the {name}", unit.text(each))
+        for name, sigma in estimate.parts.items():
+            say(f"σ from {name.replace('_', ' ')}", unit.text(sigma))

@@ -1,0 +1,161 @@
+"""Opening: another source, another sensor, or the present ones in another form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QObject, Signal
+
+from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
+from bubbleviz_ui.model.demand import looks, products
+from bubbleviz_ui.model.session_state import SessionState
+
+if TYPE_CHECKING:
+    from bubbleviz.frames.frame_source import FrameSource
+    from bubbleviz.sensor import Sensor
+
+    OpenSource = Callable[[Sensor], FrameSource]
+    OpenSensor = Callable[[], Sensor]
+
+
+class Opening(QObject):
+    """Asks the solver thread to open things; what is open stays until that works.
+
+    Parameters
+    ----------
+    state : SessionState
+    ask : callable
+        Takes a request to the solver thread.
+
+    Attributes
+    ----------
+    changed : Signal
+        What is being opened; empty when it is, or is not going to be.
+    said : Signal
+        A sentence for the user.
+    present : Opened or None
+        What is open.
+    """
+
+    changed = Signal(str)
+    said = Signal(str)
+
+    def __init__(self, state: SessionState, ask: Callable[[OpenRequest], None]) -> None:
+        super().__init__()
+        self._state, self._ask = state, ask
+        self.present: Opened | None = None
+        self._waiting: OpenRequest | None = None
+        self._number = 0
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """The sensor in use; None before the first."""
+        return None if self.present is None else self.present.sensor
+
+    @property
+    def source(self) -> OpenSource | None:
+        """Opener of what is open; None before the first."""
+        return None if self.present is None else self.present.request.open_source
+
+    def open(
+        self,
+        what: str,
+        open_source: OpenSource,
+        open_sensor: OpenSensor,
+        *,
+        frame: int = 0,
+        playing: bool = True,
+        live: bool = False,
+    ) -> None:
+        """Open a source with a sensor in the solver thread."""
+        self._number += 1
+        choices = self._state.choices
+        request = OpenRequest(
+            session=self._number,
+            what=what,
+            open_source=open_source,
+            open_sensor=open_sensor,
+            frame=frame,
+            products=products(choices),
+            kappa=choices.kappa,
+            cloud_points=choices.cloud_points,
+            solver=choices.solver,
+            looks=looks(choices),
+            playing=playing,
+            live=live,
+        )
+        self.cancel()
+        self._waiting = request
+        self._ask(request)
+        self.changed.emit(what)
+
+    def cancel(self) -> None:
+        """Open nothing; the solver stops at its next step."""
+        if self._waiting is not None:
+            self._waiting.cancelled.set()
+            self._end()
+
+    def recording(
+        self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
+    ) -> None:
+        """Open a recording with a sensor, with the present one, or with the preset that fits."""
+        from bubbleviz.sensor import load_sensor
+        from bubbleviz_ui.engine.source_openers import recording, sensor_for
+
+        sensor = self.sensor
+        if sensor_file is not None:
+            self.open(path.name, recording(path, truth), lambda: load_sensor(sensor_file))
+        elif sensor is not None:
+            self.open(path.name, recording(path, truth), lambda: sensor_for(path, sensor))
+
+    def truth(self, path: Path) -> None:
+        """Have the recording that is open, one of a simulation, known by its TRUTH.npz."""
+        from bubbleviz_ui.engine.source_openers import RecordingOpener
+
+        opener, sensor = self.source, self.sensor
+        if isinstance(opener, RecordingOpener) and sensor is not None:
+            self.reopen(path.name, lambda: sensor, replace(opener, truth=path))
+        else:
+            self.said.emit(f"{path}: open the recording of that simulation first")
+
+    def sensor_file(self, path: Path) -> None:
+        """Use the sensor of a file with the present source."""
+        from bubbleviz.sensor import load_sensor
+
+        self.reopen(path.name, lambda: load_sensor(path))
+
+    def use_sensor(self, sensor: Sensor) -> None:
+        """Use another sensor, which is loaded already, with the present source."""
+        self.reopen(sensor.name, lambda: sensor)
+
+    def reopen(
+        self, what: str, open_sensor: OpenSensor, open_source: OpenSource | None = None
+    ) -> None:
+        """Open the present source anew, or in another form, at the present frame."""
+        facts, source = self._state.facts, open_source or self.source
+        if source is not None and facts is not None:
+            self.open(
+                what,
+                source,
+                open_sensor,
+                frame=self._state.frame,
+                playing=self._state.playing,
+                live=facts.live,
+            )
+
+    def look_at(self, answer: Answer) -> None:
+        """Notice that what was asked for has come, or has failed."""
+        if self._waiting is not None and answer.request is self._waiting:
+            self._end()
+
+    def turn_to(self, opened: Opened) -> None:
+        """Take what is open from now on."""
+        self.present = opened
+        self._number = max(self._number, opened.request.session)
+
+    def _end(self) -> None:
+        self._waiting = None
+        self.changed.emit("")

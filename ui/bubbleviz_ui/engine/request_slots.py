@@ -1,0 +1,58 @@
+"""Where requests wait: one slot a kind, so the latest wins and nothing queues up."""
+
+from __future__ import annotations
+
+from threading import Condition
+
+from bubbleviz_ui.engine.requests import (
+    AnalyseRequest,
+    CompareRequest,
+    FollowRequest,
+    FrameRequest,
+    NewestRequest,
+    OpenRequest,
+    PatchRequest,
+    Request,
+)
+
+
+class RequestSlots:
+    """One waiting request of each kind, taken in the order of `ORDER`."""
+
+    ORDER: tuple[type[Request], ...] = (
+        OpenRequest,
+        FollowRequest,
+        PatchRequest,
+        FrameRequest,
+        NewestRequest,
+        CompareRequest,
+        AnalyseRequest,
+    )
+
+    def __init__(self) -> None:
+        self._waiting: dict[type[Request], Request] = {}
+        self._changed = Condition()
+        self._closed = False
+
+    def put(self, request: Request) -> Request | None:
+        """Leave a request; returns the one it replaces, which will never be served."""
+        with self._changed:
+            replaced = self._waiting.get(type(request))
+            self._waiting[type(request)] = request
+            self._changed.notify()
+        return replaced
+
+    def take(self) -> Request | None:
+        """Wait for a request; None once the slots are closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or bool(self._waiting))
+            if self._closed:
+                return None
+            kind = next(kind for kind in self.ORDER if kind in self._waiting)
+            return self._waiting.pop(kind)
+
+    def close(self) -> None:
+        """Wake the taker and let it go."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()

@@ -1,0 +1,248 @@
+"""What the window asks of the solver thread, and what comes back: values, never live objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from threading import Event
+from typing import Literal
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.diagnostics.inspector import Inspection, Look
+from bubbleviz.diagnostics.side_by_side import Measured
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.pipeline import Product
+from bubbleviz.result import Result
+from bubbleviz.rigid_object import RigidObject
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.events import SourceFacts
+
+
+@dataclass(frozen=True)
+class OpenRequest:
+    """Open a source with a sensor and show a frame of it.
+
+    Attributes
+    ----------
+    session : int
+        Generation of the session it would start.
+    what : str
+        What to call it in a message.
+    open_source, open_sensor : callable
+        Make the source and the sensor; called in the solver thread.
+    frame : int
+        Frame to show first; proof that the source can be used with the sensor.
+    products, looks : frozenset
+        Products of that frame, and closer looks at it.
+    kappa, cloud_points, solver
+        As in `Choices`.
+    playing, live : bool
+        Play once it is open; it is a live source.
+    cancelled : Event
+        Set: nobody waits for it any more.
+    """
+
+    session: int
+    what: str
+    open_source: Callable[[Sensor], FrameSource]
+    open_sensor: Callable[[], Sensor]
+    frame: int
+    products: frozenset[Product]
+    kappa: float | None
+    cloud_points: int | None = None
+    solver: str | None = None
+    looks: frozenset[Look] = frozenset()
+    playing: bool = False
+    live: bool = False
+    cancelled: Event = field(default_factory=Event, compare=False)
+
+
+@dataclass(frozen=True)
+class FrameRequest:
+    """Make products of one frame; `id` counts up, so newer answers are told from older ones.
+
+    `asked_s` is when it was asked for, by `time.perf_counter`; None where nobody waits.
+    """
+
+    session: int
+    id: int
+    index: int
+    products: frozenset[Product]
+    kappa: float | None
+    cloud_points: int | None = None
+    asked_s: float | None = None
+    looks: frozenset[Look] = frozenset()
+    least_area_m2: float = 0.0
+
+
+@dataclass(frozen=True)
+class FollowRequest:
+    """Look for another object from now on, or for none.
+
+    Attributes
+    ----------
+    session : int
+    object_name : str or None
+        Preset or mesh file.
+    unit : {"m", "mm"} or None
+        Of the file; None: by its name.
+    start : (4, 4) array or None
+        T_B_O to begin at; None to search.
+    kappa : float or None
+    fit : FrameRequest or None
+        Frame to fit at once.
+    """
+
+    session: int
+    object_name: str | None
+    unit: Literal["m", "mm"] | None
+    start: np.ndarray | None
+    kappa: float | None
+    fit: FrameRequest | None = None
+
+
+@dataclass(frozen=True)
+class NewestRequest:
+    """Make products of the newest frame of a live source, as soon as there is one.
+
+    `from_s`, by `time.perf_counter`, is when it may be taken at the earliest.
+    """
+
+    session: int
+    products: frozenset[Product]
+    kappa: float | None
+    cloud_points: int | None = None
+    asked_s: float | None = None
+    looks: frozenset[Look] = frozenset()
+    least_area_m2: float = 0.0
+    from_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class AnalyseRequest:
+    """Compute the numbers of frames nobody looks at; a part of them at a time."""
+
+    session: int
+    frames: tuple[int, ...]
+    products: frozenset[Product]
+    kappa: float | None
+    least_area_m2: float = 0.0
+
+
+@dataclass(frozen=True)
+class CompareRequest:
+    """Measure two settings on one frame; none: let go of what was built for that."""
+
+    session: int
+    index: int
+    settings: tuple[EstimatorOptions, ...]
+    kappa: float | None
+
+
+@dataclass(frozen=True)
+class PatchRequest:
+    """Threshold the estimate of a result anew at another κ, without solving."""
+
+    session: int
+    id: int
+    result: Result
+    kappa: float | None
+    pixel_mask: bool
+    looks: frozenset[Look] = frozenset()
+    least_area_m2: float = 0.0
+
+
+Request = (
+    OpenRequest
+    | FollowRequest
+    | FrameRequest
+    | NewestRequest
+    | PatchRequest
+    | AnalyseRequest
+    | CompareRequest
+)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A source is open; the solver thread keeps it."""
+
+    request: OpenRequest
+    facts: SourceFacts
+    sensor: Sensor
+    camera: DepthCamera
+    mesh: MembraneMesh
+    frame: int
+    result: Result
+    numbers: Numbers
+    inspection: Inspection
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A frame's products, its numbers, what was looked at closer, and when that was done."""
+
+    request: FrameRequest | NewestRequest
+    result: Result
+    numbers: Numbers
+    inspection: Inspection
+    done_s: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Waited:
+    """No frame came while it was waited for."""
+
+    request: NewestRequest
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """Numbers of the first frames of a request; the others are to be asked for again."""
+
+    request: AnalyseRequest
+    numbers: tuple[Numbers, ...]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The object that is looked for now, and the frame that was to be fitted."""
+
+    request: FollowRequest
+    obj: RigidObject | None
+    solved: Solved | None
+
+
+@dataclass(frozen=True)
+class Thresholded:
+    """A result with its patch at another κ."""
+
+    request: PatchRequest
+    result: Result
+    numbers: Numbers
+    inspection: Inspection
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What two settings make of a frame; a text where a setting is impossible."""
+
+    request: CompareRequest
+    measured: tuple[Measured | str, Measured | str]
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A request that could not be served: one line for a person, and the details."""
+
+    request: Request
+    message: str
+    details: str
+
+
+Answer = Opened | Followed | Solved | Waited | Thresholded | Analysed | Compared | Failed

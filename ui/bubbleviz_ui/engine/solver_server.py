@@ -1,0 +1,229 @@
+"""Serves requests with bubbleviz, in the solver thread. No Qt in here."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from dataclasses import dataclass, replace
+
+from bubbleviz.calibration.pressure_zero import zeroed
+from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of
+from bubbleviz.diagnostics.inspector import Inspection, Inspector, Look
+from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation.synthetic_source import truth_of
+from bubbleviz_ui.engine.requests import (
+    Analysed,
+    AnalyseRequest,
+    Answer,
+    Compared,
+    CompareRequest,
+    Failed,
+    Followed,
+    FollowRequest,
+    FrameRequest,
+    NewestRequest,
+    Opened,
+    OpenRequest,
+    PatchRequest,
+    Request,
+    Solved,
+    Thresholded,
+    Waited,
+)
+from bubbleviz_ui.live.live_frames import LiveFrames
+from bubbleviz_ui.model.events import SourceFacts
+
+WAIT_S = 0.05
+"""How long the newest frame is waited for before other requests are looked at."""
+SLICE_S = 0.03
+"""How long frames nobody looks at may keep the one somebody asks for waiting."""
+
+
+@dataclass(frozen=True)
+class _Session:
+    number: int
+    source: FrameSource
+    pipeline: Pipeline
+    gas: Gas
+    inspector: Inspector
+    side_by_side: SideBySide
+
+
+class Server:
+    """Keeps the open source and its pipeline; a request that fails changes nothing."""
+
+    def __init__(self) -> None:
+        self._session: _Session | None = None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often each stage has run for the open source."""
+        return dict(self._session.pipeline.counts) if self._session is not None else {}
+
+    def serve(self, request: Request) -> Answer | None:
+        """Answer one request; None when it belongs to a session that is gone."""
+        try:
+            if isinstance(request, OpenRequest):
+                return self._open(request)
+            session = self._session
+            if session is None or session.number != request.session:
+                return None
+            session.pipeline.kappa = request.kappa
+            if isinstance(request, CompareRequest):
+                return self._compare(session, request)
+            if isinstance(request, FollowRequest):
+                return self._follow(session, request)
+            session.pipeline.least_area_m2 = request.least_area_m2
+            if isinstance(request, PatchRequest):
+                return self._threshold(session, request)
+            if isinstance(request, AnalyseRequest):
+                return self._analyse(session, request)
+            if isinstance(request, NewestRequest):
+                return self._newest(session, request)
+            return self._solve(session, request)
+        except InputError as error:
+            return Failed(request, str(error), "")
+        except Exception as error:
+            return Failed(request, _in_words(error), traceback.format_exc())
+
+    def close(self) -> None:
+        """Let go of the open source."""
+        if self._session is not None:
+            self._session.source.close()
+            self._session = None
+
+    def _solve(self, session: _Session, request: FrameRequest) -> Solved:
+        frame = session.source[request.index]
+        return self._solved(session, request, frame)
+
+    def _newest(self, session: _Session, request: NewestRequest) -> Solved | Waited:
+        source = session.source
+        time.sleep(max(request.from_s - time.perf_counter(), 0.0))
+        frame = source.newest(WAIT_S) if isinstance(source, LiveFrames) else None
+        return Waited(request) if frame is None else self._solved(session, request, frame)
+
+    def _solved(
+        self, session: _Session, request: FrameRequest | NewestRequest, frame: Frame
+    ) -> Solved:
+        session.pipeline.cloud_points = request.cloud_points
+        result = _process(session.source, session.pipeline, frame, request.products)
+        if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
+            session.source.tell(result, session.pipeline.mesh)
+        inspection = _look(session, result, request.looks)
+        numbers, done_s = numbers_of(result, session.gas), time.perf_counter()
+        return Solved(request, result, numbers, inspection, done_s)
+
+    def _follow(self, session: _Session, request: FollowRequest) -> Followed:
+        obj = None
+        if request.object_name is not None:
+            obj = load_object(request.object_name, request.unit)
+        session.pipeline.follow(obj, request.start)
+        solved = self._solve(session, request.fit) if request.fit is not None else None
+        return Followed(request, obj, solved)
+
+    def _threshold(self, session: _Session, request: PatchRequest) -> Thresholded:
+        estimate = request.result.estimate
+        if estimate is None:
+            raise ValueError("no estimate to threshold")
+        patch = session.pipeline.patch(estimate, pixel_mask=request.pixel_mask)
+        result = replace(request.result, patch=patch)
+        inspection = _look(session, result, request.looks)
+        return Thresholded(request, result, numbers_of(result, session.gas), inspection)
+
+    def _analyse(self, session: _Session, request: AnalyseRequest) -> Analysed:
+        """As many frames as there is time for, and one at least."""
+        end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
+        for index in request.frames:
+            try:
+                frame = session.source[index]
+                result = _process(session.source, session.pipeline, frame, request.products)
+                numbers.append(numbers_of(result, session.gas))
+            except InputError:
+                numbers.append(Numbers())  # it says so when somebody looks at it
+            if time.perf_counter() > end:
+                break
+        return Analysed(request, tuple(numbers))
+
+    def _compare(self, session: _Session, request: CompareRequest) -> Compared | None:
+        session.side_by_side.keep(request.settings)
+        if not request.settings:
+            return None
+        frame, truth = session.source[request.index], truth_of(session.source, request.index)
+        measured: list[Measured | str] = []
+        for options in request.settings:
+            try:
+                measure = session.side_by_side.measure
+                measured.append(measure(options, frame, request.kappa, truth))
+            except InputError as error:
+                measured.append(str(error))
+        return Compared(request, (measured[0], measured[1]))
+
+    def _open(self, request: OpenRequest) -> Opened | None:
+        if request.cancelled.is_set():
+            return None
+        sensor = request.open_sensor()
+        source = request.open_source(sensor)
+        try:
+            if len(source) == 0:
+                raise InputError(f"{source.name}: has no frames; choose another recording")
+            index = min(max(request.frame, 0), len(source) - 1)
+            frame = source[index]
+            pipeline = Pipeline(
+                sensor,
+                intrinsics=frame.intrinsics,
+                kappa=request.kappa,
+                options=EstimatorOptions.named(request.solver),
+            )
+            pipeline.cloud_points = request.cloud_points
+            pipeline.prepare(request.products)  # apart: its time says nothing about a frame
+            result = _process(source, pipeline, frame, request.products)
+        except BaseException:
+            source.close()
+            if request.cancelled.is_set():
+                return None
+            raise
+        if request.cancelled.is_set():
+            source.close()
+            return None
+        self.close()
+        gas = Gas.of(sensor.pneumatics, pipeline.mesh)
+        settings = SideBySide(sensor, pipeline.camera.intrinsics)
+        inspector = Inspector(pipeline)
+        session = _Session(request.session, source, pipeline, gas, inspector, settings)
+        self._session = session
+        grows = isinstance(source, LiveFrames)
+        remark = str(getattr(source, "remark", ""))  # recordings have one
+        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows, remark)
+        numbers = numbers_of(result, gas)
+        inspection = _look(session, result, request.looks)
+        camera, mesh = pipeline.camera, pipeline.mesh
+        return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
+
+
+def _look(session: _Session, result: Result, looks: frozenset[Look]) -> Inspection:
+    """A closer look at a result, beside the truth where the source knows it."""
+    truth = None
+    if "kappa_curve" in looks:
+        truth = truth_of(session.source, result.frame.index)
+    return session.inspector.look(result, looks, truth.patch_mask if truth is not None else None)
+
+
+def _process(
+    source: FrameSource, pipeline: Pipeline, frame: Frame, products: frozenset[Product]
+) -> Result:
+    """Products of a frame; a live one's gas pressure is zeroed."""
+    if isinstance(source, LiveFrames):
+        frame = zeroed(frame, source.zero, pipeline)
+    return pipeline.process(frame, products)
+
+
+def _in_words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0][:300]

@@ -1,0 +1,63 @@
+"""The solver thread: takes the latest request, hands answers to the GUI thread by a signal."""
+
+from __future__ import annotations
+
+from threading import Thread
+
+from PySide6.QtCore import QObject, Qt, Signal
+
+from bubbleviz_ui.engine.request_slots import RequestSlots
+from bubbleviz_ui.engine.requests import Answer, FrameRequest, Request
+from bubbleviz_ui.engine.solver_server import Server
+
+
+class Worker(QObject):
+    """Runs a `Server` in a thread of its own; the window never waits for it.
+
+    Attributes
+    ----------
+    answered : Signal
+        Emitted in the GUI thread with each `Answer`.
+    dropped : int
+        Frame requests replaced by a newer one before the solver got to them.
+    """
+
+    answered = Signal(object)
+    _ready = Signal(object)
+
+    def __init__(self, server: Server | None = None) -> None:
+        super().__init__()
+        self.dropped = 0
+        self._slots = RequestSlots()
+        self._server = server or Server()
+        self._ready.connect(self._hand_over, Qt.ConnectionType.QueuedConnection)
+        self._thread: Thread | None = Thread(target=self._run, name="solver", daemon=True)
+        self._thread.start()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often each stage has run for the open source."""
+        return self._server.counts
+
+    def ask(self, request: Request) -> None:
+        """Ask for something; an unserved request of the same kind is forgotten."""
+        replaced = self._slots.put(request)
+        self.dropped += isinstance(replaced, FrameRequest)
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """Stop the thread once it is through with what it is doing."""
+        self._slots.close()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+            self._thread = None
+
+    def _run(self) -> None:
+        while (request := self._slots.take()) is not None:
+            answer = self._server.serve(request)
+            if answer is not None and self._thread is not None:
+                self._ready.emit(answer)
+        self._server.close()
+
+    def _hand_over(self, answer: Answer) -> None:
+        if self._thread is not None:
+            self.answered.emit(answer)

@@ -1,0 +1,173 @@
+"""The dialog that exports: what, of which frames, under which name."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz_ui.export.export_kinds import KINDS, Kind
+from bubbleviz_ui.export.exporting import Exporting
+from bubbleviz_ui.model.events import ChoicesChanged, Event, RangeChanged, SourceChanged
+from bubbleviz_ui.model.session_state import SessionState
+
+RANGE, ALL = False, True
+MOST_STEP = 1000
+WIDTH = 460
+
+
+class ExportDialog(QDialog):
+    """Stays open beside the window, which can be used meanwhile."""
+
+    def __init__(self, parent: QWidget, state: SessionState, exporting: Exporting) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Export")
+        self.setMinimumWidth(WIDTH)
+        self._state, self._exporting = state, exporting
+        self.kind = QComboBox()
+        for kind in KINDS:
+            self.kind.addItem(kind.title, kind)
+        for row, kind in enumerate(KINDS):
+            self.kind.setItemData(row, kind.tip, Qt.ItemDataRole.ToolTipRole)
+        self.kind.setToolTip("What to make of the frames")
+        self.frames = QComboBox()
+        self.frames.setToolTip("The range is set on the timeline, [ and ]")
+        self.step = QSpinBox()
+        self.step.setRange(1, MOST_STEP)
+        self.step.setSpecialValueText("every frame")
+        self.step.setPrefix("every ")
+        self.step.setSuffix(". frame")
+        self.step.setToolTip("Leave frames out: every 2., every 3. …")
+        self.about = QLabel()
+        self.about.setObjectName("dim")
+        self.about.setWordWrap(True)
+        self.said = QLabel()
+        self.said.setWordWrap(True)
+        self.progress = QProgressBar()
+        self.progress.setRange(0, 100)
+        self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
+        self.export.setToolTip("Choose a name and begin")
+        self.cancel.setToolTip("Stop; nothing of it is left")
+        self._lay_out()
+        self._connect()
+        self.show_all()
+
+    @property
+    def chosen(self) -> Kind:
+        """What is to be made."""
+        kind = self.kind.currentData()
+        assert isinstance(kind, Kind)
+        return kind
+
+    @property
+    def chosen_frames(self) -> range:
+        """Frames to make it of."""
+        all_of_them = self.frames.currentData() == ALL
+        return self._exporting.frames(all_of_them=all_of_them, step=self.step.value())
+
+    def show_all(self) -> None:
+        """Say what can be exported now."""
+        self._offer_frames()
+        self._show()
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _lay_out(self) -> None:
+        which = QHBoxLayout()
+        which.addWidget(self.frames, 1)
+        which.addWidget(self.step)
+        form = QFormLayout()
+        form.addRow("What", self.kind)
+        form.addRow("Frames", which)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.progress, 1)
+        buttons.addStretch()
+        buttons.addWidget(self.cancel)
+        buttons.addWidget(self.export)
+        column = QVBoxLayout(self)
+        column.addLayout(form)
+        for widget in (self.about, self.said):
+            column.addWidget(widget)
+        column.addStretch(1)
+        column.addLayout(buttons)
+
+    def _connect(self) -> None:
+        exporting = self._exporting
+        self.kind.currentIndexChanged.connect(lambda _: self._show())
+        self.frames.currentIndexChanged.connect(lambda _: self._show())
+        self.step.valueChanged.connect(lambda _: self._show())
+        self.export.clicked.connect(lambda: self._choose_name())
+        self.cancel.clicked.connect(exporting.cancel)
+        exporting.changed.connect(self._show)
+        exporting.progressed.connect(self._on_progress)
+        exporting.said.connect(self._say)
+        self._state.subscribe(self._on_event)
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, SourceChanged | RangeChanged):
+            self.show_all()
+        elif isinstance(event, ChoicesChanged) and event.names & {"picture_size", "speed"}:
+            self._show()
+
+    def _offer_frames(self) -> None:
+        """Offer the range on the timeline, where there is one, and all frames."""
+        facts, range_ = self._state.facts, self._state.play_range
+        self.frames.blockSignals(True)
+        self.frames.clear()
+        if range_ is not None:
+            self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
+        self.frames.addItem(f"all {0 if facts is None else facts.frames} frames", ALL)
+        self.frames.blockSignals(False)
+
+    def _show(self) -> None:
+        why_not, busy = self._exporting.why_not(), self._exporting.busy
+        for widget in (self.kind, self.frames, self.step):
+            widget.setEnabled(not busy)
+        self.export.setEnabled(not busy and not why_not)
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.about.setText(why_not or self._about())
+        if busy:
+            self.said.clear()
+
+    def _about(self) -> str:
+        kind, count = self.chosen, len(self.chosen_frames)
+        if not kind.is_video:
+            return f"{kind.tip}. {count} frames."
+        width, height = self._state.choices.picture_size
+        fps = self._exporting.fps(self.step.value())
+        return (
+            f"{kind.tip}. {count} pictures of {width}×{height} (3-D tools, Picture), {fps:.3g} a "
+            f"second: as playback at {self._state.choices.speed:g}×."
+        )
+
+    def _choose_name(self) -> None:
+        kind, frames = self.chosen, self.chosen_frames
+        proposed = kind.title.lower().replace(" ", "_") + next(iter(kind.suffixes.values()), "")
+        name, chosen = QFileDialog.getSaveFileName(
+            self,
+            f"Export {kind.title.lower()}" if kind.suffixes else "Name of a new folder",
+            proposed,
+            kind.filters,
+            options=QFileDialog.Option.DontConfirmOverwrite,  # nothing is ever replaced
+        )
+        if name:
+            self._exporting.start(kind, frames, kind.named(name, chosen))
+
+    def _on_progress(self, step: str, done: float) -> None:
+        self.progress.setFormat(f"{step} %p %")
+        self.progress.setValue(round(100.0 * done))
+
+    def _say(self, text: str, _: str) -> None:
+        self.said.setText(text)

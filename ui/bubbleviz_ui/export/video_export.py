@@ -1,0 +1,110 @@
+"""A video of the 3-D view: the window draws frame by frame, a thread writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from queue import Empty, Full, Queue
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
+
+from bubbleviz_ui.view3d.tools.still_picture import still
+
+if TYPE_CHECKING:
+    from bubbleviz.progress import Progress
+    from bubbleviz_ui.engine.controller import Controller
+    from bubbleviz_ui.view3d.render_view import View
+
+WAITING = 2
+"""Pictures that may wait for the encoder; 1920×1080 has 6 MB."""
+LOOK_S = 0.1
+"""How often the writer looks whether it is still wanted."""
+
+
+class VideoExport(QObject):
+    """Goes through frames, and hands a picture of each to `write`, which runs in a thread.
+
+    Parameters
+    ----------
+    controller : Controller
+    view : View
+    frames : range
+    size : (int, int)
+        Width and height, pixels.
+    path : Path
+    fps : float
+    """
+
+    _taken = Signal()
+
+    def __init__(
+        self,
+        controller: Controller,
+        view: View,
+        frames: range,
+        size: tuple[int, int],
+        path: Path,
+        fps: float,
+    ) -> None:
+        super().__init__()
+        self._controller, self._state, self._view = controller, controller.state, view
+        self._frames, self._size, self._path, self._fps = frames, size, path, fps
+        self._drawn = 0
+        self._pictures: Queue[np.ndarray] = Queue(WAITING)
+        self._before = self._state.frame
+        self._active = True
+        self._taken.connect(self._go_on, Qt.ConnectionType.QueuedConnection)
+        controller.shown.connect(self._go_on)
+        self._state.set_playing(False)
+        QTimer.singleShot(0, self._go_on)
+
+    def end(self) -> None:
+        """Draw nothing any more; the cursor goes back to where it was."""
+        if self._active:
+            self._active = False
+            self._controller.shown.disconnect(self._go_on)
+            self._state.seek(self._before)
+
+    def write(self, progress: Progress) -> str:
+        """Write the video; in a thread, while the window draws. What was done, in a sentence.
+
+        Raises
+        ------
+        InputError
+            The file exists or cannot be written.
+        Cancelled
+            By `progress`; nothing is left then.
+        """
+        from bubbleviz.export.mp4_writer import open_mp4
+
+        count = len(self._frames)
+        with open_mp4(self._path, self._fps) as writer:
+            for done in range(count):
+                writer.add(self._picture(progress, done / count))
+                self._taken.emit()
+        return f"Exported {count} frames to {self._path}, {self._fps:g} pictures a second"
+
+    def _picture(self, progress: Progress, done: float) -> np.ndarray:
+        while True:
+            progress("drawing", done)
+            try:
+                return self._pictures.get(timeout=LOOK_S)
+            except Empty:
+                continue
+
+    def _go_on(self, _: object = None) -> None:
+        """Draw the next frame if it is shown and there is room for its picture, else ask for it."""
+        if not self._active or self._drawn == len(self._frames) or self._pictures.full():
+            return
+        wanted, result = self._frames[self._drawn], self._controller.result
+        if result is None or result.frame.index != wanted:
+            self._state.set_playing(False)
+            self._state.seek(wanted)
+            return
+        try:
+            self._pictures.put_nowait(still(self._view, *self._size))
+        except Full:
+            return
+        self._drawn += 1
+        QTimer.singleShot(0, self._go_on)

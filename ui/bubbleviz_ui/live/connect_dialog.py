@@ -1,0 +1,235 @@
+"""The dialog that connects to a live source: what there is is offered, not typed from memory."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QListWidget,
+    QListWidgetItem,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.preset_files import preset_names, presets_folder
+from bubbleviz.frames.depth_topics import IMAGE, POINT_CLOUD
+from bubbleviz.live.session_preset import SessionPreset, load_session
+from bubbleviz.live.sources.live_source import OfferedTopic
+from bubbleviz.sensor import load_sensor
+from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.source_discovery import Discovery
+
+ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
+KINDS = {
+    ZENOH: "ROS 2 over Zenoh",
+    REALSENSE: "RealSense camera",
+    REPLAY: "Recording, as if live",
+    SYNTHETIC: "Simulation",
+    TOGETHER: "Two sensors",
+}
+PLACES = {
+    ZENOH: "Where the robot's router or bridge listens: tcp/HOST:7447; empty: this computer",
+    REALSENSE: "Serial number, or a file of the RealSense viewer; empty: the first camera found",
+    REPLAY: "A recording",
+    SYNTHETIC: "What is pressed in; empty: the built-in press",
+    TOGETHER: "A session preset or file with two sensors",
+}
+WAIT_MS = 400
+"""How long typing must rest before what was typed is looked at."""
+NAME = Qt.ItemDataRole.UserRole
+SIZE = (620, 460)
+
+
+class ConnectDialog(QDialog):
+    """Kind, place, topic, sensor; shows the same words that `--source` takes."""
+
+    def __init__(self, parent: QWidget, live: LiveController, sensor_name: str | None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Connect to a live source")
+        self.resize(*SIZE)
+        self._live = live
+        self._discovery = Discovery()
+        self.kind = QComboBox()
+        for kind, title in KINDS.items():
+            self.kind.addItem(title, kind)
+        self.place = QComboBox()
+        self.place.setEditable(True)
+        self.browse = QPushButton("Browse…")
+        self.browse.setAutoDefault(False)
+        self.browse.setToolTip("Choose a file")
+        self.topics = QListWidget()
+        self.topics.setToolTip("Depth images and point clouds that are published there")
+        self.kind.setToolTip("What kind of source it is")
+        self.sensor = QComboBox()
+        self.sensor.setToolTip("The sensor file of that camera and membrane")
+        for name in _sensors(sensor_name):
+            self.sensor.addItem(name)
+        self.source = QLineEdit()
+        self.source.setReadOnly(True)
+        self.source.setToolTip("The same for bubbleviz open --source")
+        self.problem = QLabel()
+        self.problem.setObjectName("problem")
+        self.problem.setWordWrap(True)
+        buttons = QDialogButtonBox.StandardButton
+        self.buttons = QDialogButtonBox(buttons.Ok | buttons.Cancel)
+        self.buttons.button(buttons.Ok).setText("Connect")
+        self._rest = QTimer(self)
+        self._rest.setSingleShot(True)
+        self._rest.setInterval(WAIT_MS)
+        self._lay_out()
+        self._connect()
+        self._show_kind()
+
+    @property
+    def uri(self) -> str:
+        """The source as `--source` takes it; empty for two sensors."""
+        kind = self.kind.currentData()
+        if kind == TOGETHER:
+            return ""
+        topic = self._topic()
+        option = f"?depth={quote(topic)}" if topic else ""
+        return f"{kind}:{self.place.currentText().strip()}{option}"
+
+    def accept(self) -> None:
+        """Connect, where what was chosen can be read."""
+        try:
+            preset = self._preset()
+        except InputError as error:
+            self.problem.setText(str(error))
+            return
+        self._live.connect_to(preset)
+        super().accept()
+
+    def done(self, result: int) -> None:
+        """Stop looking."""
+        self._rest.stop()
+        self._discovery.close()
+        super().done(result)
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _preset(self) -> SessionPreset:
+        if self.kind.currentData() == TOGETHER:
+            return load_session(self.place.currentText().strip())
+        name = self.sensor.currentText()
+        load_sensor(name)
+        return single(self.uri, name)
+
+    def _lay_out(self) -> None:
+        where = QHBoxLayout()
+        where.addWidget(self.place, 1)
+        where.addWidget(self.browse)
+        self._form = form = QFormLayout()
+        form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
+        form.addRow("From", self.kind)
+        form.addRow("Where", where)
+        form.addRow("Depth images", self.topics)
+        form.addRow("Sensor", self.sensor)
+        form.addRow("Source", self.source)
+        column = QVBoxLayout(self)
+        column.addLayout(form)
+        column.addWidget(self.problem)
+        column.addWidget(self.buttons)
+
+    def _connect(self) -> None:
+        self.kind.currentIndexChanged.connect(lambda _: self._show_kind())
+        self.place.editTextChanged.connect(lambda _: self._rest.start())
+        self._rest.timeout.connect(self._look)
+        self.sensor.currentIndexChanged.connect(lambda _: self._look())
+        self.topics.currentItemChanged.connect(lambda *_: self._show_source())
+        self.browse.clicked.connect(self._browse)
+        self._discovery.found.connect(self._on_found)
+        self.buttons.accepted.connect(self.accept)
+        self.buttons.rejected.connect(self.reject)
+
+    def _show_kind(self) -> None:
+        kind = self.kind.currentData()
+        self.place.clear()
+        self.place.addItems(_offered_places(kind))
+        self.place.setToolTip(PLACES[kind])
+        line = self.place.lineEdit()
+        if line is not None:
+            line.setPlaceholderText(PLACES[kind])
+        self.browse.setVisible(kind in (REALSENSE, REPLAY, TOGETHER))
+        self._form.setRowVisible(self.topics, kind in (ZENOH, REPLAY))
+        self._form.setRowVisible(self.sensor, kind != TOGETHER)
+        self._look()
+
+    def _look(self) -> None:
+        """Find what there is at the place."""
+        self._rest.stop()
+        self._list(())
+        self.problem.setText("")
+        kind = self.kind.currentData()
+        place = self.place.currentText().strip()
+        if kind == TOGETHER or (kind == REPLAY and not place):
+            self._discovery.stop()
+            return
+        try:
+            sensor = load_sensor(self.sensor.currentText())
+        except InputError as error:
+            self.problem.setText(str(error))
+            return
+        if kind == ZENOH:
+            self.problem.setText("Looking for topics…")
+        self._discovery.look_at(f"{kind}:{place}", sensor)
+
+    def _on_found(self, topics: tuple[OfferedTopic, ...], problem: str) -> None:
+        looking = self.kind.currentData() == ZENOH and not topics
+        self.problem.setText(problem or ("No topics yet; looking…" if looking else ""))
+        self._list(tuple(t for t in topics if t.type in (IMAGE, POINT_CLOUD)))
+
+    def _list(self, topics: tuple[OfferedTopic, ...]) -> None:
+        """Offer topics; the one that was chosen stays so."""
+        names = ["", *(topic.name for topic in topics)]
+        if names == [self.topics.item(k).data(NAME) for k in range(self.topics.count())]:
+            return
+        chosen = self._topic()
+        self.topics.clear()
+        for name, kind in [("", ""), *topics]:
+            text = f"{name}   {kind}" if name else "automatic: the first that is depth"
+            item = QListWidgetItem(text)
+            item.setData(NAME, name)
+            self.topics.addItem(item)
+        self.topics.setCurrentRow(names.index(chosen) if chosen in names else 0)
+        self._show_source()
+
+    def _topic(self) -> str:
+        item = self.topics.currentItem()
+        return str(item.data(NAME)) if item is not None else ""
+
+    def _show_source(self) -> None:
+        self.source.setText(self.uri)
+
+    def _browse(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self, KINDS[self.kind.currentData()])
+        if name:
+            self.place.setEditText(name)
+            self._look()
+
+
+def _sensors(present: str | None) -> list[str]:
+    """Sensor files to choose from, the present one first."""
+    names = preset_names("sensors")
+    return list(dict.fromkeys([*([present] if present else []), *names]))
+
+
+def _offered_places(kind: str) -> list[str]:
+    if kind == SYNTHETIC:
+        objects = sorted(path.stem for path in presets_folder("objects").glob("*.ply"))
+        return ["", *objects, "nut-left", "nut-right"]
+    if kind == TOGETHER:
+        return preset_names("sessions")
+    return [""]

@@ -1,0 +1,164 @@
+"""Bringing a live session up, however long the robot takes, without anybody waiting for it."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from dataclasses import dataclass
+
+from PySide6.QtCore import QObject, Qt, Signal
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.live_session import LiveSession
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.session_preset import SensorPlace, SessionPreset
+from bubbleviz_ui.live.live_frames import LiveFrames
+
+LOOK_S = 0.05
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """A session whose sensors all have sent a frame.
+
+    Attributes
+    ----------
+    preset : SessionPreset
+    session : LiveSession
+        Entered.
+    frames : tuple of LiveFrames
+        Of each sensor.
+    """
+
+    preset: SessionPreset
+    session: LiveSession
+    frames: tuple[LiveFrames, ...]
+
+    def close(self) -> None:
+        """Stop the sources; a recording ends whole."""
+        self.session.__exit__()
+
+
+class Connection(QObject):
+    """Starts the sources of a session and waits for the first frame of each.
+
+    Attributes
+    ----------
+    ready : Signal
+        A `LiveRun`.
+    failed : Signal
+        Why not, in one sentence, and the details of a bug.
+    """
+
+    ready = Signal(object)
+    failed = Signal(str, str)
+    _came = Signal(object, str, str)
+
+    def __init__(self, preset: SessionPreset, pre_roll_s: float) -> None:
+        super().__init__()
+        self.preset = preset
+        self._pre_roll_s = pre_roll_s
+        self._session: LiveSession | None = None
+        self._stop = threading.Event()
+        self._came.connect(self._tell, Qt.ConnectionType.QueuedConnection)
+        self._thread = threading.Thread(target=self._run, name="live connection", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def cancel(self) -> None:
+        """Give up; nothing is emitted any more, and the sources are stopped soon."""
+        self._stop.set()
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until the thread is gone."""
+        self._thread.join(timeout_s)
+
+    def text(self) -> str:
+        """How far it is, in a few words."""
+        session = self._session
+        if session is None:
+            return "connecting"
+        stream = next((e.stream for e in session.sensors if not e.stream.counters().frames), None)
+        return "starting" if stream is None else _waiting_for(stream)
+
+    def _run(self) -> None:
+        try:
+            run = self._connected()
+        except InputError as error:
+            self._came.emit(None, str(error), "")
+        except Exception as error:  # said in the window, where a person sees it
+            self._came.emit(None, f"{type(error).__name__}: {error}", traceback.format_exc())
+        else:
+            if run is not None and self._stop.is_set():
+                run.close()
+            elif run is not None:
+                self._came.emit(run, "", "")
+
+    def _connected(self) -> LiveRun | None:
+        session = LiveSession(self.preset, self._pre_roll_s)
+        session.__enter__()
+        self._session = session
+        frames = tuple(
+            LiveFrames(_title(self.preset, k), each.stream, each.zero)
+            for k, each in enumerate(session.sensors)
+        )
+        try:
+            for source in frames:
+                while not source.came(LOOK_S):
+                    if self._stop.is_set():
+                        session.__exit__()
+                        return None
+                    _check(source.stream)
+        except BaseException:
+            session.__exit__()
+            raise
+        epoch_ns = min(source.first_ns for source in frames)
+        for source in frames:
+            source.begin(epoch_ns)
+        return LiveRun(self.preset, session, frames)
+
+    def _tell(self, run: LiveRun | None, problem: str, details: str) -> None:
+        if self._stop.is_set():
+            if run is not None:
+                run.close()
+        elif run is not None:
+            self.ready.emit(run)
+        else:
+            self.failed.emit(problem, details)
+
+
+def single(source: str, sensor: str) -> SessionPreset:
+    """Session of one sensor.
+
+    Parameters
+    ----------
+    source : str
+        As `--source`.
+    sensor : str
+        Sensor file or preset.
+    """
+    place = SensorPlace(name="sensor", sensor=sensor, source=source)
+    return SessionPreset(title=source, sensors=(place,))
+
+
+def _title(preset: SessionPreset, number: int) -> str:
+    place = preset.sensors[number]
+    return place.source if len(preset.sensors) == 1 else f"{preset.title}, {place.name}"
+
+
+def _check(stream: LiveStream) -> None:
+    if stream.source.link() == "ended" and not stream.counters().frames:
+        why = stream.source.problem() or stream.counters().problem or "it ended without an image"
+        raise InputError(f"{stream.name}: {why}")
+
+
+def _waiting_for(stream: LiveStream) -> str:
+    """What a stream without a frame so far is waited for, and what came instead."""
+    counters, topics = stream.counters(), stream.topics()
+    if counters.problem:
+        return f"no depth image yet: {counters.problem}"
+    if topics:
+        return f"no depth image yet; topics: {', '.join(topic.name for topic in topics)}"
+    return stream.status().text

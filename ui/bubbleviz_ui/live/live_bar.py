@@ -1,0 +1,194 @@
+"""Live bar: how the source is doing, and what one does with it. Hidden while nothing is live."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout
+
+from bubbleviz.live.counters import Counters
+from bubbleviz.live.source_status import State, Status
+from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.record_controls import RecordControls
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.shell import theme
+
+DOTS: dict[State, str] = {
+    "connecting": theme.BLUE,
+    "live": theme.GREEN,
+    "stale": theme.ORANGE,
+    "reconnecting": theme.ORANGE,
+    "ended": theme.UNKNOWN,
+}
+"""Colour of the dot for each state of a source."""
+
+RATE_LOOKS = 11
+RATE_FROM_S = 0.5
+"""The rate is counted over the last looks, once they span this."""
+
+WRONG = {
+    "out_of_order": "out of order",
+    "duplicate": "twice",
+    "undecodable": "undecodable",
+    "wrong_type": "of wrong type",
+    "wrong_size": "of wrong size",
+    "bad_stamps": "with bad stamps",
+    "clock_jumps": "clock jumps",
+    "missed": "never arrived",
+}
+"""Counters that are shown once they are not zero."""
+
+
+class LiveBar(QFrame):
+    """One row of what it is and can do; below it what was counted."""
+
+    def __init__(self, live: LiveController, units: Units) -> None:
+        super().__init__()
+        self._live, self._units = live, units
+        self.setObjectName("live")
+        self.state = QLabel()
+        self.sensors: list[QToolButton] = []
+        self.record = RecordControls(live)
+        self.zero = self._button("Zero gas", "Take the gas pressure's zero from the next rest (Z)")
+        self.publish = self._button("Publish", "")
+        self.publish.setCheckable(True)
+        self.publish.setToolTip("Patch, force, pose and diagnostics over Zenoh, this computer only")
+        self.leave = self._button("Disconnect", "Let go of the source (Ctrl+Shift+L)")
+        self.counts = QLabel()
+        self.counts.setObjectName("dim")
+        self._counts = ""
+        self._lay_out()
+        self._connect()
+        keep_keys(self)
+        self.show_all()
+
+    def show_all(self) -> None:
+        """Another session is connected, or none."""
+        run = self._live.run
+        self.setVisible(run is not None or self._live.connection is not None)
+        for widget in (self.record, self.zero, self.publish):
+            widget.setVisible(run is not None)
+        self.leave.setText("Disconnect" if run is not None else "Cancel")
+        self._make_sensors()
+        self._counted = None
+        self.show_now()
+
+    def show_now(self) -> None:
+        """Write how everything is doing now."""
+        live = self._live
+        if live.sensor is None:
+            self.counts.setText("")
+            if live.connection is not None:
+                self._say_state("connecting", live.connection.text())
+            return
+        self.record.show_now()
+        status, counters = live.sensor.stream.status(), live.sensor.stream.counters()
+        self._say_state(status.state, self._with_rate(status, counters.frames))
+        self.publish.setChecked(live.publishing.on)
+        self._counts = "  ·  ".join([*counted(counters), self._zero_text(), *_problem(counters)])
+        self.counts.setToolTip(self._counts)
+        self._fit_counts()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Show as much of the counts as fits."""
+        super().resizeEvent(event)
+        self._fit_counts()
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _button(self, text: str, tip: str) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setToolTip(tip)
+        return button
+
+    def _lay_out(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 5, 8, 5)
+        column.setSpacing(3)
+        self._row = QHBoxLayout()
+        self._row.setSpacing(6)
+        self._row.addWidget(self.state)
+        self._row.addStretch(1)
+        for widget in (self.record, self.zero, self.publish, self.leave):
+            self._row.addWidget(widget)
+        column.addLayout(self._row)
+        column.addWidget(self.counts)
+
+    def _connect(self) -> None:
+        live = self._live
+        live.changed.connect(self.show_all)
+        live.looked.connect(self.show_now)
+        self.zero.clicked.connect(live.zero_now)
+        self.publish.clicked.connect(live.toggle_publishing)
+        self.leave.clicked.connect(live.disconnect_all)
+
+    def _make_sensors(self) -> None:
+        """A button for each of two sensors; none for one."""
+        run = self._live.run
+        places = run.preset.sensors if run is not None and len(run.preset.sensors) > 1 else ()
+        while self.sensors:
+            button = self.sensors.pop()
+            self._row.removeWidget(button)
+            button.deleteLater()
+        for number, place in enumerate(places):
+            button = self._button(f"● {place.name}", "The panels show this sensor (B: the other)")
+            button.setStyleSheet(
+                f"QToolButton {{ color: {place.colour}; }}"
+                f"QToolButton:checked {{ background: {place.colour}; color: black; }}"
+            )
+            button.setCheckable(True)
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            button.setChecked(number == self._live.chosen)
+            button.clicked.connect(lambda _=False, number=number: self._live.choose(number))
+            self._row.insertWidget(1 + number, button)
+            self.sensors.append(button)
+
+    def _say_state(self, state: State, text: str) -> None:
+        self.state.setText(f'<span style="color:{DOTS[state]}">●</span> {text}')
+
+    def _with_rate(self, status: Status, frames: int) -> str:
+        """Words for a state; a live one has the rate at which images come."""
+        now = time.monotonic()
+        if self._counted is None or frames < self._counted[-1][1]:
+            self._counted = deque([(now, frames)], maxlen=RATE_LOOKS)
+        self._counted.append((now, frames))
+        then, before = self._counted[0]
+        if status.state != "live" or now - then < RATE_FROM_S:
+            return status.text
+        return f"live {self._units.rate.text((frames - before) / (now - then))}"
+
+    _counted: deque[tuple[float, int]] | None = None
+
+    def _zero_text(self) -> str:
+        sensor = self._live.sensor
+        if sensor is None or (sensor.zero.waiting and sensor.zero.offset_pa is None):
+            return "gas pressure not zeroed yet"
+        offset = self._units.gas_pressure.text(sensor.zero.offset_pa, signed=True)
+        return f"gas zero {offset}" + (", waiting for a rest" if sensor.zero.waiting else "")
+
+    def _fit_counts(self) -> None:
+        metrics, right = self.counts.fontMetrics(), Qt.TextElideMode.ElideRight
+        self.counts.setText(metrics.elidedText(self._counts, right, self.width() - 24))
+
+
+def counted(counters: Counters) -> list[str]:
+    """What was counted, in words: what came, and what was wrong with it where something was."""
+    words = [
+        f"{counters.received} messages",
+        f"{counters.frames} images",
+        f"{counters.skipped} skipped",
+    ]
+    for name, word in WRONG.items():
+        count = getattr(counters, name)
+        if count:
+            words.append(f"{count} {word}")
+    return words
+
+
+def _problem(counters: Counters) -> list[str]:
+    return [counters.problem] if counters.problem else []

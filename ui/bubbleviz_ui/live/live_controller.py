@@ -1,0 +1,254 @@
+"""Which live session is connected, and what the user does with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import QObject, QTimer, Signal
+
+from bubbleviz.live.live_session import LiveSensor
+from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz_ui.engine.background import Background
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
+from bubbleviz_ui.live.connection import Connection, LiveRun
+from bubbleviz_ui.live.live_frames import LiveOpener
+from bubbleviz_ui.live.publishing import Publishing
+from bubbleviz_ui.live.recording_control import Recording
+from bubbleviz_ui.live.result_sender import PRODUCTS
+from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.model.events import ChoicesChanged, Event, MarkersChanged
+
+LOOK_MS = 200
+"""How often sources are looked at: a stale one is seen as such within a second."""
+RECORDING_CHOICES = frozenset({"pre_roll_s", "record_folder", "publish_at"})
+
+
+class LiveController(QObject):
+    """Connects, follows what is connected, and lets go of it.
+
+    Attributes
+    ----------
+    looked : Signal
+        Time to show how the sources and the recording are doing.
+    changed : Signal
+        Another session is connected, or none; another sensor is chosen.
+    said : Signal
+        A sentence for the user, and details of a bug.
+    connection : Connection or None
+        While a session is being brought up.
+    run : LiveRun or None
+        What is connected.
+    """
+
+    looked = Signal()
+    changed = Signal()
+    said = Signal(str, str)
+
+    def __init__(self, controller: Controller, pair: SensorPair) -> None:
+        super().__init__()
+        self._controller, self._pair = controller, pair
+        self._background = Background("live")
+        self.recording, self.publishing = Recording(self._background), Publishing()
+        self.connection: Connection | None = None
+        self.run: LiveRun | None = None
+        self._marked: frozenset[int] = frozenset()
+        self._timer = QTimer(self)
+        self._timer.setInterval(LOOK_MS)
+        self._timer.timeout.connect(self._on_tick)
+        self._due = True
+        for part in (self.recording, self.publishing):
+            part.said.connect(self._say)
+            part.changed.connect(self.looked)
+        self.publishing.changed.connect(self._ask_what_goes_out)
+        controller.opened.connect(self._on_opened)
+        controller.shown.connect(self._on_shown)
+        controller.failed.connect(self._on_failed)
+        pair.failed.connect(self._on_companion_failed)
+        controller.state.subscribe(self._on_event)
+
+    @property
+    def chosen(self) -> int:
+        """Number of the sensor that the panels show."""
+        return self._pair.chosen
+
+    @property
+    def sensor(self) -> LiveSensor | None:
+        """The sensor that the panels show."""
+        return None if self.run is None else self.run.session.sensors[self.chosen]
+
+    @property
+    def pre_roll_s(self) -> float:
+        """Seconds before the button is pressed that are recorded, too."""
+        return self._controller.state.choices.pre_roll_s
+
+    def set_pre_roll(self, seconds: float) -> None:
+        """Keep that much for the next recording."""
+        self._controller.state.choose(pre_roll_s=seconds)
+
+    def choose_folder(self, folder: str | Path) -> None:
+        """Put the next recordings there."""
+        self._controller.state.choose(record_folder=str(folder))
+
+    def connect_to(self, preset: SessionPreset) -> None:
+        """Bring a session up; what is open stays until it sends frames."""
+        self.cancel()
+        self.connection = connection = Connection(preset, self.pre_roll_s)
+        connection.ready.connect(self._on_ready)
+        connection.failed.connect(self._on_not_connected)
+        connection.start()
+        self._timer.start()
+        self.changed.emit()
+
+    def cancel(self) -> None:
+        """Give up connecting."""
+        connection, self.connection = self.connection, None
+        if connection is not None:
+            connection.cancel()
+            self.changed.emit()
+
+    def disconnect_all(self) -> None:
+        """Let go of the sources; the frames that are kept can still be looked at."""
+        self.cancel()
+        self.recording.stop()
+        self.publishing.stop()
+        self._pair.end()
+        run, self.run = self.run, None
+        if run is not None:
+            self._background.do(run.close)  # after the recording, which has the same thread
+            self.changed.emit()
+        self._timer.stop()
+
+    def toggle_recording(self) -> None:
+        """Begin or end a recording."""
+        if self.recording.busy:
+            self.recording.stop()
+        elif self.run is not None:
+            self.recording.start(self.run.session.recorder)
+
+    def toggle_publishing(self) -> None:
+        """Publish results, or stop that."""
+        if self.publishing.on:
+            self.publishing.stop()
+        elif self.run is not None:
+            self.publishing.start(self.run)
+
+    def choose(self, number: int) -> None:
+        """Have the panels show a sensor of two."""
+        self._pair.choose(number)
+        self.changed.emit()
+
+    def choose_other(self) -> None:
+        """Have the panels show the other sensor."""
+        self.choose(1 - self.chosen)
+
+    def zero_now(self) -> None:
+        """Take the gas pressure's zero from the next contact-free frames."""
+        if self.sensor is not None:
+            self.sensor.zero.zero_now()
+
+    def close(self) -> None:
+        """End everything; a recording is whole when this returns."""
+        connection = self.connection
+        self.disconnect_all()
+        self.publishing.close()
+        self._background.close()
+        if connection is not None:
+            connection.wait(5.0)
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _say(self, text: str) -> None:
+        self.said.emit(text, "")
+
+    def _on_companion_failed(self, failed: Failed) -> None:
+        self.said.emit(failed.message, failed.details)
+
+    def _on_tick(self) -> None:
+        """Look, if no picture came meanwhile: texts that change beside one cost another upload."""
+        if self._due:
+            self._look()
+        self._due = True
+        self._pair.look()
+
+    def _on_shown(self, _: object) -> None:
+        if self._due and self._timer.isActive():
+            self._look()
+
+    def _look(self) -> None:
+        self._due = False
+        self.publishing.diagnose()
+        self.looked.emit()
+
+    def _on_ready(self, run: LiveRun) -> None:
+        self.disconnect_all()
+        self.run = run
+        self._pair.prepare(run)
+        self._use_choices()
+        self._timer.start()
+        live = run.session.sensors[0]
+        self._controller.opening.open(
+            run.frames[0].name,
+            LiveOpener(run.frames[0]),
+            lambda: live.sensor,
+            playing=True,
+            live=True,
+        )
+        self.changed.emit()
+
+    def _on_not_connected(self, problem: str, details: str) -> None:
+        self.connection = None
+        if self.run is None:
+            self._timer.stop()
+        self.said.emit(problem, details)
+        self.changed.emit()
+
+    def _is_ours(self, request: OpenRequest) -> bool:
+        opener = request.open_source
+        return (
+            isinstance(opener, LiveOpener)
+            and self.run is not None
+            and opener.frames in self.run.frames
+        )
+
+    def _on_opened(self, opened: Opened) -> None:
+        self._marked = frozenset()
+        if self.run is not None and self._is_ours(opened.request):
+            self._pair.begin()
+        elif self.run is not None:
+            self.disconnect_all()
+
+    def _on_failed(self, failed: Failed) -> None:
+        request = failed.request
+        if isinstance(request, OpenRequest) and self._is_ours(request):
+            facts = self._controller.state.facts
+            if facts is None or self.run is None or facts.title != self.run.frames[0].name:
+                self.disconnect_all()
+
+    def _use_choices(self) -> None:
+        """Record and publish as the user chose."""
+        choices = self._controller.state.choices
+        self.recording.folder = Path(choices.record_folder or Path.cwd())
+        self.publishing.endpoint = choices.publish_at
+        if self.run is not None:
+            self.run.session.recorder.pre_roll_s = choices.pre_roll_s
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ChoicesChanged):
+            if event.names & RECORDING_CHOICES:
+                self._use_choices()
+        elif isinstance(event, MarkersChanged):
+            for frame in sorted(set(event.frames) - self._marked):
+                self._mark(frame)
+            self._marked = frozenset(event.frames)
+
+    def _mark(self, frame: int) -> None:
+        """A marker on the timeline is one in the file, at the moment the frame arrived."""
+        facts = self._controller.state.facts
+        if facts is not None and facts.grows and self.run is not None:
+            at_ns = self.run.frames[self.chosen].arrival_ns(frame)
+            self.recording.mark(f"marker at frame {frame}", at_ns)
+
+    def _ask_what_goes_out(self) -> None:
+        self._controller.extra = PRODUCTS if self.publishing.on else frozenset()
+        self._pair.ask_besides()

@@ -1,0 +1,155 @@
+"""The frames of a live stream that were looked at, as a source that grows. No Qt in here."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.calibration.pressure_zero import PressureZero
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.frame_history import grown
+
+KEPT_S = 10.0
+KEPT_BYTES = 128 << 20
+"""Frames one can go back to: of the last seconds, and no more memory than this."""
+CAMERA_S = 0.5
+"""How long the first frames may come without camera info before the sensor file's counts."""
+
+Listener = Callable[[Result, MembraneMesh], None]
+
+
+class LiveFrames:
+    """A `FrameSource` made of the frames that were taken from a stream, the newest of each moment.
+
+    Frames are counted as they are taken, and timed by their arrival, which unlike their stamps
+    never goes back.
+
+    Parameters
+    ----------
+    name : str
+    stream : LiveStream
+        Started; whoever started it stops it.
+    zero : PressureZero
+    """
+
+    def __init__(self, name: str, stream: LiveStream, zero: PressureZero) -> None:
+        self.name, self.stream, self.zero = name, stream, zero
+        self._epoch_ns = 0
+        self._kept: deque[Frame] = deque()
+        self._bytes = 0
+        self._times_s = np.zeros(0)
+        self._lock = threading.Lock()
+        self._listeners: tuple[Listener, ...] = ()
+        self._first: tuple[Frame, float] | None = None
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Arrival of each frame, s since the first of the session."""
+        with self._lock:
+            return self._times_s.copy()
+
+    def __len__(self) -> int:
+        """Count the frames taken so far."""
+        with self._lock:
+            return len(self._times_s)
+
+    def __getitem__(self, index: int) -> Frame:
+        """A frame that is still kept; InputError for an older one."""
+        with self._lock:
+            oldest = len(self._times_s) - len(self._kept)
+            if index >= oldest:
+                return self._kept[index - oldest]
+        raise InputError(
+            f"{self.name}: frame {index} is gone, as only the last {KEPT_S:g} s of a live source "
+            "are kept; record to keep all"
+        )
+
+    def close(self) -> None:
+        """Nothing: the stream goes on for the recorder, and for another sensor file."""
+
+    def came(self, timeout_s: float) -> bool:
+        """Wait for the first frame, with camera info or without where none comes."""
+        frame = self.stream.take(timeout_s)
+        now = time.monotonic()
+        if frame is not None:
+            self._first = (frame, now if self._first is None else self._first[1])
+        if self._first is None:
+            return False
+        first, since = self._first
+        return first.intrinsics is not None or now - since >= CAMERA_S
+
+    @property
+    def first_ns(self) -> int:
+        """When the first frame arrived, ns since 1970; 0 before."""
+        return 0 if self._first is None else self._first[0].arrival_ns
+
+    def begin(self, epoch_ns: int) -> None:
+        """Begin with the first frame; time began at `epoch_ns` for all sensors of a session."""
+        if self._first is not None:
+            self._epoch_ns = epoch_ns
+            self._take(self._first[0])
+
+    def newest(self, timeout_s: float) -> Frame | None:
+        """The newest frame nobody has seen, waiting for one; None when none came."""
+        frame = self.stream.take(timeout_s)
+        return None if frame is None else self._take(frame)
+
+    def at(self, time_s: float) -> int:
+        """The kept frame nearest to a time."""
+        with self._lock:
+            oldest = len(self._times_s) - len(self._kept)
+            return oldest + int(np.abs(self._times_s[oldest:] - time_s).argmin())
+
+    def arrival_ns(self, index: int) -> int:
+        """When a frame arrived, ns since 1970."""
+        with self._lock:
+            return self._epoch_ns + round(float(self._times_s[index]) * 1e9)
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Have new results passed on, in the solver thread; undo by calling."""
+        self._listeners = (*self._listeners, listener)
+
+        def forget() -> None:
+            self._listeners = tuple(k for k in self._listeners if k is not listener)
+
+        return forget
+
+    def tell(self, result: Result, mesh: MembraneMesh) -> None:
+        """Pass a new result on."""
+        for listener in self._listeners:
+            listener(result, mesh)
+
+    def _take(self, frame: Frame) -> Frame:
+        with self._lock:
+            index, time_s = len(self._times_s), (frame.arrival_ns - self._epoch_ns) * 1e-9
+            frame = replace(frame, index=index, time_s=time_s)
+            self._times_s = grown(self._times_s, index + 1, np.nan)
+            self._times_s[-1] = time_s
+            self._kept.append(frame)
+            self._bytes += frame.depth_m.nbytes
+            while len(self._kept) > 1 and (
+                self._bytes > KEPT_BYTES or self._kept[0].time_s < time_s - KEPT_S
+            ):
+                self._bytes -= self._kept.popleft().depth_m.nbytes
+        return frame
+
+
+@dataclass(frozen=True, eq=False)
+class LiveOpener:
+    """Opens frames that come already, for any sensor file of their camera."""
+
+    frames: LiveFrames
+
+    def __call__(self, sensor: Sensor) -> LiveFrames:
+        """Hand them out."""
+        return self.frames

@@ -1,0 +1,110 @@
+"""Record button, with what is written so far, markers and notes."""
+
+from __future__ import annotations
+
+import time
+
+from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtWidgets import (
+    QDoubleSpinBox,
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QToolButton,
+    QWidget,
+)
+
+from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.recording_control import RecordingState
+
+MOST_PRE_ROLL_S = 60.0
+
+
+class RecordControls(QWidget):
+    """Button, pre-roll, folder; while it records elapsed time, size, messages and a note."""
+
+    def __init__(self, live: LiveController) -> None:
+        super().__init__()
+        self._live = live
+        self.button = QToolButton()
+        self.button.setText("● Record")
+        self.button.setCheckable(True)
+        self.button.setToolTip("Record (Ctrl+R)")
+        self.pre_roll = QDoubleSpinBox()
+        self.pre_roll.setRange(0.0, MOST_PRE_ROLL_S)
+        self.pre_roll.setDecimals(1)
+        self.pre_roll.setSuffix(" s before")
+        self.pre_roll.setValue(live.pre_roll_s)
+        self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
+        self.folder = QToolButton()
+        self.folder.setText("Folder…")
+        self.progress = QLabel()
+        self.note = QLineEdit()
+        self.note.setPlaceholderText("Note, saved at the moment you began it")
+        self.note.setMinimumWidth(200)
+        self.note.setToolTip("Enter saves the note in the recording")
+        self.note.hide()
+        self._noted_ns: int | None = None
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        for widget in (self.progress, self.note, self.pre_roll, self.folder, self.button):
+            row.addWidget(widget)
+        self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.button.clicked.connect(live.toggle_recording)
+        self.pre_roll.valueChanged.connect(live.set_pre_roll)
+        self.folder.clicked.connect(self._choose_folder)
+        self.note.returnPressed.connect(self._save_note)
+        self.note.editingFinished.connect(self.note.hide)
+        self._show_choices()
+
+    def show_now(self) -> None:
+        """Write how the recording is going."""
+        state, busy = self._live.recording.state(), self._live.recording.busy
+        self._show_choices()
+        self.button.setChecked(busy)
+        self.button.setText("■ Stop" if busy else "● Record")
+        self.button.setToolTip("End the recording (Ctrl+R)" if busy else "Record (Ctrl+R)")
+        for widget in (self.pre_roll, self.folder):
+            widget.setVisible(not busy)
+        self.progress.setVisible(busy)
+        self.progress.setText("" if state is None else progress(state))
+        if not busy:
+            self.note.hide()
+
+    def begin_note(self) -> None:
+        """Write a note about this moment."""
+        if self._live.recording.busy:
+            self._noted_ns = time.time_ns()
+            self.note.clear()
+            self.note.show()
+            self.note.setFocus()
+
+    def _save_note(self) -> None:
+        text = self.note.text().strip()
+        if text:
+            self._live.recording.mark(text, self._noted_ns)
+        self.note.clearFocus()
+
+    def _choose_folder(self) -> None:
+        present = str(self._live.recording.folder)
+        name = QFileDialog.getExistingDirectory(self, "Record into", present)
+        if name:
+            self._live.choose_folder(name)
+            self._show_choices()
+
+    def _show_choices(self) -> None:
+        self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")
+        if self.pre_roll.value() != self._live.pre_roll_s:  # else what is being typed stays
+            with QSignalBlocker(self.pre_roll):
+                self.pre_roll.setValue(self._live.pre_roll_s)
+
+
+def progress(state: RecordingState) -> str:
+    """Elapsed time, size, messages and what waits for the disk."""
+    minutes, seconds = divmod(int(state.elapsed_s), 60)
+    status = state.status
+    return (
+        f"{minutes:02d}:{seconds:02d} · {status.size_bytes / 1e6:.1f} MB · "
+        f"{status.messages} messages · {status.waiting_bytes / 1e6:.1f} MB waiting"
+    )

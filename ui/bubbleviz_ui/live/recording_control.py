@@ -1,0 +1,121 @@
+"""Recording from the window: nothing here waits for the disk in the GUI thread."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from PySide6.QtCore import QObject, Signal
+
+from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
+from bubbleviz_ui.engine.background import Background
+
+
+@dataclass(frozen=True)
+class RecordingState:
+    """What is shown of a recording.
+
+    Attributes
+    ----------
+    elapsed_s : float
+    status : RecorderStatus
+    """
+
+    elapsed_s: float
+    status: RecorderStatus
+
+
+class Recording(QObject):
+    """The record button's work.
+
+    Parameters
+    ----------
+    background : Background
+        Where it is done.
+
+    Attributes
+    ----------
+    changed : Signal
+        It began or ended.
+    said : Signal
+        A sentence for the user.
+    folder : Path
+        Where recordings go, each named by its time.
+    busy : bool
+        A recording is on, or about to be.
+    """
+
+    changed = Signal()
+    said = Signal(str)
+
+    def __init__(self, background: Background) -> None:
+        super().__init__()
+        self.folder = Path.cwd()
+        self.busy = False
+        self._recorder: Recorder | None = None
+        self._began = 0.0
+        self._background = background
+
+    def start(self, recorder: Recorder, path: Path | None = None) -> None:
+        """Begin a new file, by default one in the folder that is named by the time."""
+        if self.busy:
+            return
+        path = path or new_name(self.folder)
+        self.busy, self._recorder, self._began = True, recorder, time.monotonic()
+        self._background.do(lambda: recorder.start(path), self._on_started)
+        self.changed.emit()
+
+    def stop(self) -> None:
+        """End it, with everything that arrived."""
+        recorder, self._recorder, self.busy = self._recorder, None, False
+        if recorder is not None:
+            self._background.do(lambda: _stopped(recorder), self._on_stopped)
+            self.changed.emit()
+
+    def mark(self, text: str, at_ns: int | None = None) -> None:
+        """Put a marker or a note into the file; nothing where nothing is recorded."""
+        recorder, when = self._recorder, time.time_ns() if at_ns is None else at_ns
+        if recorder is not None:
+            self._background.do(lambda: recorder.mark(text, when))
+
+    def state(self) -> RecordingState | None:
+        """How it goes; None while nothing is recorded. Ends a recording the disk refused."""
+        status = None if self._recorder is None else self._recorder.status()
+        if status is None:
+            return None
+        if status.problem:
+            self.stop()
+            return None
+        return RecordingState(time.monotonic() - self._began, status)
+
+    def _on_started(self, _: object, problem: str) -> None:
+        if problem:
+            self.busy, self._recorder = False, None
+            self.said.emit(f"Not recording: {problem}")
+            self.changed.emit()
+
+    def _on_stopped(self, status: RecorderStatus | None, problem: str) -> None:
+        if status is None:
+            if problem:
+                self.said.emit(problem)
+        elif status.problem:
+            self.said.emit(status.problem)
+        elif status.messages:
+            size = status.size_bytes / 1e6
+            self.said.emit(f"Recorded {status.path}: {status.messages} messages, {size:.1f} MB")
+        else:
+            self.said.emit("Nothing arrived while recording; no file was written")
+
+
+def new_name(folder: Path) -> Path:
+    """Name of a new recording, by the time."""
+    name = time.strftime("bubbleviz-%Y%m%d-%H%M%S")
+    path, number = folder / f"{name}.mcap", 2
+    while path.exists():
+        path, number = folder / f"{name}-{number}.mcap", number + 1
+    return path
+
+
+def _stopped(recorder: Recorder) -> RecorderStatus | None:
+    return recorder.stop() if recorder.recording else None

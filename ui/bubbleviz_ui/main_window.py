@@ -1,0 +1,396 @@
+"""The window: a 3-D view, panels around it, and the wiring between them and the model."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
+from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
+
+from bubbleviz.files.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
+from bubbleviz.files.mesh_reader import SUFFIXES
+from bubbleviz.result import Result
+from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.memory_release import MemoryRelease
+from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
+from bubbleviz_ui.export.export_dialog import ExportDialog
+from bubbleviz_ui.export.exporting import Exporting
+from bubbleviz_ui.live.connect_dialog import ConnectDialog
+from bubbleviz_ui.live.live_bar import LiveBar
+from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.picture_age import PictureAge
+from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.model.costs import Costs
+from bubbleviz_ui.model.events import ChoicesChanged, Event, PlayingChanged, SourceChanged
+from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.scene_presets import PANELS_THAT_ASK, ScenePreset
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.undo import SettingsHistory
+from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.panels.compare_panel import ComparePanel
+from bubbleviz_ui.panels.costs_popup import CostsPopup
+from bubbleviz_ui.panels.images_panel import ImagesPanel
+from bubbleviz_ui.panels.kappa_panel import KappaPanel
+from bubbleviz_ui.panels.plots_panel import PlotsPanel
+from bubbleviz_ui.panels.status_bar import Rates, StatusBar
+from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
+from bubbleviz_ui.playback.playback_panel import PlaybackPanel
+from bubbleviz_ui.pose.pose_overlay import PoseOverlay
+from bubbleviz_ui.pose.pose_panel import PosePanel
+from bubbleviz_ui.pose.pose_session import PoseSession
+from bubbleviz_ui.session_files.session_file import name_of
+from bubbleviz_ui.session_files.session_saver import SessionSaver
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.command_palette import CommandPalette
+from bubbleviz_ui.shell.dock import Dock, scrolled
+from bubbleviz_ui.shell.menus import Menus
+from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar
+from bubbleviz_ui.shell.open_panels import OpenPanels
+from bubbleviz_ui.shell.shortcuts import Shortcuts
+from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
+from bubbleviz_ui.view3d.layers_panel import LayersPanel
+from bubbleviz_ui.view3d.pointing import Pointing
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scene import Scene
+from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
+
+RATES_EVERY_MS = 500
+STEPS = 200
+"""That can be undone; some hold collected frames."""
+NUMBERS_EVERY_S = 0.1
+"""While playing: nobody reads faster, and every new text costs an upload of the window."""
+UNSEEN = frozenset({"kappa", "speed", "loop", "every_frame"})
+"""Choices that draw nothing by themselves."""
+
+
+class MainWindow(QMainWindow):
+    """Shows one session.
+
+    Parameters
+    ----------
+    state : SessionState
+    controller : Controller
+        The window closes it when it closes.
+    """
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle("bubbleviz")
+        self.setAcceptDrops(True)
+        self.resize(1280, 800)
+        self.state = state
+        self.controller = controller
+        self.message = MessageBar(self)
+        self.busy = BusyBar(self)
+        self.hint = HintBar(self)
+        self.view = View(self)
+        self.scene = Scene(self.view, state.units, state.choices)
+        self._numbers_at = 0.0
+        self.status = StatusBar(state.units)
+        self.layers = LayersPanel(state)
+        self.kappa = KappaPanel(state)
+        self.playback = PlaybackPanel(state)
+        self.threshold = ThresholdPanel(state, controller)
+        self.compare = ComparePanel(state, controller)
+        self.plots = PlotsPanel(state, controller)
+        self.hover = Hover(controller)
+        self.images = ImagesPanel(state, controller, self.hover)
+        self.tools = ViewTools(state, controller, self.view, self.scene)
+        self.pointing = Pointing(state, self.view, self.scene, self.hover)
+        self.undo_stack = QUndoStack(self)
+        self.undo_stack.setUndoLimit(STEPS)
+        self.settings = SettingsHistory(state, self.undo_stack)
+        self.session_saver = SessionSaver(self)
+        self.costs = Costs()
+        self.gamma0 = Gamma0Panel(
+            Calibration(controller, self.undo_stack), state.units, self.playback.strip
+        )
+        self.pose = PosePanel(state, PoseSession(controller))
+        self.overlay = PoseOverlay(self.view, self.scene, self.pose)
+        self.pair = SensorPair(controller, self.scene, self.view)
+        self.live_controller = LiveController(controller, self.pair)
+        self.live = LiveBar(self.live_controller, state.units)
+        self.picture_age = PictureAge(controller, self.view)
+        self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
+        self._export: ExportDialog | None = None
+        self._memory = MemoryRelease(state)
+        self._lay_out()
+        self.menus = Menus(self)
+        self.shortcuts = Shortcuts(self.menuBar())
+        self._rates = QTimer(self)
+        self._rates.setInterval(RATES_EVERY_MS)
+        self._connect()
+
+    def open_file(self, path: Path) -> None:
+        """Open a sensor, an object's mesh, a session, a simulation's truth, or else a recording."""
+        if path.suffix.lower() == ".toml":
+            self.controller.opening.sensor_file(path)
+        elif path.suffix.lower() in SUFFIXES:
+            with self.settings.one_step("object"):
+                self.pose_dock.show()
+                self.pose.use_file(path)
+        elif path.suffix.lower() == SESSION_SUFFIX:
+            self.session_saver.open(path)
+        elif path.suffix.lower() == TRUTH_SUFFIX:
+            self.controller.opening.truth(path)
+        else:
+            self.controller.opening.recording(path)
+
+    def show_costs(self) -> None:
+        """Show what runs and what it costs."""
+        popup = CostsPopup(self, self.state, self.controller, self.costs, self.view)
+        popup.open_over(self.status)
+
+    def show_palette(self) -> None:
+        """Show the command palette."""
+        CommandPalette(self, self.shortcuts).open_over(self)
+
+    def show_connect(self) -> None:
+        """Choose a live source."""
+        sensor = self.controller.sensor
+        ConnectDialog(
+            self, self.live_controller, None if sensor is None else name_of(sensor)
+        ).open()
+
+    def show_export(self) -> None:
+        """Export frames as files."""
+        if self._export is None:
+            self._export = ExportDialog(self, self.state, self.exporting)
+        self._export.show_all()
+        self._export.show()
+        self._export.raise_()
+
+    def show_shortcuts(self) -> None:
+        """Show the keys of every action."""
+        ShortcutsDialog(self, self.shortcuts).open()
+
+    def use_scene(self, preset: ScenePreset) -> None:
+        """Show the layers and panels of a scene, from its point of view; the rest stays."""
+        with self.settings.one_step("scene"):
+            self.open_panels.show_only(frozenset(preset.panels))
+            self.state.choose(**preset.choices())
+        self.scene.reset_view()
+
+    def save_screenshot(self, path: Path) -> None:
+        """Write the picture of the whole window."""
+        if not self.grab().save(str(path)):
+            self.message.say(f"{path}: cannot be written; choose another place")
+
+    def _use_theme(self, scheme: Qt.ColorScheme) -> None:
+        application = QApplication.instance()
+        if isinstance(application, QApplication):
+            theme.apply(application, theme.chosen(self.state.choices.theme, scheme))
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Stop the timers and the solver thread, then let go of VTK."""
+        self.session_saver.close()
+        self.open_panels.close()
+        self._rates.stop()
+        self.state.unsubscribe_all()
+        self.gamma0.close_all()
+        self.exporting.close()
+        self._memory.close()
+        self.undo_stack.clear()  # its steps would keep what they change alive
+        self.overlay.close()
+        self.pose.close_plots()
+        self.live_controller.close()
+        self.controller.close()
+        self.view.close()
+        super().closeEvent(event)
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Accept files."""
+        self.view.dragEnterEvent(event)
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Open dropped files."""
+        self.view.dropEvent(event)
+
+    def _lay_out(self) -> None:
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(self.message)
+        column.addWidget(self.busy)
+        column.addWidget(self.hint)
+        column.addWidget(self.live)
+        column.addWidget(self.view, 1)
+        self.setCentralWidget(centre)
+        self.setStatusBar(self.status)
+        right = Qt.DockWidgetArea.RightDockWidgetArea
+        bottom = Qt.DockWidgetArea.BottomDockWidgetArea
+        self.layers_dock = self._dock("Layers", scrolled(self.layers), right)
+        self.kappa_dock = self._dock("Contact patch", self.kappa, right)
+        self.threshold_dock = self._dock("Threshold", scrolled(self.threshold), right)
+        self.compare_dock = self._dock("Compare", scrolled(self.compare), right)
+        self.tools_dock = self._dock("3-D tools", scrolled(self.tools), right)
+        for dock, neighbour in (
+            (self.threshold_dock, self.kappa_dock),
+            (self.compare_dock, self.kappa_dock),
+            (self.tools_dock, self.layers_dock),
+        ):
+            dock.tab_of(neighbour)
+            dock.hide()
+        self.pose_dock = self._dock("Pose", self.pose, right)
+        self.pose_dock.hide()
+        self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
+        self.gamma0_dock.hide()
+        self.plots_dock = self._dock("Plots", self.plots, bottom)
+        self.playback_dock = self._dock("Playback", self.playback, bottom)
+        self.splitDockWidget(self.plots_dock, self.playback_dock, Qt.Orientation.Vertical)
+        self.plots_dock.hide()
+        left = Qt.DockWidgetArea.LeftDockWidgetArea
+        self.images_dock = self._dock("Images", self.images, left)
+        self.images_dock.hide()
+        self.panels: dict[str, QWidget] = {
+            "layers": self.layers_dock,
+            "kappa": self.kappa_dock,
+            "threshold": self.threshold_dock,
+            "compare": self.compare_dock,
+            "tools": self.tools_dock,
+            "pose": self.pose_dock,
+            "calibration": self.gamma0_dock,
+            "plots": self.plots_dock,
+            "images": self.images_dock,
+            "playback": self.playback_dock,
+            "status": self.status,
+        }
+        self.open_panels = OpenPanels(self.panels, self.state, self)
+        self.setCorner(Qt.Corner.BottomRightCorner, right)
+        self.resizeDocks([self.layers_dock], [270], Qt.Orientation.Horizontal)
+
+    def _dock(self, title: str, panel: QWidget, area: Qt.DockWidgetArea) -> Dock:
+        dock = Dock(title, self)
+        dock.setObjectName(title)
+        dock.setWidget(panel)
+        self.addDockWidget(area, dock)
+        return dock
+
+    def _connect(self) -> None:
+        self.controller.opened.connect(self._on_opened)
+        self.controller.shown.connect(self._on_shown)
+        self.controller.failed.connect(self._on_failed)
+        self.controller.opening.said.connect(self.message.say)
+        self.controller.opening.changed.connect(self.busy.wait_for)
+        self.busy.cancel.clicked.connect(self.controller.opening.cancel)
+        self.view.dropped_files.connect(self._open_dropped)
+        for name, asks_as in PANELS_THAT_ASK.items():
+            dock = self.panels[name]
+            if isinstance(dock, Dock):
+                dock.visibilityChanged.connect(partial(self.state.choose_panel, asks_as))
+        panels, keys = self.open_panels, self.shortcuts
+        panels.changed.connect(
+            self.settings.watch("open panels", lambda: panels.names, panels.show_only)
+        )
+        for text, box in self.gamma0.boxes.items():
+            self.settings.watch_box(text, box)
+        keys.edited.connect(self.settings.watch("keys", lambda: keys.changed, keys.use))
+        self.pose.said.connect(self.message.say)
+        self.live_controller.said.connect(self.message.say)
+        self.exporting.said.connect(self.message.say)
+        self.gamma0.painted.connect(self._paint)
+        self.status.asked.connect(self.show_costs)
+        self.tools.failed.connect(self.message.say)
+        self._rates.timeout.connect(self.show_rates)
+        self._rates.start()
+        self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
+        QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
+        self.state.subscribe(self._on_event)
+
+    def _open_dropped(self, paths: list[Path]) -> None:
+        """Open the first of the files; a recording, with its sensor file and truth."""
+        by_suffix = {path.suffix.lower(): path for path in reversed(paths)}
+        others = {".toml", SESSION_SUFFIX, TRUTH_SUFFIX, *SUFFIXES}
+        recordings = [path for path in paths if path.suffix.lower() not in others]
+        sensor, truth = by_suffix.get(".toml"), by_suffix.get(TRUTH_SUFFIX)
+        if recordings and (sensor is not None or truth is not None):
+            self.controller.opening.recording(recordings[0], sensor, truth)
+        else:
+            self.open_file(paths[0])
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, SourceChanged):
+            facts = event.facts
+            live = " (live)" if facts.live else ""
+            self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
+            self.status.show_source(facts)
+        elif isinstance(event, PlayingChanged) and self.controller.result is not None:
+            self._show_numbers(self.controller.result)
+        elif isinstance(event, ChoicesChanged) and event.names - UNSEEN:
+            if "theme" in event.names:
+                self._use_theme(theme.system_scheme())
+            if event.names & SYSTEMS.keys():
+                self._show_units()
+            self.scene.apply(self.state.choices)
+
+    def _show_units(self) -> None:
+        """Write every number anew, in the units that are chosen now."""
+        self.status.fit_units()
+        if self.controller.result is not None:
+            self._show_numbers(self.controller.result)
+        self.show_rates()
+        self.gamma0.calibration.changed.emit()
+
+    def _on_opened(self, opened: Opened) -> None:
+        self.message.hide()
+        if opened.facts.remark:
+            self.message.say(opened.facts.remark)
+        self.scene.depth_camera = opened.camera
+        self.costs.clear()
+        self.scene.set_sensor(opened.sensor, opened.mesh)
+        self.kappa.set_mesh(opened.mesh)
+
+    def _on_shown(self, result: Result) -> None:
+        if self.state.facts is None:
+            return
+        self.costs.take(result)
+        start = time.perf_counter()
+        self.scene.show(result, self.state.choices)
+        self.view.busy_s += time.perf_counter() - start
+        if not self.state.playing or start - self._numbers_at >= NUMBERS_EVERY_S:
+            self._show_numbers(result)
+
+    def _show_numbers(self, result: Result) -> None:
+        """Write the numbers of a result into the panels."""
+        self._numbers_at = time.perf_counter()
+        self.kappa.show_result(result)
+        if self.state.facts is not None:
+            self.status.show_result(result, self.state.facts)
+
+    def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
+        """Draw points with a length each in place of the measured ones, until the next frame."""
+        result = self.controller.result
+        if result is None:
+            return
+        self.state.set_playing(False)
+        with self.settings.unrecorded():
+            layers = self.state.choices.layers | {"cloud"}
+            self.state.choose(layers=layers, cloud_colour="residual")
+        painted = replace(result, cloud_m=points_m, cloud_pixels=None, cloud_residual_m=values_m)
+        self.scene.show(painted, self.state.choices)
+
+    def _on_failed(self, failed: Failed) -> None:
+        message = failed.message
+        if isinstance(failed.request, OpenRequest):
+            message = f"{message.rstrip('.')}. What was open stays."
+        elif not (self.state.facts is not None and self.state.facts.grows):
+            self.state.set_playing(False)
+        self.message.say(message, failed.details)
+
+    def show_rates(self) -> None:
+        """Write how fast the window is, now."""
+        now = time.perf_counter()
+        controller, view = self.controller, self.view
+        self.status.show_rates(
+            Rates(controller.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped)
+        )
+        self.status.show_latency(self.picture_age.report())

@@ -1,0 +1,1 @@
+"""What is open, where the cursor is, what the user chose; no widgets."""

@@ -1,0 +1,216 @@
+"""The session model: what is open, where the cursor is, what the user chose. No Qt in here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz_ui.model.choices import PATCH_CHOICES, Choices
+from bubbleviz_ui.model.events import (
+    ChoicesChanged,
+    Event,
+    FrameChanged,
+    FrozenChanged,
+    HistoryChanged,
+    MarkersChanged,
+    PlayingChanged,
+    RangeChanged,
+    SourceChanged,
+    SourceFacts,
+)
+from bubbleviz_ui.model.frame_history import History, grown
+from bubbleviz_ui.model.units import SYSTEMS, Units
+
+
+class SessionState:
+    """Single place where the window's state lives; views subscribe to its events.
+
+    Attributes
+    ----------
+    choices : Choices
+    facts : SourceFacts or None
+        None until a source is open.
+    frame : int
+        Cursor: the frame the user wants to see.
+    playing : bool
+    frozen : bool
+        The cursor stays while the live source goes on.
+    now : int
+        Frame a live source is at.
+    play_range : (int, int) or None
+        First and last frame to play; None for all.
+    markers : tuple of int
+        Marked frames, in order.
+    history : History
+        What was computed so far.
+    units : Units
+    """
+
+    def __init__(self, choices: Choices | None = None) -> None:
+        self.choices = choices or Choices()
+        self.facts: SourceFacts | None = None
+        self.frame = 0
+        self.playing = False
+        self.frozen = False
+        self.now = 0
+        self.play_range: tuple[int, int] | None = None
+        self.markers: tuple[int, ...] = ()
+        self.history = History(0)
+        self.units = Units()
+        self.units.use({name: getattr(self.choices, name) for name in SYSTEMS})
+        self._observers: list[Callable[[Event], None]] = []
+
+    def subscribe(self, observer: Callable[[Event], None]) -> None:
+        """Call `observer` with every event from now on."""
+        self._observers.append(observer)
+
+    def unsubscribe_all(self) -> None:
+        """Forget every observer (the window closes)."""
+        self._observers.clear()
+
+    def open(
+        self,
+        facts: SourceFacts,
+        frame: int = 0,
+        *,
+        playing: bool,
+        history: History | None = None,
+    ) -> None:
+        """Change to another source: choices stay, the cursor goes to `frame`."""
+        same = self.facts is not None and self.facts.title == facts.title
+        if not same or (self.facts is not None and self.facts.frames != facts.frames):
+            self.play_range, self.markers = None, ()
+        self.facts = facts
+        self.history = History(facts.frames) if history is None else history
+        self.frame = self.now = min(max(frame, 0), facts.frames - 1)
+        self.frozen = False
+        self._tell(SourceChanged(facts))
+        self.set_playing(playing)
+
+    def seek(self, index: int, *, by_playback: bool = False) -> None:
+        """Move the cursor, held inside the recording; a live source goes on without it."""
+        if self.facts is None:
+            return
+        if self.facts.live and self.playing and not by_playback:
+            self.freeze(True)
+        index = min(max(index, 0), self.facts.frames - 1)
+        if index == self.frame:
+            return
+        self.frame = index
+        self._tell(FrameChanged(index, by_playback))
+
+    def step(self, frames: int) -> None:
+        """Stop playing and move the cursor by a number of frames."""
+        if self.facts is not None and not self.facts.live:
+            self.set_playing(False)
+        self.seek(self.frame + frames)
+
+    def jump(self, seconds: float) -> None:
+        """Stop playing and move the cursor by a time, by one frame at least."""
+        if self.facts is None:
+            return
+        times = self.facts.times_s
+        nearest = int(np.abs(times - (times[self.frame] + seconds)).argmin())
+        away = nearest - self.frame
+        self.step(away if away * seconds > 0 else int(np.sign(seconds)))
+
+    def grow(self, time_s: float) -> None:
+        """Take one more frame of a live source, and go on to it."""
+        facts = self.facts
+        if facts is not None:
+            count = facts.frames + 1
+            times = grown(facts.times_s, count, np.nan)
+            times[-1] = time_s
+            self.facts = replace(facts, times_s=times)
+            self.history.grow(count)
+            self.go_on(count - 1)
+
+    def go_on(self, index: int) -> None:
+        """Take the frame that playback, or a live source, is at now."""
+        self.now = index
+        if not self.frozen:
+            self.seek(index, by_playback=True)
+
+    def freeze(self, frozen: bool) -> None:
+        """Let a live source go on unseen, or come back to now."""
+        if self.facts is None or not self.facts.live or frozen == self.frozen:
+            return
+        self.frozen = frozen
+        self._tell(FrozenChanged(frozen))
+        if not frozen:
+            self.seek(self.now, by_playback=True)
+
+    def choose_range(self, frames: tuple[int, int] | None) -> None:
+        """Play only from one frame to another."""
+        if frames is not None and self.facts is not None:
+            first, last = sorted(min(max(k, 0), self.facts.frames - 1) for k in frames)
+            frames = (first, last) if first < last else None
+        if frames != self.play_range:
+            self.play_range = frames
+            self._tell(RangeChanged(frames))
+
+    def toggle_marker(self, frame: int) -> None:
+        """Mark a frame, or take its mark away."""
+        self.choose_markers(tuple(sorted(set(self.markers) ^ {frame})))
+
+    def choose_markers(self, frames: tuple[int, ...]) -> None:
+        """Mark these frames, in order, and no others."""
+        self.markers = frames
+        self._tell(MarkersChanged(frames))
+
+    def seek_marker(self, direction: int) -> None:
+        """Go to the next marker (1) or the one before (-1)."""
+        ahead = [k for k in self.markers if (k - self.frame) * direction > 0]
+        if ahead:
+            self.step(min(ahead, key=lambda k: abs(k - self.frame)) - self.frame)
+
+    def remember(
+        self, frames: Sequence[int], numbers: Sequence[Numbers], *, same_patch: bool
+    ) -> None:
+        """Keep what was computed of some frames; of the patch only where it is the present one."""
+        for frame, known in zip(frames, numbers, strict=True):
+            self.history.take(frame, known, patch=same_patch)
+        self._tell(HistoryChanged())
+
+    def set_playing(self, playing: bool) -> None:
+        """Start or stop playback; starting at the end begins at the first frame."""
+        if self.facts is None or playing == self.playing:
+            return
+        first, last = self.play_range or (0, self.facts.frames - 1)
+        outside = not first <= self.frame <= last
+        over = outside or (not self.choices.loop and self.frame == last)
+        if playing and over and not self.facts.grows:
+            self.seek(first)
+        self.playing = playing
+        self._tell(PlayingChanged(playing))
+
+    def choose(self, **changes: Any) -> None:
+        """Change choices by name; observers hear which ones differ."""
+        new = replace(self.choices, **changes)
+        names = frozenset(
+            f.name for f in fields(new) if getattr(new, f.name) != getattr(self.choices, f.name)
+        )
+        if names:
+            self.choices = new
+            self.units.use({name: getattr(new, name) for name in names & SYSTEMS.keys()})
+            if names & PATCH_CHOICES:
+                self.history.forget_patches()
+            self._tell(ChoicesChanged(names))
+
+    def choose_layer(self, name: str, visible: bool) -> None:
+        """Show or hide a 3-D layer."""
+        layers = self.choices.layers
+        self.choose(layers=layers | {name} if visible else layers - {name})
+
+    def choose_panel(self, name: str, visible: bool) -> None:
+        """Note that a panel that shows results is open or closed."""
+        panels = self.choices.panels
+        self.choose(panels=panels | {name} if visible else panels - {name})
+
+    def _tell(self, event: Event) -> None:
+        for observer in tuple(self._observers):
+            observer(event)

@@ -1,0 +1,234 @@
+"""Undo: a setting goes from one value to another and back, whatever it is a setting of."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
+from PySide6.QtWidgets import QWidget
+
+from bubbleviz_ui.model.events import (
+    ChoicesChanged,
+    Event,
+    MarkersChanged,
+    RangeChanged,
+    SourceChanged,
+)
+from bubbleviz_ui.model.session_state import SessionState
+
+T = TypeVar("T")
+
+GESTURE_S = 0.7
+"""Changes of one number that follow each other faster are one step, as with a held mouse button."""
+LAYOUT = frozenset({"panels"})
+"""Choices that follow from what is open, which is a step by itself."""
+WORDS = {
+    "kappa": "κ",
+    "every_frame": "every frame",
+    "pressure_max_pa": "pressure range",
+    "residual_max_m": "residual range",
+    "view_from": "scene",
+    "pose_object": "object",
+    "pose_start": "start of the object",
+    "compared": "compared settings",
+}
+
+_MERGEABLE = 1  # what Qt asks by before it offers two commands to `mergeWith`
+
+
+class Change(QUndoCommand, Generic[T]):
+    """A value that changes from `old` to `new`.
+
+    Parameters
+    ----------
+    text : str
+        What the Edit menu calls it.
+    apply : callable
+        Makes a value the present one.
+    old, new
+        Values, immutable.
+    gesture : hashable, optional
+        Changes of one gesture (a slider that is dragged) are undone as one.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        apply: Callable[[T], None],
+        old: T,
+        new: T,
+        gesture: Hashable = None,
+    ) -> None:
+        super().__init__(text)
+        self.apply, self.old, self.new, self.gesture = apply, old, new, gesture
+
+    def id(self) -> int:
+        """Same for all that may be merged."""
+        return -1 if self.gesture is None else _MERGEABLE
+
+    def mergeWith(self, other: QUndoCommand) -> bool:
+        """Take over what a later change of the same gesture leads to."""
+        if not isinstance(other, Change) or other.gesture != self.gesture:
+            return False
+        self.new = other.new
+        return True
+
+    def undo(self) -> None:
+        """Go back."""
+        self.apply(self.old)
+
+    def redo(self) -> None:
+        """Do it, for the first time or again."""
+        self.apply(self.new)
+
+
+@dataclass
+class _Watched(Generic[T]):
+    """Something that can be changed, and its value when it was looked at last."""
+
+    text: str
+    value: Callable[[], T]
+    apply: Callable[[T], None]
+    last: T
+
+
+class SettingsHistory:
+    """Puts every setting the user changes on the stack: choices, played range, markers, and more.
+
+    Parameters
+    ----------
+    state : SessionState
+    stack : QUndoStack
+    """
+
+    def __init__(self, state: SessionState, stack: QUndoStack) -> None:
+        self._state, self._stack = state, stack
+        self._quiet = False
+        self._gesture, self._changed_s = 0, 0.0
+        self._choices = state.choices
+        self._watched: list[_Watched[Any]] = []
+        self._on_range = self.watch("range", lambda: state.play_range, state.choose_range)
+        self._on_markers = self.watch("marker", lambda: state.markers, state.choose_markers)
+        state.subscribe(self._on_event)
+
+    def watch(
+        self, text: str, value: Callable[[], T], apply: Callable[[T], None]
+    ) -> Callable[[], None]:
+        """Put changes of something else on the stack, too.
+
+        Parameters
+        ----------
+        text : str
+            What the Edit menu calls it.
+        value : callable
+            Its present value.
+        apply : callable
+            Makes a value the present one.
+
+        Returns
+        -------
+        callable
+            To be called when it may have changed.
+        """
+        each = _Watched(text, value, apply, value())
+        self._watched.append(each)
+        return lambda: self._look_at(each)
+
+    def watch_box(self, text: str, box: QWidget) -> None:
+        """Put changes of a box on the stack: of its value, text or tick, whatever the user sets."""
+        value = box.metaObject().userProperty()
+
+        def use(new: Any) -> None:
+            value.write(box, new)
+
+        look = self.watch(text, lambda: value.read(box), use)
+        changed = getattr(box, value.notifySignal().name().toStdString())
+        changed.connect(lambda _: look())
+
+    @contextmanager
+    def one_step(self, text: str) -> Iterator[None]:
+        """Changes in here are undone together."""
+        self._stack.beginMacro(text)
+        try:
+            yield
+        finally:
+            self._stack.endMacro()
+            step = self._stack.command(self._stack.index() - 1)
+            if not step.childCount():
+                step.setObsolete(True)  # nothing changed: no step
+                self._stack.undo()
+
+    @contextmanager
+    def unrecorded(self) -> Iterator[None]:
+        """Changes in here are nobody's steps."""
+        before, self._quiet = self._quiet, True
+        try:
+            yield
+        finally:
+            self._quiet = before
+            self._take_all()
+
+    def _take_all(self) -> None:
+        self._choices = self._state.choices
+        for each in self._watched:
+            each.last = each.value()
+
+    def _look_at(self, each: _Watched[Any]) -> None:
+        old, each.last = each.last, each.value()
+        if not self._quiet and each.last != old:
+            number = isinstance(old, int | float) and not isinstance(old, bool)
+            gesture = (each.text, self._present_gesture()) if number else None
+            self._push(each.text, each.apply, old, each.last, gesture)
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ChoicesChanged):
+            if not self._quiet:
+                self._on_choices(event.names - LAYOUT)
+            self._choices = self._state.choices
+        elif isinstance(event, RangeChanged):
+            self._on_range()
+        elif isinstance(event, MarkersChanged):
+            self._on_markers()
+        elif isinstance(event, SourceChanged):
+            self._take_all()
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if not names:
+            return
+        old = {name: getattr(self._choices, name) for name in names}
+        new = {name: getattr(self._state.choices, name) for name in names}
+        text = "scene" if "view_from" in names else next(iter(sorted(names)))
+        drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
+        gesture = (names, self._present_gesture()) if drags else None
+        self._push(WORDS.get(text, text).replace("_", " "), self._choose, old, new, gesture)
+
+    def _choose(self, values: dict[str, Any]) -> None:
+        self._state.choose(**values)
+
+    def _present_gesture(self) -> int:
+        now, held = time.monotonic(), QGuiApplication.mouseButtons() != Qt.MouseButton.NoButton
+        if not held and now - self._changed_s > GESTURE_S:
+            self._gesture += 1
+        self._changed_s = now
+        return self._gesture
+
+    def _push(
+        self, text: str, apply: Callable[[Any], None], old: Any, new: Any, gesture: Hashable = None
+    ) -> None:
+        def quietly(value: Any) -> None:
+            with self.unrecorded():
+                apply(value)
+
+        self._stack.push(Change(text, quietly, old, new, gesture))
+
+
+def _is_dragged(value: object) -> bool:
+    """A number, or some of them: what sliders, arrows and the mouse change little by little."""
+    if isinstance(value, tuple):
+        return all(isinstance(each, int | float) for each in value)
+    return isinstance(value, float)

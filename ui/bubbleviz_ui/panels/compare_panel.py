@@ -1,0 +1,230 @@
+"""Compare panel: two settings of the estimator, measured side by side on the frame one sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from PySide6.QtCore import QObject, QSignalBlocker, Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDoubleSpinBox,
+    QGridLayout,
+    QLabel,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.diagnostics.side_by_side import Measured
+from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
+from bubbleviz.inverse.solvers.inverse_solver import DEFAULT, SOLVERS
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Compared
+from bubbleviz_ui.model.choices import Setting
+from bubbleviz_ui.model.events import ChoicesChanged, Event, FrameChanged, SourceChanged
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.panels.keep_keys import keep_keys
+
+NODES = (100, 5_000, 100)
+"""Fewest and most nodes to choose, and a step; all below MAX_NODES."""
+BLOCKS = 16
+ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
+    "status": ("Status", lambda m, u: m.status),
+    "total": ("In → out", lambda m, u: u.duration.text(m.total_ms)),
+    "solve": ("Solver", lambda m, u: u.duration.text(m.solve_ms)),
+    "force": ("Force", lambda m, u: u.force.text(m.force_n)),
+    "area": ("Patch area", lambda m, u: u.area.text(m.area_m2)),
+    "residual": ("Residual", lambda m, u: u.fine_length.text(m.residual_m)),
+    "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
+    "iou": ("Patch IoU", lambda m, u: NOTHING if math.isnan(m.iou) else f"{m.iou:.2f}"),
+    "nodes": ("Nodes used", lambda m, u: f"{m.nodes}"),
+}
+"""What is measured, by its title and its text."""
+
+
+class Column(QObject):
+    """Controls of one setting, and a column of what it makes of the frame.
+
+    Attributes
+    ----------
+    changed : Signal
+    """
+
+    changed = Signal()
+
+    def __init__(self, panel: QWidget) -> None:
+        super().__init__(panel)
+        self.solver = QComboBox()
+        self.solver.addItems(list(SOLVERS))
+        self.pressure_scale = QDoubleSpinBox()
+        self.pressure_scale.setRange(0.1, 100.0)
+        self.pressure_scale.setSingleStep(0.5)
+        self.recasts = QSpinBox()
+        self.recasts.setRange(0, 5)
+        self.nodes = QSpinBox()
+        self.nodes.setRange(0, min(NODES[1], MAX_NODES))
+        self.nodes.setSingleStep(NODES[2])
+        self.nodes.setSpecialValueText("sensor's")
+        self.block = QSpinBox()
+        self.block.setRange(0, BLOCKS)
+        self.block.setSpecialValueText("automatic")
+        self.block.setSuffix(" px")
+        self.values = {name: QLabel(NOTHING) for name in ROWS}
+        self._boxes = (self.pressure_scale, self.recasts, self.nodes, self.block)
+        for box in self._boxes:
+            box.setKeyboardTracking(False)
+            box.valueChanged.connect(self._on_changed)
+        self.solver.currentIndexChanged.connect(self._on_changed)
+        for label in self.values.values():
+            label.setObjectName("value")
+
+    def show_setting(self, setting: Setting) -> None:
+        """Show what is chosen."""
+        usual = EstimatorOptions()
+        blockers = [QSignalBlocker(box) for box in (self.solver, *self._boxes)]
+        self.solver.setCurrentText(setting.solver or DEFAULT)
+        scale, recasts = setting.pressure_scale, setting.recasts
+        self.pressure_scale.setValue(usual.pressure_scale if scale is None else scale)
+        self.recasts.setValue(usual.relinearisations if recasts is None else recasts)
+        self.nodes.setValue(setting.nodes or 0)
+        self.block.setValue(setting.block or 0)
+        del blockers
+
+    def setting(self) -> Setting:
+        """What is chosen here."""
+        return Setting(
+            solver=self.solver.currentText(),
+            pressure_scale=self.pressure_scale.value(),
+            recasts=self.recasts.value(),
+            nodes=self.nodes.value() or None,
+            block=self.block.value() or None,
+        )
+
+    def options(self) -> EstimatorOptions:
+        """The setting as the estimator takes it."""
+        nodes = self.nodes.value()
+        return EstimatorOptions(
+            solver=self.solver.currentText(),
+            relinearisations=self.recasts.value(),
+            nodes=max(nodes, NODES[0]) if nodes else None,
+            pressure_scale=self.pressure_scale.value(),
+            block=self.block.value() or None,
+        )
+
+    def show_measured(self, measured: Measured | str | None, units: Units) -> None:
+        """Write the numbers; a text says why there are none."""
+        for name, (_, text) in ROWS.items():
+            shown = text(measured, units) if isinstance(measured, Measured) else NOTHING
+            self.values[name].setText(shown)
+        if isinstance(measured, str):
+            self.values["status"].setText("impossible")
+        self.values["status"].setToolTip(measured if isinstance(measured, str) else "")
+
+    def _on_changed(self, _: object) -> None:
+        self.changed.emit()
+
+
+class ComparePanel(QWidget):
+    """Two settings A and B; measures whenever the frame or a setting is another.
+
+    What it measures it asks of the solver thread, which does it when nobody waits for a frame.
+    """
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self.setObjectName("compare")
+        self._state, self._controller = state, controller
+        self._answer: Compared | None = None
+        self.a, self.b = Column(self), Column(self)
+        self._lay_out()
+        self._show_settings()
+        for column in (self.a, self.b):
+            column.changed.connect(self._choose)
+        controller.compared.connect(self._on_compared)
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def _lay_out(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(6, 8, 2, 8)
+        grid = QGridLayout()
+        grid.setHorizontalSpacing(4)
+        grid.setVerticalSpacing(3)
+        for place, title in enumerate(("A", "B"), start=1):
+            grid.addWidget(QLabel(title), 0, place)
+        controls = {
+            "Solver": ("solver", "Of the inverse problem (Eq. 23)"),
+            "Prior p_c": (
+                "pressure_scale",
+                "Contact pressure expected, in gauge pressures: the larger, the smaller λ",
+            ),
+            "Recasts": ("recasts", "How often rays are cast again in a frame"),
+            "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),
+            "Block": ("block", "Side of the squares of pixels that are averaged"),
+        }
+        for row, (title, (name, tip)) in enumerate(controls.items(), start=1):
+            grid.addWidget(QLabel(title), row, 0)
+            for place, each in enumerate((self.a, self.b), start=1):
+                control = getattr(each, name)
+                control.setToolTip(tip)
+                control.setMinimumWidth(92)
+                grid.addWidget(control, row, place)
+        for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):
+            grid.addWidget(QLabel(title), row, 0)
+            for place, each in enumerate((self.a, self.b), start=1):
+                grid.addWidget(each.values[name], row, place)
+        grid.setColumnStretch(1, 1)
+        grid.setColumnStretch(2, 1)
+        column.addLayout(grid)
+        self.hint = QLabel("Force error and IoU need a simulation's truth.")
+        self.hint.setObjectName("dim")
+        self.hint.setWordWrap(True)
+        column.addWidget(self.hint)
+        column.addStretch(1)
+
+    @property
+    def _seen(self) -> bool:
+        """Neither closed nor behind another tab, where Qt still calls it visible."""
+        return "compare" in self._state.choices.panels
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, FrameChanged | SourceChanged):
+            self._ask()
+        elif isinstance(event, ChoicesChanged):
+            if "compared" in event.names:
+                self._show_settings()
+            if "panels" in event.names and not self._seen:
+                self._forget()
+            elif event.names & {"kappa", "compared"} or self._answer is None:
+                self._ask()
+            else:
+                self._show()
+
+    def _forget(self) -> None:
+        """Measure nothing more; old numbers would look like new ones."""
+        self._answer = None
+        self._controller.compare(())
+        self._show()
+
+    def _choose(self) -> None:
+        self._state.choose(compared=(self.a.setting(), self.b.setting()))
+
+    def _show_settings(self) -> None:
+        for column, setting in zip((self.a, self.b), self._state.choices.compared, strict=True):
+            column.show_setting(setting)
+
+    def _ask(self) -> None:
+        if self._seen and self._state.facts is not None:
+            self._controller.compare((self.a.options(), self.b.options()))
+
+    def _on_compared(self, answer: Compared) -> None:
+        if self._seen:
+            self._answer = answer
+            self._show()
+
+    def _show(self) -> None:
+        measured = self._answer.measured if self._answer is not None else (None, None)
+        for column, one in zip((self.a, self.b), measured, strict=True):
+            column.show_measured(one, self._state.units)

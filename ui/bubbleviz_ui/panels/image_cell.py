@@ -1,0 +1,146 @@
+"""One image of numbers in the images panel: colours, their scale, and the marked place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from bubbleviz.diagnostics.probe import Probed
+from bubbleviz_ui.model.units import NOTHING, Unit, Units
+from bubbleviz_ui.panels.plot_frame import HEAD
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.theme import NODE
+from bubbleviz_ui.view3d.scale_ranges import rounded_up
+
+Kind = Literal["range", "around zero", "mask"]
+MAPS = {"range": "viridis", "around zero": "CET-D1", "mask": "CET-L1"}
+"""Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
+BLOCKS = 5
+"""Squares of colour that stand for the scale in the text above."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image by its title, its unit among the operator's, and how it is coloured."""
+
+    title: str
+    kind: Kind
+    unit: Callable[[Units], Unit] | None = None
+
+
+PICTURES = MappingProxyType(
+    {
+        "depth": Picture("Depth", "range", lambda u: u.length),
+        "change": Picture("Change", "around zero", lambda u: u.length),
+        "residual": Picture("Residual", "around zero", lambda u: u.fine_length),
+        "noise": Picture("Noise σ", "range", lambda u: u.fine_length),
+        "used": Picture("Pixels used", "mask"),
+        "patch": Picture("Contact patch", "mask"),
+    }
+)
+"""What the panel can show, by name."""
+
+
+class ImageCell:
+    """An image with a line of text above and marks on it."""
+
+    def __init__(self, picture: Picture) -> None:
+        import pyqtgraph as pg
+
+        self.picture = picture
+        self.image: np.ndarray | None = None
+        self._held: tuple[float, float] | None = None
+        self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
+        self.item = pg.ImageItem(axisOrder="row-major")
+        self._map = pg.colormap.get(MAPS[picture.kind])
+        self.item.setLookupTable(self._map.getLookupTable(nPts=256))
+        self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
+        self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
+        self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
+        for item in (self.item, self.halo, self.pixel, self.node):
+            self.box.addItem(item)
+        self.frame: Any = pg.GraphicsLayout()
+        self.frame.layout.setContentsMargins(0, 2 * HEAD - 3, 0, 0)
+        self.frame.addItem(self.box, 0, 0)
+        self._words = pg.LabelItem(justify="left", size="9pt")
+        self._words.setParentItem(self.frame)
+        self._words.setPos(0.0, -2.0)
+        self.text = ""
+
+    def forget_range(self) -> None:
+        """Find the colours' range anew, for another source."""
+        self._held = None
+
+    def draw(
+        self, image: np.ndarray | None, ends: tuple[float, float] | None, units: Units
+    ) -> None:
+        """Show an image (H, W) in SI whose usual values lie between two ends."""
+        new = image is not None and (self.image is None or self.image.shape != image.shape)
+        self.image = image
+        if image is None:
+            self.item.clear()
+            self._write(f"{self.picture.title}: {NOTHING}")
+            return
+        low, high = self._range(ends)
+        self.item.setImage(image.astype(np.float32), levels=(low, high))
+        if new:
+            self.box.setRange(self.item.boundingRect(), padding=0.01)
+        self._write(self._legend(low, high, units))
+
+    def mark(self, place: Probed | None) -> None:
+        """Mark a place's pixel and where the camera sees its node."""
+        pixel = place.pixel if place is not None else None
+        ring = ([], []) if pixel is None else ([pixel[1] + 0.5], [pixel[0] + 0.5])
+        for item in (self.halo, self.pixel):
+            item.setData(*ring)
+        if place is None:
+            self.node.setData([], [])
+        else:
+            row, column = place.node_pixel
+            self.node.setData([column + 0.5], [row + 0.5])
+
+    def paint(self, colour: str) -> None:
+        """Take the theme's colour of text."""
+        self._words.setAttr("color", colour)
+        self._words.setText(self.text)
+
+    def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
+        """Ends of the colours: they grow with the data and never shrink."""
+        if self.picture.kind == "mask" or ends is None:
+            return 0.0, 1.0
+        low, high = ends
+        if self.picture.kind == "around zero":
+            high = rounded_up(max(abs(low), abs(high), 1e-6))
+            low = -high
+        if self._held is not None:
+            low, high = min(low, self._held[0]), max(high, self._held[1])
+        self._held = (low, high if high > low else low + 1e-6)
+        return self._held
+
+    def _legend(self, low: float, high: float, units: Units) -> str:
+        colours = self._map.getLookupTable(nPts=BLOCKS)[:, :3]
+        blocks = "".join(f'<span style="color:rgb({r},{g},{b})">█</span>' for r, g, b in colours)
+        if self.picture.unit is None:
+            no, yes = (f"rgb({','.join(map(str, colours[k]))})" for k in (0, -1))
+            return (
+                f"{self.picture.title}<br>"
+                f'<span style="color:{yes}">█</span> yes <span style="color:{no}">█</span> no'
+            )
+        unit = self.picture.unit(units)
+        ends = (f"{unit.of(end):.{_digits(unit.of(high - low))}f}" for end in (low, high))
+        first, last = ends
+        return f"{self.picture.title}<br>{first} {blocks} {last} {unit.symbol}"
+
+    def _write(self, text: str) -> None:
+        self.text = text
+        self._words.setText(text)
+
+
+def _digits(span: float) -> int:
+    """Decimals that tell the ends of a span apart."""
+    return max(0, 1 - math.floor(math.log10(span))) if span > 0 else 0

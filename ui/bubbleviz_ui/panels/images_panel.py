@@ -1,0 +1,214 @@
+"""Images panel: what the camera measured and what came of it, pixel by pixel."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtGui import QAction, QPalette, QResizeEvent, QShowEvent
+from PySide6.QtWidgets import QLabel, QMenu, QToolButton, QVBoxLayout, QWidget
+
+from bubbleviz.diagnostics.probe import Probed
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.model.events import ChoicesChanged, Event, SourceChanged
+from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
+from bubbleviz_ui.panels.keep_keys import keep_keys
+
+EVERY_MS = 150
+"""While playing: colouring a large image takes some ms."""
+ASPECT = 4 / 3
+HEADER = 90
+"""Height of what is above the images, screen pixels."""
+
+
+class ImagesPanel(QWidget):
+    """Chosen images in a grid; the place under the mouse is marked in all of them and in 3-D."""
+
+    def __init__(self, state: SessionState, controller: Controller, hover: Hover) -> None:
+        super().__init__()
+        self.setObjectName("images")
+        self._state, self._controller, self._hover = state, controller, hover
+        self._grid: Any = None
+        self._arranged: list[tuple[str, int]] | None = None
+        self.cells: dict[str, ImageCell] = {}
+        self._due = QTimer(self)
+        self._due.setSingleShot(True)
+        self._due.setInterval(EVERY_MS)
+        self._due.timeout.connect(self._draw)
+        self.choose = QToolButton()
+        self.choose.setText("Images")
+        self.choose.setToolTip("What is shown, and so computed")
+        self.choose.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+        self.boxes = self._menu()
+        self.lines = [QLabel() for _ in range(3)]
+        self._lay_out()
+        controller.shown.connect(self._on_shown)
+        hover.changed.connect(self._on_hover)
+        self._on_hover(None)
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def _menu(self) -> dict[str, QAction]:
+        menu, actions = QMenu(self.choose), {}
+        for name, picture in PICTURES.items():
+            action = QAction(picture.title, menu)
+            action.setCheckable(True)
+            action.setChecked(name in self._state.choices.images)
+            action.toggled.connect(lambda on, name=name: self._choose(name, on))
+            menu.addAction(action)
+            actions[name] = action
+        self.choose.setMenu(menu)
+        return actions
+
+    def _lay_out(self) -> None:
+        self._column = QVBoxLayout(self)
+        self._column.setContentsMargins(8, 4, 8, 4)
+        self._column.setSpacing(4)
+        text = QVBoxLayout()
+        text.setSpacing(0)
+        for label in self.lines:
+            text.addWidget(label)
+        self._column.addWidget(self.choose, 0, Qt.AlignmentFlag.AlignLeft)
+        self._column.addLayout(text)
+        self.setMinimumWidth(340)
+
+    def _choose(self, name: str, on: bool) -> None:
+        images = self._state.choices.images
+        self._state.choose(images=images | {name} if on else images - {name})
+
+    # -- events -------------------------------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, SourceChanged):
+            for cell in self.cells.values():
+                cell.forget_range()
+        elif isinstance(event, ChoicesChanged):
+            for name, action in self.boxes.items():
+                action.setChecked(name in self._state.choices.images)
+            self._arrange()
+            self._draw()
+            self._on_hover(self._hover.place)
+
+    def _on_shown(self, _: object) -> None:
+        if not self._state.playing:
+            self._draw()
+        elif not self._due.isActive():
+            self._due.start()
+
+    def _on_hover(self, place: Probed | None) -> None:
+        for label, line in zip(self.lines, words(place, self._state.units), strict=True):
+            label.setText(line)
+        for cell in self.cells.values():
+            cell.mark(place)
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Load the plotting library when it is needed first."""
+        super().showEvent(event)
+        if self._grid is None:
+            self._make()
+        self._draw()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """As large as the images can be."""
+        super().resizeEvent(event)
+        self._arrange()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self._grid is not None:
+            self._paint_theme()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Notice that the mouse has left the images."""
+        if event.type() == QEvent.Type.Leave:
+            self._hover.leave()
+        return False
+
+    # -- drawing ------------------------------------------------------------------------------
+
+    def _make(self) -> None:
+        import pyqtgraph as pg
+
+        self._grid = pg.GraphicsLayoutWidget()
+        self._grid.ci.layout.setSpacing(4)
+        self._grid.ci.setContentsMargins(0, 0, 0, 0)
+        self._column.addWidget(self._grid, 1)
+        self.cells = {name: ImageCell(picture) for name, picture in PICTURES.items()}
+        self._grid.scene().sigMouseMoved.connect(self._on_mouse)
+        self._grid.installEventFilter(self)
+        self._paint_theme()
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Put the chosen images into the grid that shows them largest."""
+        if self._grid is None:
+            return
+        shown = [name for name in PICTURES if name in self._state.choices.images]
+        columns = best_columns(len(shown), self.width(), self.height() - HEADER)
+        if self._arranged == [(name, columns) for name in shown]:
+            return
+        self._arranged = [(name, columns) for name in shown]
+        self._grid.ci.clear()
+        for k, name in enumerate(shown):
+            self._grid.ci.addItem(self.cells[name].frame, k // columns, k % columns)
+        self._draw()
+
+    def _draw(self) -> None:
+        if self._grid is None or not self.isVisible():
+            return
+        result, inspection = self._controller.result, self._controller.inspection
+        images: dict[str, np.ndarray] = {**inspection.images}
+        if result is not None and result.patch is not None:
+            mask = result.patch.pixel_mask
+            images |= {"patch": mask} if mask is not None else {}
+        for name in self._state.choices.images:
+            ends = inspection.ends.get(name)
+            self.cells[name].draw(images.get(name), ends, self._state.units)
+
+    def _on_mouse(self, place: QPointF) -> None:
+        for name in self._state.choices.images:
+            box = self.cells[name].box
+            if box.sceneBoundingRect().contains(place):
+                at = box.mapSceneToView(place)
+                self._hover.at_pixel(math.floor(at.y()), math.floor(at.x()))
+                return
+        self._hover.leave()
+
+    def _paint_theme(self) -> None:
+        roles, palette = QPalette.ColorRole, self.palette()
+        self._grid.setBackground(palette.color(roles.Base))
+        for cell in self.cells.values():
+            cell.paint(palette.color(roles.Text).name())
+
+
+def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
+    """Three lines about a place, in the operator's units."""
+    if place is None:
+        return "Point at an image or the membrane:", "the same place lights up everywhere", ""
+    length = units.length
+    seen = f"pixel ({place.pixel[1]}, {place.pixel[0]})" if place.pixel else "outside the image"
+    point = place.point_m if np.isfinite(place.point_m).all() else place.node_m
+    number = (f"{length.of(float(c)):.{length.digits}f}" for c in point)
+    x, y, z = number
+    return (
+        f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",
+        f"x {x} · y {y} · z {z} {length.symbol}",
+        f"u {length.text(place.displacement_m)} · p_c {units.pressure.text(place.pressure_pa)}",
+    )
+
+
+def best_columns(count: int, width: int, height: int) -> int:
+    """Columns of a grid in which images of 4:3 are largest; 1 for none."""
+    count = max(count, 1)
+
+    def size(columns: int) -> float:
+        rows = -(-count // columns)
+        return min(width / columns, ASPECT * (height / rows))
+
+    return max(range(1, count + 1), key=size)

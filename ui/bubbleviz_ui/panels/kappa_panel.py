@@ -1,0 +1,147 @@
+"""Contact patch panel: where the patch begins, what that makes of it, and who solves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QSlider,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.patch_finder import mean_pressure
+from bubbleviz.result import Patch, Result
+from bubbleviz_ui.model.events import ChoicesChanged, Event
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.keep_keys import keep_keys
+
+LOWEST, HIGHEST = 0.1, 100.0
+STEPS_PER_DECADE = 100
+
+
+class KappaPanel(QWidget):
+    """Slider (logarithmic) and box for κ; the patch follows without another solve."""
+
+    def __init__(self, state: SessionState) -> None:
+        super().__init__()
+        self._state = state
+        self._mesh: MembraneMesh | None = None
+        self.automatic = QCheckBox("Automatic threshold")
+        self.automatic.setToolTip(
+            "By the physics of contact: each patch must somewhere reach the gas pressure"
+        )
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(_to_steps(LOWEST), _to_steps(HIGHEST))
+        self.slider.setPageStep(10)
+        self.slider.setToolTip("κ: threshold as a multiple of the mean contact pressure (V-C)")
+        self.box = QDoubleSpinBox()
+        self.box.setRange(LOWEST, HIGHEST)
+        self.box.setDecimals(2)
+        self.box.setPrefix("κ = ")
+        self.box.setToolTip(self.slider.toolTip())
+        self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
+        self.box.setKeyboardTracking(False)
+        self.solver = QComboBox()
+        self.solver.addItem("default", None)
+        for name in SOLVER_NAMES:
+            self.solver.addItem(name, name)
+        self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
+        self.threshold, self.area, self.force = (_value() for _ in range(3))
+        self._lay_out()
+        self._show_patch(None)
+        self._show_kappa(state.choices.kappa or 3.0)
+        self.automatic.setChecked(state.choices.kappa is None)
+        self._connect()
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def show_result(self, result: Result) -> None:
+        """Write the numbers of the patch; the automatic threshold as the κ it amounts to."""
+        self._show_patch(result.patch)
+        if self._state.choices.kappa is None and self._mesh is not None and result.patch:
+            pressure = result.estimate.contact_pressure_pa if result.estimate else None
+            mean = mean_pressure(self._mesh, pressure) if pressure is not None else 0.0
+            if mean > 0.0:
+                kappa = result.patch.threshold_pa / mean
+                self._show_kappa(min(max(kappa, LOWEST), HIGHEST))
+
+    def set_mesh(self, mesh: MembraneMesh) -> None:
+        """Take the membrane of another sensor."""
+        self._mesh = mesh
+
+    def _lay_out(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 10, 12, 12)
+        column.addWidget(self.automatic)
+        row = QHBoxLayout()
+        row.addWidget(self.slider, 1)
+        row.addWidget(self.box)
+        column.addLayout(row)
+        form = QFormLayout()
+        form.setHorizontalSpacing(16)
+        form.addRow("Threshold", self.threshold)
+        form.addRow("Patch area", self.area)
+        form.addRow("Force", self.force)
+        form.addRow("Solver", self.solver)
+        column.addLayout(form)
+        column.addStretch(1)
+
+    def _connect(self) -> None:
+        self.slider.valueChanged.connect(lambda v: self._state.choose(kappa=_to_kappa(v)))
+        self.box.valueChanged.connect(lambda v: self._state.choose(kappa=v))
+        self.automatic.toggled.connect(self._on_automatic)
+        self.solver.activated.connect(
+            lambda row: self._state.choose(solver=self.solver.itemData(row))
+        )
+
+    def _on_automatic(self, automatic: bool) -> None:
+        self._state.choose(kappa=None if automatic else self.box.value())
+
+    def _on_event(self, event: Event) -> None:
+        if not isinstance(event, ChoicesChanged):
+            return
+        if "solver" in event.names:
+            self.solver.setCurrentIndex(self.solver.findData(self._state.choices.solver))
+        if "kappa" in event.names:
+            kappa = self._state.choices.kappa
+            with QSignalBlocker(self.automatic):
+                self.automatic.setChecked(kappa is None)
+            if kappa is not None:
+                self._show_kappa(kappa)
+
+    def _show_kappa(self, kappa: float) -> None:
+        with QSignalBlocker(self.slider), QSignalBlocker(self.box):
+            self.slider.setValue(_to_steps(kappa))
+            self.box.setValue(kappa)
+
+    def _show_patch(self, patch: Patch | None) -> None:
+        units = self._state.units
+        self.threshold.setText(units.pressure.text(patch.threshold_pa if patch else None))
+        self.area.setText(units.area.text(patch.area_m2 if patch else None))
+        force = float(np.linalg.norm(patch.force_n)) if patch else None
+        self.force.setText(units.force.text(force))
+
+
+def _value() -> QLabel:
+    label = QLabel()
+    label.setObjectName("value")
+    return label
+
+
+def _to_steps(kappa: float) -> int:
+    return round(STEPS_PER_DECADE * math.log10(kappa))
+
+
+def _to_kappa(steps: int) -> float:
+    return round(10.0 ** (steps / STEPS_PER_DECADE), 2)

@@ -1,0 +1,270 @@
+"""Plots panel: numbers of every frame computed so far over time, with one cursor through all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from PySide6.QtCore import QEvent, QTimer
+from PySide6.QtGui import QPalette, QResizeEvent, QShowEvent
+from PySide6.QtWidgets import (
+    QHBoxLayout,
+    QLabel,
+    QMenu,
+    QProgressBar,
+    QPushButton,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.model.demand import plotted
+from bubbleviz_ui.model.events import (
+    ChoicesChanged,
+    Event,
+    FrameChanged,
+    HistoryChanged,
+    SourceChanged,
+)
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
+from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
+
+EVERY_MS = 200
+"""Curves take some ms to draw, and nobody reads faster."""
+CELL = (310, 112)
+"""Width and height of a plot with room to read it, screen pixels."""
+FOLLOWED_S = 20.0
+"""How much of a live source is in sight."""
+
+
+class PlotsPanel(QWidget):
+    """Chosen plots in a grid; clicking one seeks. What is not chosen is not asked for."""
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self.setObjectName("plots")
+        self._state, self._controller = state, controller
+        self._due = QTimer(self)
+        self._due.setSingleShot(True)
+        self._due.setInterval(EVERY_MS)
+        self._due.timeout.connect(lambda: self._draw())
+        self._grid: Any = None
+        self._arranged: list[tuple[int, int, int]] | None = None
+        self.plots: dict[str, TimePlot] = {}
+        self.kappa: KappaPlot | None = None
+        self.choose = QToolButton()
+        self.choose.setText("Plots")
+        self.choose.setToolTip("What is plotted, and so computed")
+        self.choose.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+        self.boxes = self._menu()
+        self.analyse = QPushButton("Analyse all frames")
+        self.analyse.setToolTip("Compute what these plots need of all frames, in the background")
+        self.cancel = QPushButton("Cancel")
+        self.cancel.setToolTip("Stop; what was computed stays")
+        self.progress = QProgressBar()
+        self.hint = QLabel("Click in a plot to go there")
+        self.hint.setObjectName("dim")
+        self._lay_out()
+        self._connect()
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def _menu(self) -> dict[str, Any]:
+        menu = QMenu(self.choose)
+        actions = {}
+        for name, title in {**{n: t.title for n, t in TRACES.items()}, "kappa": "κ-curve"}.items():
+            action = menu.addAction(title)
+            action.setCheckable(True)
+            action.setChecked(name in self._state.choices.plots)
+            action.toggled.connect(lambda on, name=name: self._choose(name, on))
+            actions[name] = action
+        self.choose.setMenu(menu)
+        return actions
+
+    def _lay_out(self) -> None:
+        self._column = QVBoxLayout(self)
+        self._column.setContentsMargins(8, 4, 8, 4)
+        self._column.setSpacing(4)
+        row = QHBoxLayout()
+        for widget in (self.choose, self.analyse, self.progress, self.cancel):
+            row.addWidget(widget)
+        row.addStretch(1)
+        row.addWidget(self.hint)
+        self._column.addLayout(row)
+        self.progress.setFixedWidth(160)
+        self.progress.hide()
+        self.cancel.hide()
+
+    def _connect(self) -> None:
+        self.analyse.clicked.connect(
+            lambda: self._controller.analysis.start(plotted(self._state.choices))
+        )
+        self.cancel.clicked.connect(lambda: self._controller.analysis.stop())
+        self._controller.analysis.progressed.connect(self._on_analysed)
+        self._controller.shown.connect(self._show_kappa)
+
+    def _choose(self, name: str, on: bool) -> None:
+        plots = self._state.choices.plots
+        self._state.choose(plots=plots | {name} if on else plots - {name})
+
+    # -- events -------------------------------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, FrameChanged) and not event.by_playback:
+            self._draw_cursor()
+        elif isinstance(event, FrameChanged | HistoryChanged):
+            self._later()
+        elif isinstance(event, SourceChanged):
+            self._show_all_time()
+            self._draw()
+        elif isinstance(event, ChoicesChanged):
+            for name, action in self.boxes.items():
+                action.setChecked(name in self._state.choices.plots)
+            if "plots" in event.names:
+                self._arrange()
+            self._draw()
+
+    def _later(self) -> None:
+        """Draw soon, once for all that changes until then."""
+        if self._grid is not None and self.isVisible() and not self._due.isActive():
+            self._due.start()
+
+    def _show_all_time(self) -> None:
+        facts = self._state.facts
+        if facts is not None:
+            for plot in self.plots.values():
+                plot.show_all(facts.times_s)
+
+    def _on_analysed(self, done: int, frames: int) -> None:
+        busy = done < frames
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.analyse.setEnabled(not busy)
+        self.progress.setMaximum(max(frames, 1))
+        self.progress.setValue(done)
+        self.progress.setFormat(f"{done} / {frames}")
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Load the plotting library when it is needed first."""
+        super().showEvent(event)
+        if self._grid is None:
+            self._make()
+        self._draw()
+        self._show_kappa()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """As many plots side by side as have room."""
+        super().resizeEvent(event)
+        self._arrange()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self._grid is not None:
+            self._paint_theme()
+
+    # -- drawing ------------------------------------------------------------------------------
+
+    def _make(self) -> None:
+        import pyqtgraph as pg
+
+        self._grid = pg.GraphicsLayoutWidget()
+        self._grid.ci.layout.setSpacing(2)
+        self._grid.ci.setContentsMargins(0, 0, 0, 0)
+        self._column.addWidget(self._grid, 1)
+        for name, trace in TRACES.items():
+            self.plots[name] = plot = TimePlot(trace)
+            plot.box.sigXRangeChanged.connect(self._on_zoomed)
+            plot.cursor.sigDragged.connect(self._on_dragged)
+        self.kappa = KappaPlot()
+        self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
+        self._grid.scene().sigMouseClicked.connect(self._on_click)
+        self._paint_theme()
+        self._arrange()
+        self._show_all_time()
+
+    def _shown(self) -> list[Any]:
+        everything: dict[str, Any] = {**self.plots, "kappa": self.kappa}
+        return [plot for name, plot in everything.items() if name in self._state.choices.plots]
+
+    def _arrange(self) -> None:
+        """Put the chosen plots into a grid."""
+        if self._grid is None:
+            return
+        shown = self._shown()
+        columns = min(max(self.width() // CELL[0], 1), max(len(shown), 1))
+        columns = -(-len(shown) // -(-len(shown) // columns)) if shown else 1
+        wanted = [(id(plot), k // columns, k % columns) for k, plot in enumerate(shown)]
+        if wanted == self._arranged:
+            return
+        self._arranged = wanted
+        self._grid.setMinimumHeight(CELL[1] * -(-len(shown) // columns))
+        self._grid.ci.clear()
+        timed = [plot for plot in shown if isinstance(plot, TimePlot)]
+        for k, plot in enumerate(shown):
+            self._grid.ci.addItem(plot.frame.item, k // columns, k % columns)
+        for plot in timed[1:]:
+            plot.box.setXLink(timed[0].box)
+
+    def _draw(self) -> None:
+        """Draw all curves anew."""
+        facts = self._state.facts
+        if self._grid is None or not self.isVisible() or facts is None:
+            return
+        if facts.grows and not self._state.frozen:
+            self._follow(float(facts.times_s[-1]))
+        for name, plot in self.plots.items():
+            if name in self._state.choices.plots:
+                plot.draw(facts.times_s, self._state.history, self._state.units)
+        self._draw_cursor()
+
+    def _follow(self, now_s: float) -> None:
+        """Keep the last seconds of a live source in sight."""
+        for plot in self.plots.values():
+            plot.show_last(now_s, FOLLOWED_S)
+
+    def _draw_cursor(self) -> None:
+        facts = self._state.facts
+        if self._grid is None or not self.isVisible() or facts is None:
+            return
+        frame = min(self._state.frame, facts.frames - 1)
+        for name, plot in self.plots.items():
+            if name in self._state.choices.plots:
+                plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
+
+    def _show_kappa(self, _: object = None) -> None:
+        if self.kappa is not None and self.isVisible() and "kappa" in self._state.choices.plots:
+            result, curve = self._controller.result, self._controller.inspection.kappa_curve
+            self.kappa.draw(curve, result, self._state.choices.kappa, self._state.units)
+
+    def _on_click(self, event: Any) -> None:
+        for name, plot in self.plots.items():
+            inside = plot.box.sceneBoundingRect().contains(event.scenePos())
+            if inside and name in self._state.choices.plots:
+                self._seek(float(plot.box.mapSceneToView(event.scenePos()).x()))
+                event.accept()
+
+    def _on_dragged(self, line: Any) -> None:
+        self._seek(float(line.value()))
+
+    def _on_zoomed(self, *_: Any) -> None:
+        self._later()
+
+    def _on_kappa(self, line: Any) -> None:
+        self._state.choose(kappa=kappa_at(line))
+
+    def _seek(self, time_s: float) -> None:
+        facts = self._state.facts
+        if facts is not None:
+            self._state.seek(int(np.abs(facts.times_s - time_s).argmin()))
+
+    def _paint_theme(self) -> None:
+        roles, palette = QPalette.ColorRole, self.palette()
+        self._grid.setBackground(palette.color(roles.Base))
+        text = palette.color(roles.PlaceholderText)
+        for plot in [*self.plots.values(), self.kappa]:
+            if plot is not None:
+                plot.paint(text, palette.color(roles.Text))

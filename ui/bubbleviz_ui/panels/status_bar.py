@@ -1,0 +1,165 @@
+"""Status bar: the facts of the sensor and of the frame that is shown, each with its unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QMouseEvent, QResizeEvent
+from PySide6.QtWidgets import QLabel, QStatusBar
+
+from bubbleviz.live.latency import LatencyReport
+from bubbleviz.result import Result
+from bubbleviz_ui.model.events import SourceFacts
+from bubbleviz_ui.model.units import Units
+
+TIPS = {
+    "sensor": "Sensor",
+    "frame": "Frame shown and its time in the recording",
+    "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane",
+    "area": "Area of the contact patch on the membrane: p_c above κ times its mean (V-C)",
+    "gas": "Change of the gas pressure against the reference, p_v, by the gas law (Eq. 9)",
+    "residual": "Root mean square of measured minus modelled range (Eq. 19)",
+    "camera": "Mean frame rate of the depth camera",
+    "solve": "Depth image in → products out, and frames processed in the last second; click: more",
+    "latency": "From the stamp of a live frame to its picture: median and 95th percentile",
+    "render": "Pictures drawn in the last second",
+    "dropped": "Frames left out on purpose, because a newer one was there",
+}
+
+
+MEASURED = ("solve", "render", "dropped")
+"""What the window measures about itself; a click tells more."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the window measures about itself."""
+
+    solve_hz: float
+    render_hz: float
+    dropped: int
+
+
+def widest(units: Units) -> dict[str, str]:
+    """The longest text of each label that one can expect."""
+    return {
+        "sensor": "soft-bubble…",
+        "frame": "frame 888/888 · 88.888 s",
+        "force": f"force {units.force.text(88.88)}",
+        "area": f"patch {units.area.text(8.888e-3)}",
+        "gas": f"Δp gas {units.gas_pressure.text(8888.0, signed=True)}",
+        "residual": f"residual {units.length.text(8.88e-3)}",
+        "camera": "camera 88.8 Hz",
+        "solve": f"solve {units.duration.text(88.8)} · 88.8 Hz",
+        "latency": f"latency {units.duration.text(88.8)}, {units.duration.text(188.8)}",
+        "render": "render 88 fps",
+        "dropped": "dropped 8888 frames",
+    }
+
+
+class StatusBar(QStatusBar):
+    """One label a fact, each as wide as its widest text, so nothing jumps.
+
+    Attributes
+    ----------
+    asked : Signal
+        A click on what the window measures about itself.
+    """
+
+    asked = Signal()
+
+    def __init__(self, units: Units) -> None:
+        super().__init__()
+        self._units = units
+        self.setSizeGripEnabled(False)
+        self.setContentsMargins(10, 2, 10, 2)
+        self.labels = {name: self._label(name) for name in TIPS}
+        self.labels["latency"].hide()
+        self.fit_units()
+        for name, label in self.labels.items():
+            self.addWidget(label, 1 if name == "sensor" else 0)
+
+    def fit_units(self) -> None:
+        """Make each label as wide as its widest text in the operator's units."""
+        for name, text in widest(self._units).items():
+            label = self.labels[name]
+            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(text) + 6)
+
+    def show_source(self, facts: SourceFacts) -> None:
+        """Write what does not change from frame to frame."""
+        self._sensor = facts.sensor_name
+        self._show_sensor()
+        self.labels["sensor"].setToolTip(f"Sensor: {facts.sensor_name}; source: {facts.title}")
+        self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
+        for name in ("camera", "dropped"):  # the live bar has them of a stream
+            self.labels[name].setVisible(not facts.grows)
+        self.labels["latency"].setVisible(facts.grows)
+        self.show_latency(None)
+
+    def show_result(self, result: Result, facts: SourceFacts) -> None:
+        """Write the numbers of the frame that is shown."""
+        units, frame, estimate, patch = self._units, result.frame, result.estimate, result.patch
+        time_text = units.time.text(frame.time_s)
+        of_all = "" if facts.grows else f"/{facts.frames - 1}"
+        texts = {
+            "frame": f"frame {frame.index}{of_all} · {time_text}",
+            "force": "force "
+            + units.force.text(float(np.linalg.norm(patch.force_n)) if patch else None),
+            "area": "patch " + units.area.text(patch.area_m2 if patch else None),
+            "gas": "Δp gas "
+            + units.gas_pressure.text(
+                estimate.gas_pressure_change_pa if estimate else None, signed=True
+            ),
+            "residual": "residual "
+            + units.length.text(estimate.residual_rms_m if estimate else None),
+        }
+        for name, text in texts.items():
+            self.labels[name].setText(text)
+        self._solve_ms = result.times_ms.get("total")
+
+    def show_rates(self, rates: Rates) -> None:
+        """Write how fast the window is."""
+        units = self._units
+        solve = f"{units.duration.text(self._solve_ms)} · {units.rate.text(rates.solve_hz)}"
+        self.labels["solve"].setText(f"solve {solve}")
+        self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
+        self.labels["dropped"].setText(f"dropped {rates.dropped} frames")
+
+    def show_latency(self, report: LatencyReport | None) -> None:
+        """Write how old live frames are when their pictures are drawn."""
+        text = self._units.duration.text
+        median, p95 = (None, None) if report is None else (report.median_s, report.p95_s)
+        ms = [None if s is None else 1e3 * s for s in (median, p95)]
+        self.labels["latency"].setText(f"latency {text(ms[0])}, {text(ms[1])}")
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Say that somebody wants to know more."""
+        child = self.childAt(event.position().toPoint())
+        if child in [self.labels[name] for name in MEASURED]:
+            self.asked.emit()
+        super().mousePressEvent(event)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """The sensor's name takes what is left."""
+        super().resizeEvent(event)
+        self._show_sensor()
+
+    def _show_sensor(self) -> None:
+        label = self.labels["sensor"]
+        room = max(label.width(), label.minimumWidth())
+        elide = Qt.TextElideMode.ElideRight
+        label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
+
+    _solve_ms: float | None = None
+    _sensor = ""
+
+    def _label(self, name: str) -> QLabel:
+        label = QLabel()
+        label.setObjectName(f"status_{name}")
+        label.setToolTip(TIPS[name])
+        label.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        if name == "sensor":
+            label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        return label

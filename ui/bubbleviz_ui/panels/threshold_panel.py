@@ -1,0 +1,187 @@
+"""Threshold panel: where κ cuts the pressure, what that costs, and which parts are too small."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from PySide6.QtCore import QEvent, QSignalBlocker, Qt
+from PySide6.QtGui import QPalette, QShowEvent
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.components import Component
+from bubbleviz.patch.patch_finder import mean_pressure
+from bubbleviz.result import Result
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.model.events import ChoicesChanged, Event
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.units import NOTHING
+from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
+from bubbleviz_ui.panels.keep_keys import keep_keys
+
+ROW = 20
+"""Height of a row of the table, screen pixels."""
+HEIGHT = 300
+"""Of both plots, screen pixels."""
+LARGEST_M2 = 0.01
+COLUMNS = ("Area", "Force", "Peak p_c", "")
+
+
+class ThresholdPanel(QWidget):
+    """Histogram and κ-curve with the threshold as a line, and a table of the patch's parts."""
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self.setObjectName("threshold")
+        self._state, self._controller = state, controller
+        self._mesh: MembraneMesh | None = None
+        self._grid: Any = None
+        self.histogram: KappaHistogram | None = None
+        self.curve: KappaPlot | None = None
+        self.table = QTableWidget(0, len(COLUMNS))
+        self.least = QDoubleSpinBox()
+        self.least.setSpecialValueText("nothing")
+        self.least.setKeyboardTracking(False)
+        self.least.setToolTip("Parts of the patch smaller than this are not contact")
+        self._lay_out()
+        self._show_least()
+        controller.opened.connect(self._on_opened)
+        controller.shown.connect(self._on_shown)
+        self.least.valueChanged.connect(
+            lambda v: state.choose(least_area_m2=state.units.area.to_si(v))
+        )
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def _lay_out(self) -> None:
+        self._column = QVBoxLayout(self)
+        self._column.setContentsMargins(8, 6, 8, 8)
+        self._column.setSpacing(6)
+        row = QHBoxLayout()
+        row.addWidget(QLabel("Leave out parts below"))
+        row.addWidget(self.least, 1)
+        self._column.addLayout(row)
+        table = self.table
+        table.setHorizontalHeaderLabels(list(COLUMNS))
+        table.verticalHeader().hide()
+        table.verticalHeader().setDefaultSectionSize(ROW)
+        table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        table.horizontalHeader().setStretchLastSection(True)
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        table.setMinimumHeight(96)
+        self._column.addWidget(table, 1)
+
+    def _make(self) -> None:
+        """Load the plotting library when it is needed first."""
+        import pyqtgraph as pg
+
+        self._grid = pg.GraphicsLayoutWidget()
+        self._grid.setMinimumHeight(HEIGHT)
+        self._grid.ci.setContentsMargins(0, 0, 0, 0)
+        self.histogram, self.curve = KappaHistogram(), KappaPlot()
+        self._grid.ci.addItem(self.histogram.frame.item, 0, 0)
+        self._grid.ci.addItem(self.curve.frame.item, 1, 0)
+        self.curve.box.setXLink(self.histogram.box)
+        for plot in (self.histogram, self.curve):
+            plot.line.sigPositionChangeFinished.connect(self._on_dragged)
+        self._column.insertWidget(0, self._grid, 2)
+        self._paint_theme()
+
+    # -- events -------------------------------------------------------------------------------
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Draw what there is."""
+        super().showEvent(event)
+        if self._grid is None:
+            self._make()
+        self._draw()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self._grid is not None:
+            self._paint_theme()
+
+    def _on_opened(self, opened: Opened) -> None:
+        self._mesh = opened.mesh
+
+    def _on_shown(self, _: object) -> None:
+        self._draw()
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ChoicesChanged):
+            self._show_least()
+            self._draw()
+
+    def _on_dragged(self, line: Any) -> None:
+        self._state.choose(kappa=kappa_at(line))
+
+    # -- drawing ------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        if self._grid is None or not self.isVisible():
+            return
+        result, inspection = self._controller.result, self._controller.inspection
+        units = self._state.units
+        kappa = self._kappa(result)
+        if self.histogram is not None and self.curve is not None:
+            self.histogram.draw(inspection.kappa_curve, kappa, units)
+            self.curve.draw(inspection.kappa_curve, result, kappa, units)
+        self._fill(inspection.components)
+
+    def _kappa(self, result: Result | None) -> float | None:
+        """κ in use: the user's, or what the automatic threshold amounts to."""
+        if self._state.choices.kappa is not None:
+            return self._state.choices.kappa
+        if result is None or result.estimate is None or result.patch is None or self._mesh is None:
+            return None
+        mean = mean_pressure(self._mesh, result.estimate.contact_pressure_pa)
+        return result.patch.threshold_pa / mean if mean > 0.0 else None
+
+    def _fill(self, parts: tuple[Component, ...]) -> None:
+        units, least = self._state.units, self._state.choices.least_area_m2
+        self.table.setRowCount(len(parts))
+        for row, part in enumerate(parts):
+            texts = (
+                units.area.text(part.area_m2),
+                units.force.text(part.force_n),
+                units.pressure.text(part.peak_pa),
+                "contact" if part.area_m2 >= least else "left out",
+            )
+            for column, text in enumerate(texts):
+                item = QTableWidgetItem(text)
+                if part.area_m2 < least:
+                    item.setForeground(self.palette().color(QPalette.ColorRole.PlaceholderText))
+                self.table.setItem(row, column, item)
+        if not parts:
+            self.table.setRowCount(1)
+            self.table.setItem(0, 0, QTableWidgetItem(NOTHING))
+
+    def _show_least(self) -> None:
+        unit = self._state.units.area
+        with QSignalBlocker(self.least):
+            self.least.setDecimals(unit.digits)
+            self.least.setRange(0.0, unit.of(LARGEST_M2))
+            self.least.setSingleStep(unit.of(5e-6))
+            self.least.setSuffix(f" {unit.symbol}")
+            self.least.setValue(unit.of(self._state.choices.least_area_m2))
+
+    def _paint_theme(self) -> None:
+        roles, palette = QPalette.ColorRole, self.palette()
+        self._grid.setBackground(palette.color(roles.Base))
+        for plot in (self.histogram, self.curve):
+            if plot is not None:
+                plot.paint(palette.color(roles.PlaceholderText), palette.color(roles.Text))

@@ -1,0 +1,1 @@
+"""Playback: the clock, the timeline, frame ranges and the controls."""

@@ -1,0 +1,218 @@
+"""Playback panel: where we are in time, and the controls to be elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz_ui.model.choices import SPEEDS
+from bubbleviz_ui.model.events import Event, FrameChanged, HistoryChanged, SourceChanged
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.playback.playback_icons import icon
+from bubbleviz_ui.playback.range_strip import RangeStrip
+from bubbleviz_ui.playback.timeline import Timeline
+from bubbleviz_ui.shell import theme
+
+EVERY_S = 0.1
+"""While playing: nobody reads faster."""
+MODES = {False: "real time", True: "every frame"}
+JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
+JUMP_KEYS = {-1.0: "Ctrl+←", -0.1: "Shift+←", 0.1: "Shift+→", 1.0: "Ctrl+→"}
+
+
+MARGIN, SPACING = 10, 4
+"""At both sides of the row, and between what is in it, screen pixels."""
+
+
+def next_speed(speed: float, direction: int) -> float:
+    """The next faster (1) or slower (-1) playback speed."""
+    return SPEEDS[min(max(SPEEDS.index(speed) + direction, 0), len(SPEEDS) - 1)]
+
+
+class PlaybackPanel(QWidget):
+    """Timeline with contact-free ranges; below it how to move in time, the frame and its time."""
+
+    def __init__(self, state: SessionState) -> None:
+        super().__init__()
+        self._state = state
+        self._shown_at = 0.0
+        self.first = self._button("First frame (Home)")
+        self.back = self._button("One frame back (←)")
+        self.play = self._button("Play or pause (Space)")
+        self.forward = self._button("One frame on (→)")
+        self.last = self._button("Last frame (End)")
+        self.jumps = {seconds: self._jump(text, seconds) for text, seconds in JUMPS_S.items()}
+        self.timeline = Timeline(state)
+        self.strip = RangeStrip()
+        self.strip.hide()
+        self.readout = QLabel()
+        self.speed = QComboBox()
+        for speed in SPEEDS:
+            self.speed.addItem(f"{speed:g}×", speed)
+        self.speed.setToolTip("Playback speed (Ctrl+↑, Ctrl+↓)")
+        self.mode = QComboBox()
+        for every_frame, title in MODES.items():
+            self.mode.addItem(title, every_frame)
+        self.mode.setToolTip(
+            "Keep time and leave frames out, or wait for every frame however slow (E)"
+        )
+        self.loop = self._switch("Loop", "Begin again after the last frame, or the range's (L)")
+        self.mark = self._switch("Mark", "Mark this frame (M); PgUp, PgDn go to marked frames")
+        self.freeze = self._switch("Freeze", "Stand still while the live source goes on (F)")
+        self.now = QToolButton()
+        self.now.setText("Now")
+        self.now.setToolTip("Back to what the live source shows now (N)")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self._lay_out()
+        self._show_all()
+        self._connect()
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def _button(self, tip: str) -> QToolButton:
+        button = QToolButton()
+        button.setToolTip(tip)
+        return button
+
+    def _jump(self, text: str, seconds: float) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setObjectName("slim")
+        button.setToolTip(f"{text.replace(' s', '')} seconds ({JUMP_KEYS[seconds]})")
+        button.clicked.connect(lambda: self._state.jump(seconds))
+        return button
+
+    def _switch(self, text: str, tip: str) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setCheckable(True)
+        button.setToolTip(tip)
+        return button
+
+    def _lay_out(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(MARGIN, 4, MARGIN, 6)
+        column.setSpacing(0)
+        column.addWidget(self.timeline)
+        column.addWidget(self.strip)
+        row = QHBoxLayout()
+        row.setContentsMargins(0, 4, 0, 0)
+        row.setSpacing(SPACING)
+        back, on = list(self.jumps.values())[:2], list(self.jumps.values())[2:]
+        moves = (self.first, *back, self.back, self.play, self.forward, *on, self.last)
+        for button in moves:
+            row.addWidget(button)
+        row.addStretch(1)
+        row.addWidget(self.readout)
+        row.addStretch(1)
+        how = (self.mark, self.loop, self.freeze, self.now, self.mode, self.speed)
+        for widget in how:
+            row.addWidget(widget)
+        self._in_row: tuple[QWidget, ...] = (*moves, self.readout, *how)
+        column.addLayout(row)
+        column.addStretch(1)
+        self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
+
+    def _connect(self) -> None:
+        state = self._state
+        self.first.clicked.connect(lambda: state.seek(0))
+        self.last.clicked.connect(lambda: state.seek(state.facts.frames - 1 if state.facts else 0))
+        self.back.clicked.connect(lambda: state.step(-1))
+        self.forward.clicked.connect(lambda: state.step(1))
+        self.play.clicked.connect(lambda: state.set_playing(not state.playing))
+        self.speed.currentIndexChanged.connect(
+            lambda _: state.choose(speed=self.speed.currentData())
+        )
+        self.mode.currentIndexChanged.connect(
+            lambda _: state.choose(every_frame=self.mode.currentData())
+        )
+        self.loop.clicked.connect(lambda on: state.choose(loop=on))
+        self.mark.clicked.connect(lambda: state.toggle_marker(state.frame))
+        self.freeze.clicked.connect(state.freeze)
+        self.now.clicked.connect(lambda: state.freeze(False))
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, FrameChanged | HistoryChanged):
+            now = time.perf_counter()
+            steady = isinstance(event, FrameChanged) and not event.by_playback
+            if steady or not self._state.playing or now - self._shown_at >= EVERY_S:
+                self._shown_at = now
+                self._show_frame()
+        else:
+            if isinstance(event, SourceChanged):
+                self.timeline.show_source()
+            self._show_all()
+
+    def _show_all(self) -> None:
+        facts, choices, live = self._state.facts, self._state.choices, False
+        self.setEnabled(facts is not None)
+        self._show_icons()
+        self.speed.setCurrentIndex(self.speed.findData(choices.speed))
+        self.mode.setCurrentIndex(self.mode.findData(choices.every_frame))
+        self.loop.setChecked(choices.loop)
+        self.freeze.setChecked(self._state.frozen)
+        if facts is not None:
+            live = facts.live
+            widest = self._text(facts.frames - 1)
+            self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 4)
+        self.freeze.setVisible(live and not self._state.frozen)
+        self.now.setVisible(live and self._state.frozen)
+        self._fit()
+        self._show_frame()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Show what there is room for."""
+        super().resizeEvent(event)
+        self._fit()
+
+    def _fit(self) -> None:
+        """Leave the jumps out of a narrow window; their keys stay."""
+        jumps = tuple(self.jumps.values())
+        others = [w for w in self._in_row if w not in jumps and not w.isHidden()]
+        needed, more = _width(others) + 2 * MARGIN, _width(jumps)
+        self.setMinimumWidth(needed)
+        for button in jumps:
+            button.setVisible(self.width() >= needed + more)
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
+            self._show_icons()
+
+    def _show_icons(self) -> None:
+        colours = theme.of(self)
+        self.play.setIcon(icon("pause" if self._state.playing else "play", colours))
+        for name in ("first", "back", "forward", "last"):
+            getattr(self, name).setIcon(icon(name, colours))
+
+    def _show_frame(self) -> None:
+        self.timeline.update()
+        self.mark.setChecked(self._state.frame in self._state.markers)
+        self.readout.setText(self._text(self._state.frame))
+
+    def _text(self, frame: int) -> str:
+        facts = self._state.facts
+        if facts is None:
+            return ""
+        time_text = self._state.units.time.text(float(facts.times_s[frame]))
+        of_all = "" if facts.grows else f" / {facts.frames - 1}"
+        return f"frame {frame}{of_all}   {time_text}"
+
+
+def _width(widgets: Sequence[QWidget]) -> int:
+    """Room that widgets in a row need, screen pixels."""
+    return sum(max(w.sizeHint().width(), w.minimumWidth()) + SPACING for w in widgets)

@@ -1,0 +1,255 @@
+"""The timeline: every frame's place, what is known of it, and the cursor. One widget, no items."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QHelpEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
+
+from bubbleviz.frames.gaps import Gap, find_gaps
+from bubbleviz_ui.model.events import SourceFacts
+from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.playback.range_strip import MARGIN, REACH
+from bubbleviz_ui.shell import theme
+
+RULER = 16
+"""Height of the upper band, which has the times, markers and the played range."""
+BAND = 22
+"""Height of the lower band, which has the frames."""
+TICK_PIXELS = 5
+"""Frames nearer to each other than this share a tick."""
+LABEL_PIXELS = 70
+STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600)
+WORDS = {UNKNOWN: "not computed yet", FREE: "no contact", CONTACT: "contact"}
+
+
+class Timeline(QWidget):
+    """Frames from left to right; click or drag below to seek, drag above for a range to play.
+
+    Its cost does not grow with the frames: contact is gathered to one value a screen column.
+    """
+
+    def __init__(self, state: SessionState) -> None:
+        super().__init__()
+        self._state = state
+        self._gaps: tuple[Gap, ...] = ()
+        self._known: SourceFacts | None = None
+        self._holding: int | None = None
+        self._dragged: tuple[int, int] | None = None
+        self.setObjectName("timeline")
+        self.setFixedHeight(RULER + BAND)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setMouseTracking(True)
+
+    def show_source(self) -> None:
+        """Take another source: where frames are missing in it."""
+        facts = self._state.facts
+        if facts is not self._known and facts is not None:
+            self._known, self._gaps = facts, find_gaps(facts.times_s)
+        self.update()
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Places where frames are missing."""
+        return self._gaps
+
+    def x_of(self, frame: float) -> float:
+        """Where a frame lies, screen pixels."""
+        return MARGIN + frame / max(self._frames - 1, 1) * self._span
+
+    def frame_at(self, x: float) -> int:
+        """Frame nearest to a place."""
+        share = (x - MARGIN) / max(self._span, 1)
+        return min(max(round(share * (self._frames - 1)), 0), max(self._frames - 1, 0))
+
+    def sizeHint(self) -> QSize:
+        """As wide as there is room."""
+        return QSize(300, RULER + BAND)
+
+    # -- mouse --------------------------------------------------------------------------------
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Seek, or begin a range; near an end of the range, move that."""
+        if event.button() != Qt.MouseButton.LeftButton or not self._frames:
+            return
+        x, frame = event.position().x(), self.frame_at(event.position().x())
+        shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
+        if event.position().y() < RULER or shift:
+            self._holding = self._other_end(x)
+            if self._holding is None:
+                self._holding = frame
+        else:
+            self._state.seek(frame)
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Seek or draw the range while the button is held."""
+        x, ruler = event.position().x(), event.position().y() < RULER
+        if not event.buttons() & Qt.MouseButton.LeftButton:
+            end = ruler and self._other_end(x) is not None
+            self.setCursor(Qt.CursorShape.SizeHorCursor if end else Qt.CursorShape.ArrowCursor)
+        elif self._holding is not None:
+            first, last = sorted((self._holding, self.frame_at(x)))
+            self._dragged = (first, last)
+            self.update()
+        else:
+            self._state.seek(self.frame_at(x))
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """One drag is one range; from now on it is played again and again."""
+        dragged, self._holding, self._dragged = self._dragged, None, None
+        if dragged is not None and dragged[0] < dragged[1]:
+            self._state.choose_range(dragged)
+            self._state.choose(loop=True)
+        self.update()
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
+        """Play all frames again."""
+        if event.position().y() < RULER:
+            self._state.choose_range(None)
+
+    def event(self, event: QEvent) -> bool:
+        """Say what is under the mouse."""
+        if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent) and self._facts:
+            QToolTip.showText(event.globalPos(), self.words(self.frame_at(event.pos().x())), self)
+            return True
+        return super().event(event)
+
+    def words(self, frame: int) -> str:
+        """What is known about a frame."""
+        if self._facts is None:
+            return ""
+        time_text = self._state.units.time.text(float(self._facts.times_s[frame]))
+        parts = [f"frame {frame} · {time_text}", WORDS[int(self._state.history.contact[frame])]]
+        parts += [f"{g.missing} missing after it" for g in self._gaps if g.after_frame == frame]
+        parts += ["marked"] * (frame in self._state.markers)
+        help_text = "Click or drag: seek. Drag above (or with Shift): range to play"
+        return f"{' · '.join(parts)}\n{help_text}; double-click there: all"
+
+    # -- painting -----------------------------------------------------------------------------
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """All of it: a few hundred pixels by as many numbers."""
+        painter = QPainter(self)
+        painter.fillRect(QRectF(MARGIN, RULER, self._span, BAND), QColor(theme.of(self).field))
+        if self._frames and self._facts is not None:
+            self._paint_contact(painter)
+            self._paint_ticks(painter)
+            self._paint_times(painter, self._facts.times_s)
+            self._paint_gaps(painter)
+            self._paint_range(painter)
+            self._paint_markers(painter)
+            self._paint_cursor(painter)
+        painter.end()
+
+    def _paint_contact(self, painter: QPainter) -> None:
+        known = columns(self._state.history.contact, max(int(self._span), 1))
+        ends = np.flatnonzero(np.diff(known)) + 1
+        colours = {FREE: theme.of(self).free, CONTACT: theme.CONTACT}
+        for start, stop in zip([0, *ends], [*ends, len(known)], strict=True):
+            if known[start] != UNKNOWN:
+                place = QRectF(MARGIN + float(start), RULER, float(stop - start), BAND)
+                painter.fillRect(place, QColor(colours[int(known[start])]))
+
+    def _paint_ticks(self, painter: QPainter) -> None:
+        step = 1
+        while step * self._span < TICK_PIXELS * (self._frames - 1):
+            step *= 10
+        bottom = float(RULER + BAND)
+        lines = [
+            QLineF(x, bottom - (9 if k % (10 * step) == 0 else 5), x, bottom)
+            for k in range(0, self._frames, step)
+            for x in (self.x_of(k),)
+        ]
+        painter.setPen(QPen(QColor(theme.of(self).dim), 1))
+        painter.drawLines(lines)
+
+    def _paint_times(self, painter: QPainter, times_s: np.ndarray) -> None:
+        span_s = float(times_s[-1] - times_s[0])
+        most = max(self._span / LABEL_PIXELS, 1)
+        step = next((s for s in STEPS_S if span_s / s <= most), STEPS_S[-1])
+        painter.setPen(QColor(theme.of(self).dim))
+        font = painter.font()
+        font.setPointSizeF(0.8 * font.pointSizeF())
+        painter.setFont(font)
+        end = -1e9
+        for at_s in np.arange(0.0, span_s + 1e-9, step):
+            frame = int(np.searchsorted(times_s - times_s[0], at_s - 1e-9))
+            text, x = f"{at_s:g} s", self.x_of(min(frame, self._frames - 1))
+            width = painter.fontMetrics().horizontalAdvance(text)
+            left = min(x + 3, self.width() - width - 2)
+            if left > end + 6:
+                painter.drawLine(QLineF(x, RULER - 4, x, RULER))
+                painter.drawText(QPointF(left, RULER - 4), text)
+                end = left + width
+
+    def _paint_gaps(self, painter: QPainter) -> None:
+        for gap in self._gaps:
+            x = self.x_of(gap.after_frame + 0.5)
+            painter.fillRect(QRectF(x - 1, RULER, 2, BAND), QColor(theme.GAP))
+
+    def _paint_range(self, painter: QPainter) -> None:
+        frames = self._dragged or self._state.play_range
+        if frames is None:
+            return
+        left, right = self.x_of(frames[0]), self.x_of(frames[1])
+        accent = QColor(theme.of(self).accent)
+        shade = QColor(accent)
+        shade.setAlpha(90 if self._state.choices.loop else 45)
+        painter.fillRect(QRectF(left, 0, right - left, RULER), shade)
+        for x in (left, right):
+            painter.fillRect(QRectF(x - 1, 0, 2, RULER + BAND), accent)
+
+    def _paint_markers(self, painter: QPainter) -> None:
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor(theme.of(self).marker))
+        for frame in self._state.markers:
+            x, top = self.x_of(frame), RULER - 8.0
+            corners = [QPointF(x - 5, top), QPointF(x + 5, top), QPointF(x, RULER + 2.0)]
+            painter.drawPolygon(QPolygonF(corners))
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
+
+    def _paint_cursor(self, painter: QPainter) -> None:
+        if self._state.frozen:
+            now = self.x_of(self._state.now)
+            painter.fillRect(QRectF(now - 1, RULER, 2, BAND), QColor(theme.FORCE))
+        x = self.x_of(self._state.frame)
+        painter.fillRect(QRectF(x - 1, RULER - 4, 2, BAND + 4), QColor(theme.of(self).text))
+        if self.hasFocus():
+            painter.setPen(QPen(QColor(theme.of(self).accent), 1))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRect(QRectF(MARGIN - 1, RULER, self._span + 1, BAND - 1))
+
+    # -- geometry -----------------------------------------------------------------------------
+
+    @property
+    def _facts(self) -> SourceFacts | None:
+        """Of the source as it is now: a live one grows."""
+        return self._state.facts
+
+    @property
+    def _frames(self) -> int:
+        return self._facts.frames if self._facts is not None else 0
+
+    @property
+    def _span(self) -> float:
+        return float(self.width() - 2 * MARGIN)
+
+    def _other_end(self, x: float) -> int | None:
+        """The end of the range that stays when the one near `x` is dragged."""
+        frames = self._state.play_range
+        if frames is None:
+            return None
+        for end, other in (frames, frames[::-1]):
+            if abs(self.x_of(end) - x) <= REACH:
+                return other
+        return None
+
+
+def columns(contact: np.ndarray, width: int) -> np.ndarray:
+    """Highest state (width,) of the frames (F,) that share each screen column."""
+    place = np.arange(width) / max(width - 1, 1) * (len(contact) - 1)
+    return np.maximum.reduceat(contact, np.floor(place + 0.5).astype(np.int64))

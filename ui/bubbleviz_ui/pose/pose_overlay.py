@@ -1,0 +1,69 @@
+"""Between the pose panel and the view: where the object is drawn, and the box that moves it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import QObject
+
+from bubbleviz.rigid_object import RigidObject
+from bubbleviz_ui.pose.pose_gizmo import Gizmo
+from bubbleviz_ui.pose.pose_panel import PosePanel
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.view3d.render_view import View
+    from bubbleviz_ui.view3d.scene import Scene
+
+ABOVE_M = 0.02
+"""Where an object without a pose appears: above the origin of B by this, and by its own size."""
+
+
+class PoseOverlay:
+    """Keeps the object in the view as the panel says; on the GUI thread, as all of VTK."""
+
+    def __init__(self, view: View, scene: Scene, panel: PosePanel) -> None:
+        self._view, self._scene, self._panel = view, scene, panel
+        self._obj: RigidObject | None = None
+        self._start: np.ndarray | None = None
+        self.gizmo = Gizmo(view, self._on_dragged)
+        self._wires = [
+            panel.session.changed.connect(lambda: self._on_changed()),
+            panel.gizmo.connect(lambda on: self._on_gizmo(on)),
+        ]
+
+    def close(self) -> None:
+        """Take the box away, and let go of the view, before it is gone."""
+        self.gizmo.hide()
+        for wire in self._wires:
+            QObject.disconnect(wire)
+
+    def _on_changed(self) -> None:
+        session, layer = self._panel.session, self._scene.object
+        if session.obj is not self._obj:
+            self._obj = session.obj
+            self.gizmo.hide()
+            self._panel.move_it.setChecked(False)
+            layer.set_object(session.obj)
+        if (session.start is not self._start and session.start is not None) or session.pose is None:
+            layer.put(session.start)
+        self._start = session.start
+        self._view.refresh()
+
+    def _on_gizmo(self, on: bool) -> None:
+        session = self._panel.session
+        if not on or session.obj is None:
+            self.gizmo.hide()
+            return
+        place = self._scene.object.place
+        T = self._above(session.obj) if place is None else place
+        self._panel.use_start(T)
+        self.gizmo.show(session.obj, T)
+
+    def _above(self, obj: RigidObject) -> np.ndarray:
+        T = np.eye(4)
+        T[2, 3] = ABOVE_M + float(np.ptp(obj.vertices[:, 2]))
+        return T
+
+    def _on_dragged(self, T_B_O: np.ndarray) -> None:
+        self._panel.use_start(T_B_O)

@@ -1,0 +1,291 @@
+"""Pose panel: choose the object and its start, fit once or track, and see how well it fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import QSignalBlocker, QTimer, Signal
+from PySide6.QtGui import QDragEnterEvent, QDropEvent
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.mesh_reader import SUFFIXES
+from bubbleviz.files.preset_files import presets_folder
+from bubbleviz_ui.model.choices import POSE_CHOICES
+from bubbleviz_ui.model.events import ChoicesChanged, Event
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.pose.start_boxes import StartBoxes
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.pose.fit_curves import Curves
+    from bubbleviz_ui.pose.pose_session import PoseSession
+
+MESHES = f"Meshes ({' '.join('*' + suffix for suffix in SUFFIXES)});;All files (*)"
+NONE, FROM_FILE = "none", "from a file…"
+NUMBERS = {
+    "state": "Status", "fit": "Both stages", "first": "Stage one", "open": "Not determined",
+    "spread": "Deviation", "time": "Time",
+}  # fmt: skip
+EVERY_MS = 150
+"""Numbers and curves are written this often: nobody reads faster."""
+
+
+class PosePanel(QWidget):
+    """Controls of a `PoseSession`.
+
+    Attributes
+    ----------
+    said : Signal
+        A message for the user.
+    gizmo : Signal
+        Whether the object is to be moved in the view.
+    """
+
+    said = Signal(str)
+    gizmo = Signal(bool)
+
+    def __init__(self, state: SessionState, session: PoseSession) -> None:
+        super().__init__()
+        self.setAcceptDrops(True)
+        self._state, self.session = state, session
+        self._curves: Curves | None = None
+        self.object = QComboBox()
+        self.unit = QComboBox()
+        self.start = StartBoxes(state.units)
+        self.search = QCheckBox("Search for it")
+        self.move_it = QPushButton("Move in view")
+        self.here = QPushButton("Start from here")
+        self.once = QPushButton("Fit once")
+        self.once.setToolTip("Both stages of the registration (VI) on this frame")
+        self.track = QPushButton("Track")
+        self.reset = QPushButton("Reset")
+        self.stage = QComboBox()
+        self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
+        self.csv.setToolTip("Poses found so far, T_B_O in m, as POSES.csv")
+        self.tum.setToolTip("Poses found so far in the TUM format of trajectories, m")
+        self.values = {name: QLabel() for name in NUMBERS}
+        self._fill()
+        self._lay_out()
+        self._connect()
+        keep_keys(self)
+        self._due = QTimer(self)
+        self._due.setSingleShot(True)
+        self._due.setInterval(EVERY_MS)
+        self._due.timeout.connect(lambda: self._write())
+        self._write()
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Accept mesh files."""
+        if any(
+            Path(url.toLocalFile()).suffix.lower() in SUFFIXES for url in event.mimeData().urls()
+        ):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Use the first mesh file dropped."""
+        paths = [Path(url.toLocalFile()) for url in event.mimeData().urls()]
+        for path in [p for p in paths if p.suffix.lower() in SUFFIXES][:1]:
+            event.acceptProposedAction()
+            self.use_file(path)
+
+    def use_file(self, path: Path) -> None:
+        """Look for the object of a mesh file, in the unit that is chosen."""
+        self.session.choose(str(path.absolute()))
+
+    def close_plots(self) -> None:
+        """Let go of the plots before the window is gone."""
+        if self._curves is not None:
+            self._curves.close_plots()
+
+    def _fill(self) -> None:
+        self.object.setObjectName("pose_object")
+        self.object.setToolTip("Object to look for: a preset, or a mesh file dropped here")
+        self.object.addItem(NONE, None)
+        for path in sorted(presets_folder("objects").glob("*.*")):
+            self.object.addItem(path.stem.replace("_", " "), path.stem)
+        self.object.addItem(FROM_FILE, FROM_FILE)
+        for title, value in (("unit by name", None), ("metres", "m"), ("millimetres", "mm")):
+            self.unit.addItem(title, value)
+        self.unit.setToolTip("Unit of a mesh file; by name: mm where it ends in _mm, else m")
+        self.search.setChecked(True)
+        self.search.setToolTip("Try the object's faces all around instead of a start")
+        self.move_it.setCheckable(True)
+        self.move_it.setToolTip(
+            "Drag the box around the object: handles turn it, the middle moves it"
+        )
+        self.here.setToolTip("Take the pose that is shown as the start")
+        self.track.setCheckable(True)
+        self.track.setToolTip("Follow the object from frame to frame")
+        self.reset.setToolTip("Forget every pose and stop tracking (X)")
+        self.stage.addItem("both stages", 2)
+        self.stage.addItem("stage one", 1)
+        self.stage.setToolTip("Which result the object is drawn at")
+
+    def _lay_out(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 10, 12, 10)
+        column.setSpacing(6)
+        for row in (
+            (self.object, self.unit),
+            (self.search, self.here, self.move_it),
+            (self.start,),
+            (self.once, self.track, self.reset),
+        ):
+            column.addLayout(_row(*row))
+        form = QFormLayout()
+        form.setHorizontalSpacing(12)
+        for name, title in NUMBERS.items():
+            form.addRow(title, self.values[name])
+        form.addRow("Shown", self.stage)
+        column.addLayout(form)
+        self._room = QVBoxLayout()
+        column.addLayout(self._room)
+        column.addLayout(_row(QLabel("Export"), self.csv, self.tum))
+        column.addStretch(1)
+        for name, value in self.values.items():
+            value.setObjectName(f"pose_{name}")
+            value.setWordWrap(True)
+
+    def _connect(self) -> None:
+        session, state = self.session, self._state
+        self.object.activated.connect(lambda _: self._on_object())
+        self.unit.activated.connect(lambda _: state.choose(pose_unit=self.unit.currentData()))
+        self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
+        self.start.edited.connect(session.set_start)
+        self.move_it.toggled.connect(self.gizmo)
+        self.here.clicked.connect(lambda: self._start_here())
+        self.once.clicked.connect(lambda: session.fit_once())
+        self.track.clicked.connect(lambda on: session.track(on))
+        self.reset.clicked.connect(lambda: session.reset())
+        self.stage.activated.connect(lambda _: state.choose(pose_stage=self.stage.currentData()))
+        self.csv.clicked.connect(lambda: self._export("csv"))
+        self.tum.clicked.connect(lambda: self._export("tum"))
+        session.changed.connect(lambda: self._on_changed())
+        state.subscribe(self._on_event)
+
+    def use_start(self, T_B_O: np.ndarray) -> None:
+        """Begin at a pose (4, 4)."""
+        self.session.set_start(T_B_O)
+
+    def _start_here(self) -> None:
+        pose = self.session.pose
+        if pose is not None and np.isfinite(pose.T_B_O).all():
+            self.use_start(pose.T_B_O)
+
+    def _on_object(self) -> None:
+        name = self.object.currentData()
+        if name != FROM_FILE:
+            self.session.choose(name)
+            return
+        chosen, _ = QFileDialog.getOpenFileName(self, "Object", "", MESHES)
+        if chosen:
+            self.use_file(Path(chosen))
+        else:
+            self._show_object()
+
+    def _show_object(self) -> None:
+        name = self.session.object_name
+        with QSignalBlocker(self.object), QSignalBlocker(self.unit):
+            if name is not None and self.object.findData(name) < 0:
+                self.object.insertItem(self.object.count() - 1, Path(name).name, name)
+            self.object.setCurrentIndex(self.object.findData(name))
+            self.unit.setCurrentIndex(self.unit.findData(self._state.choices.pose_unit))
+
+    def _show_start(self) -> None:
+        start = self.session.start
+        with QSignalBlocker(self.search):
+            self.search.setChecked(start is None)
+        if start is not None and not np.allclose(self.start.pose(), start, atol=1e-9):
+            self.start.show_pose(start)  # angles that were typed stay as typed
+
+    def _export(self, form: str) -> None:
+        name, _ = QFileDialog.getSaveFileName(self, "Export poses", f"poses.{form}")
+        if not name:
+            return
+        try:
+            count = self.session.export(Path(name), "tum" if form == "tum" else "csv")
+        except InputError as error:
+            self.said.emit(str(error))
+        else:
+            self.values["state"].setText(f"{count} poses written to {Path(name).name}")
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ChoicesChanged):
+            if event.names & SYSTEMS.keys():
+                self.start.fit_units()
+            if event.names & {"pose_start", *SYSTEMS}:
+                self._show_start()
+            if event.names & POSE_CHOICES:
+                self._show_object()
+            self._on_changed()
+
+    def _on_changed(self) -> None:
+        self._lock()
+        if not self._due.isActive():
+            self._due.start()
+
+    def _lock(self) -> None:
+        """What can be used now: nothing while a fit runs."""
+        session = self.session
+        idle, has = not session.busy, session.obj is not None
+        self.object.setEnabled(idle)
+        self.unit.setEnabled(idle)
+        for widget in (self.search, self.start, self.once, self.track, self.reset, self.move_it):
+            widget.setEnabled(idle and has)
+        known = session.pose is not None and bool(np.isfinite(session.pose.T_B_O).all())
+        self.here.setEnabled(idle and has and known)
+        for button in (self.csv, self.tum):
+            button.setEnabled(idle and bool(session.rows))
+        self.track.setChecked(self._state.choices.pose_track)
+        row = self.stage.findData(self._state.choices.pose_stage)
+        self.stage.setCurrentIndex(max(row, 0))
+
+    def _write(self) -> None:
+        """Numbers and curves of the pose that is shown."""
+        from bubbleviz_ui.pose.pose_text import pose_words
+
+        self._lock()
+        self._show_object()
+        for name, text in pose_words(self.session, self._state.units).items():
+            self.values[name].setText(text)
+        pose = self.session.pose
+        if pose is None and self._curves is None:
+            return
+        curves = self._made_curves()
+        if pose is None:
+            curves.clear()
+        elif pose.stage_one is not None and pose.stage_two is not None:
+            curves.draw_iterations(pose.stage_one.history, pose.stage_two.history)
+        rows = [self.session.rows[k] for k in sorted(self.session.rows)]
+        if rows:
+            times = np.array([row.time_s for row in rows])
+            curves.draw_frames(times, np.array([(row.fitness, row.rmse_m) for row in rows]))
+
+    def _made_curves(self) -> Curves:
+        if self._curves is None:
+            from bubbleviz_ui.pose.fit_curves import Curves
+
+            self._curves = Curves(self._state.units)
+            self._room.addWidget(self._curves)
+        return self._curves
+
+
+def _row(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    for widget in widgets:
+        row.addWidget(widget)
+    return row

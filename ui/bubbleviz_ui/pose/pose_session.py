@@ -1,0 +1,166 @@
+"""What the pose panel shows and changes: the object, its start, and the poses found so far."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from PySide6.QtCore import QObject, Signal
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.pose_reader import pose_matrix, pose_numbers
+from bubbleviz.files.pose_writer import PoseRow, write_poses
+from bubbleviz.result import Pose, Result
+from bubbleviz.rigid_object import RigidObject
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Failed, Followed, FollowRequest, Opened
+from bubbleviz_ui.model.choices import POSE_CHOICES
+from bubbleviz_ui.model.events import ChoicesChanged, Event, SourceChanged
+
+FileUnit = Literal["m", "mm"]
+
+
+class PoseSession(QObject):
+    """The object that is looked for: the one of `Choices`, so that undo and sessions know it.
+
+    Attributes
+    ----------
+    changed : Signal
+        Another object, start or pose, or a fit began or ended.
+    obj : RigidObject or None
+        What the solver thread made of it.
+    start : (4, 4) array or None
+        T_B_O to begin at; None to search.
+    pose : Pose or None
+        Of the frame that is shown, or the last one there was.
+    busy : bool
+        A one-shot fit runs.
+    rows : dict
+        `PoseRow` by frame: every pose since the object was chosen.
+    """
+
+    changed = Signal()
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        self._controller, self._state = controller, controller.state
+        self.obj: RigidObject | None = None
+        self.start: np.ndarray | None = None
+        self._loaded: tuple[str | None, FileUnit | None] = (None, None)
+        self.pose: Pose | None = None
+        self.busy = False
+        self.rows: dict[int, PoseRow] = {}
+        controller.opened.connect(self._on_opened)
+        controller.followed.connect(self._on_followed)
+        controller.failed.connect(self._on_failed)
+        controller.shown.connect(self._on_shown)
+        self._state.subscribe(self._on_event)
+
+    @property
+    def object_name(self) -> str | None:
+        """Preset or file; None for none."""
+        return self._state.choices.pose_object
+
+    def choose(self, name: str | None) -> None:
+        """Look for another object, or for none; the same one is read again."""
+        before = self._state.choices
+        self._state.choose(pose_object=name, pose_start=None)
+        if self._state.choices is before:
+            self._look_for_it()
+
+    def set_start(self, T_B_O: np.ndarray | None) -> None:
+        """Begin at a pose (4, 4), or search."""
+        self._state.choose(pose_start=None if T_B_O is None else pose_numbers(T_B_O))
+
+    def fit_once(self) -> None:
+        """Fit the frame at the cursor from the start."""
+        if self.obj is None or self.busy:
+            return
+        self._state.set_playing(False)
+        self.busy = True
+        self._follow(fit=True)
+
+    def track(self, on: bool) -> None:
+        """Follow the object from frame to frame, from the start on."""
+        if on and self.obj is not None:
+            self._follow(fit=False)
+        self._state.choose(pose_track=on)
+        self.changed.emit()
+
+    def reset(self) -> None:
+        """Forget every pose and stop tracking; object and start stay."""
+        self._state.choose(pose_track=False)
+        self._forget()
+        self._follow(fit=False)
+
+    def export(self, path: Path, form: Literal["csv", "tum"]) -> int:
+        """Write the poses found so far; count of lines.
+
+        Raises
+        ------
+        InputError
+            The file exists or cannot be written.
+        """
+        return write_poses(path, [self.rows[k] for k in sorted(self.rows)], form)
+
+    def _forget(self) -> None:
+        self.pose, self.rows = None, {}
+        self.changed.emit()
+
+    def _look_for_it(self) -> None:
+        self._forget()
+        self._follow(fit=False)
+
+    def _follow(self, *, fit: bool) -> None:
+        choices = self._state.choices
+        self._controller.follow(choices.pose_object, choices.pose_unit, self.start, fit=fit)
+        self.changed.emit()
+
+    def _on_opened(self, opened: Opened) -> None:
+        self.pose, self.rows, self.busy = None, {}, False
+        self.changed.emit()
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, SourceChanged):
+            if self.object_name is not None:
+                self._follow(fit=self._state.choices.pose_track)
+        elif isinstance(event, ChoicesChanged):
+            if "pose_start" in event.names:
+                self._take_start()
+            if event.names & POSE_CHOICES:
+                self._look_for_it()
+            elif "pose_start" in event.names:
+                self._follow(fit=False) if self._state.choices.pose_track else self.changed.emit()
+
+    def _take_start(self) -> None:
+        numbers = self._state.choices.pose_start
+        try:
+            self.start = None if numbers is None else pose_matrix(np.array(numbers))
+        except InputError:  # of a session that somebody has edited
+            self.start = None
+
+    def _on_followed(self, followed: Followed) -> None:
+        request = followed.request
+        asked = (request.object_name, request.unit)
+        if self.obj is None or asked != self._loaded:  # the same one stays the same
+            self.obj, self._loaded = followed.obj, asked
+        if request.fit is not None:
+            self.busy = False
+        self.changed.emit()
+
+    def _on_failed(self, failed: Failed) -> None:
+        """An object that cannot be used stays chosen, for undo and for the next source."""
+        request = failed.request
+        if isinstance(request, FollowRequest):
+            self.busy = False
+            if request.object_name == self.object_name and request.fit is None:
+                self._controller.follow(None, None, None, fit=False)
+            self.changed.emit()
+
+    def _on_shown(self, result: Result) -> None:
+        if result.pose is None:
+            return
+        self.pose = result.pose
+        self.rows[result.frame.index] = PoseRow.of(result)
+        self.changed.emit()

@@ -1,0 +1,265 @@
+"""A session as a file: what was open, where in it, and everything the user chose. No Qt in here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.mesh_reader import SUFFIXES
+from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES, SOLVERS
+from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import LAYERS, SPEEDS, Choices
+from bubbleviz_ui.model.demand import CONSUMERS, PLOTS
+from bubbleviz_ui.session_files.live_paths import with_paths
+
+SYNTHETIC = "synthetic:"
+MOST_RECENT = 10
+OWN_CHOICES = ("theme", "record_folder", "publish_at")
+"""Choices that are the user's and of this computer; they neither come nor go with a session."""
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Point = tuple[Finite, Finite, Finite]
+_CHOICES = TypeAdapter(Choices)
+
+
+class SavedCamera(BaseModel):
+    """Point of view in B: m, and the angle of view in degrees."""
+
+    model_config = ConfigDict(frozen=True)
+
+    position: Point
+    focal_point: Point
+    up: Point
+    view_angle: float = Field(gt=0.0, lt=180.0)
+
+
+class SavedSession(BaseModel):
+    """What a session file holds; keys of later versions are passed over.
+
+    Attributes
+    ----------
+    source : str or None
+        A recording's path or `synthetic:`; None when a source cannot be opened by name.
+    truth : str or None
+        TRUTH.npz of that recording, where the user has named one.
+    live : SessionPreset or None
+        Live sensors that were connected.
+    sensor : str or None
+        Sensor file or preset.
+    frame : int
+    play_range : (int, int) or None
+    markers : tuple of int
+    choices : dict
+        Fields of `Choices`.
+    camera : SavedCamera or None
+        Where the user has moved the view.
+    geometry, layout : str
+        The window's place and its docks, Base64 of what Qt makes of them.
+    shortcuts : dict
+        Keys by action, where the user has changed them.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    schema_version: Literal[1] = 1
+    source: str | None = None
+    truth: str | None = None
+    live: SessionPreset | None = None
+    sensor: str | None = None
+    frame: int = Field(default=0, ge=0)
+    play_range: tuple[int, int] | None = None
+    markers: tuple[int, ...] = ()
+    choices: dict[str, Any] = {}
+    camera: SavedCamera | None = None
+    geometry: str = ""
+    layout: str = ""
+    shortcuts: dict[str, str] = {}
+
+    @property
+    def chosen(self) -> Choices:
+        """The choices; what this version does not know is left at its default."""
+        return usable_choices(self.choices)
+
+
+class UserFile(BaseModel):
+    """The user's own file: the last session, and what belongs to no session.
+
+    Attributes
+    ----------
+    session : SavedSession
+    recent : tuple of str
+        Files opened, the newest first.
+    hinted : bool
+        The first-run hint was read.
+    """
+
+    session: SavedSession = SavedSession()
+    recent: tuple[str, ...] = ()
+    hinted: bool = False
+
+
+def plain_choices(choices: Choices) -> dict[str, Any]:
+    """Choices as JSON has them."""
+    fields: dict[str, Any] = _CHOICES.dump_python(choices, mode="json")
+    return {k: sorted(v) if isinstance(getattr(choices, k), frozenset) else v
+            for k, v in fields.items()}  # fmt: skip
+
+
+def usable_choices(fields: dict[str, Any]) -> Choices:
+    """Choices of a file, each field on its own: one that cannot be used costs no other."""
+    usable: dict[str, Any] = {}
+    for name, value in fields.items():
+        try:
+            usable[name] = getattr(_CHOICES.validate_python({name: value}), name)
+        except (ValidationError, AttributeError):
+            continue
+    choices = Choices(**usable)
+    known = choices.solver in (None, *SOLVER_NAMES)
+    comparable = all(each.solver in (None, *SOLVERS) for each in choices.compared)
+    return replace(
+        choices,
+        layers=choices.layers & frozenset(LAYERS),
+        panels=choices.panels & frozenset(CONSUMERS),
+        plots=choices.plots & frozenset(PLOTS),
+        speed=choices.speed if choices.speed in SPEEDS else 1.0,
+        solver=choices.solver if known else None,
+        compared=choices.compared if comparable else Choices.compared,
+    )
+
+
+def name_of(sensor: Sensor) -> str | None:
+    """Preset's name or file of a sensor; None when it is of no file."""
+    if not sensor.file:
+        return None
+    path = sensor.resolve(sensor.file).absolute()
+    if path.parent == presets_folder("sensors").absolute():
+        return path.stem
+    return str(path)
+
+
+def for_colleague(saved: SavedSession, file: Path) -> SavedSession:
+    """Session whose paths start at its file's folder, so that all can be sent together.
+
+    What is the user's own, keys and colours of the window for one, is left out.
+    """
+    folder = file.absolute().parent
+
+    def relative(name: str) -> str:
+        if not Path(name).is_absolute():
+            return name
+        try:
+            return Path(os.path.relpath(name, folder)).as_posix()
+        except ValueError:  # another drive
+            return name
+
+    theirs = _renamed(saved, relative)
+    choices = {k: v for k, v in theirs.choices.items() if k not in OWN_CHOICES}
+    return theirs.model_copy(update={"choices": choices, "shortcuts": {}})
+
+
+def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
+    """The same session with other names for every file."""
+    choices = dict(saved.choices)
+    if isinstance(choices.get("pose_object"), str):
+        choices["pose_object"] = rename(choices["pose_object"])
+    return saved.model_copy(
+        update={
+            "source": None if saved.source is None else rename(saved.source),
+            "truth": None if saved.truth is None else rename(saved.truth),
+            "sensor": None if saved.sensor is None else rename(saved.sensor),
+            "live": None if saved.live is None else with_paths(saved.live, rename),
+            "choices": choices,
+        }
+    )
+
+
+def located(saved: SavedSession, file: Path | None) -> SavedSession:
+    """Session whose files are named by where they are; those that are not there keep their name.
+
+    Parameters
+    ----------
+    saved : SavedSession
+    file : Path or None
+        Where it was read from; files are looked for beside it.
+    """
+    return _renamed(saved, lambda name: absolute(name, file))
+
+
+def absolute(name: str, file: Path | None = None) -> str:
+    """Absolute path of a file of a session; what is no file, or is not there, as it is named."""
+    path = found(name, file)
+    return name if path is None else str(path.absolute())
+
+
+def missing(saved: SavedSession) -> dict[str, str]:
+    """Files a located session names that are not there, by the field they belong to."""
+    named = {"recording": saved.source, "truth": saved.truth, "sensor": saved.sensor}
+    if saved.source == SYNTHETIC:
+        del named["recording"]
+    if saved.sensor is not None and not saved.sensor.endswith(".toml"):
+        del named["sensor"]  # a preset
+    obj = saved.choices.get("pose_object")
+    if isinstance(obj, str) and Path(obj).suffix.lower() in SUFFIXES:
+        named["object"] = obj
+    return {what: name for what, name in named.items() if name and not Path(name).exists()}
+
+
+def found(name: str, file: Path | None) -> Path | None:
+    """Where a file of a session is: as named, from the session's folder, or beside it."""
+    places = [Path(name)]
+    if file is not None:
+        folder = file.absolute().parent
+        places = [folder / name, folder / Path(name).name]
+    return next((place for place in places if place.exists()), None)
+
+
+def read_session(path: Path) -> SavedSession:
+    """Session of a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read or is no session.
+    """
+    return _read(path, SavedSession)
+
+
+def read_user_file(path: Path) -> UserFile:
+    """The user's file; a new one where there is none yet.
+
+    Raises
+    ------
+    InputError
+        It cannot be read; it is put aside under another name.
+    """
+    if not path.exists():
+        return UserFile()
+    try:
+        return _read(path, UserFile)
+    except InputError as error:
+        aside = path.with_suffix(".unreadable")
+        path.replace(aside)
+        raise InputError(
+            f"{path}: the last session cannot be read and is kept as {aside.name}"
+        ) from error
+
+
+def _read(path: Path, kind: type[Any]) -> Any:
+    try:
+        return kind.model_validate_json(path.read_bytes())
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({reason}); choose another file") from error
+    except ValidationError as error:
+        problem = error.errors()[0]
+        where = ".".join(str(part) for part in problem["loc"]) or "file"
+        raise InputError(
+            f"{path}: is no session of bubbleviz ({where}: {problem['msg']}); choose another file"
+        ) from error

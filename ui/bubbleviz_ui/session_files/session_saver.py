@@ -1,0 +1,442 @@
+"""Keeps the session: what of the window goes into a file, comes back from it, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import BaseModel
+from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, QTimer, Signal
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
+from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for, synthetic
+from bubbleviz_ui.live.live_frames import LiveOpener
+from bubbleviz_ui.model.events import Event, SourceChanged
+from bubbleviz_ui.session_files.bundled_sensor import forget_others, is_beside, kept_beside
+from bubbleviz_ui.session_files.live_paths import with_paths, with_sensor
+from bubbleviz_ui.session_files.session_file import (
+    MOST_RECENT,
+    OWN_CHOICES,
+    SYNTHETIC,
+    SavedCamera,
+    SavedSession,
+    UserFile,
+    absolute,
+    for_colleague,
+    located,
+    missing,
+    name_of,
+    plain_choices,
+    read_session,
+    read_user_file,
+)
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.main_window import MainWindow
+
+EVERY_MS = 3000
+"""How much of a session a crash may cost."""
+OF_SOURCE = ("source", "truth", "live", "sensor", "frame", "play_range", "markers", "camera")
+"""Fields of a session that are kept as they were while its source is not there."""
+
+
+def user_file() -> Path:
+    """Where the user's session lives, in the folder the system has for such files."""
+    place = QStandardPaths.StandardLocation.AppConfigLocation
+    return Path(QStandardPaths.writableLocation(place)) / "session.json"
+
+
+class SessionSaver(QObject):
+    """Session files of one window.
+
+    Attributes
+    ----------
+    recent_changed : Signal
+        Another file is among the recent ones.
+    recent : tuple of str
+        Files opened, the newest first.
+    hinted : bool
+        The user has read the first-run hint.
+    """
+
+    recent_changed = Signal()
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__(window)
+        self._window = window
+        self.recent: tuple[str, ...] = ()
+        self.hinted = False
+        self._opened: Opened | None = None
+        self._pending: SavedSession | None = None
+        self._absent: SavedSession | None = None  # something else is open in its place
+        self._to_connect: SessionPreset | None = None
+        self._problems: list[str] = []
+        self._origin = ""
+        self._copied: tuple[Sensor, Path, Path] | None = None
+        self._file: Path | None = None
+        self._written: UserFile | None = None
+        self._timer = QTimer(self)
+        self._timer.setInterval(EVERY_MS)
+        self._timer.timeout.connect(lambda: self._autosave())
+        window.controller.opened.connect(self._on_opened)
+        window.controller.failed.connect(self._on_failed)
+        window.hint.understood.clicked.connect(self._on_hint_read)
+        window.state.subscribe(self._on_event)
+
+    # -- the user's own file ------------------------------------------------------------------
+
+    def keep_in(self, file: Path) -> SavedSession:
+        """Keep the session in a file from now on; returns what it held.
+
+        A file that cannot be read is a message, and a new session.
+        """
+        self._file = file
+        try:
+            user = read_user_file(file)
+        except InputError as error:
+            user = UserFile()
+            self._window.message.say(str(error))
+        self.recent, self.hinted = user.recent, user.hinted
+        self._window.hint.setVisible(not self.hinted)
+        self.recent_changed.emit()
+        self._timer.start()
+        return user.session
+
+    def save(self) -> None:
+        """Write the user's file where something has changed, whole or not at all."""
+        if self._file is None or self._opened is None:
+            return
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        user = UserFile(session=self.snapshot(self._file), recent=self.recent, hinted=self.hinted)
+        if user != self._written:
+            write_whole(self._file, user)
+            self._written = user
+
+    def close(self) -> None:
+        """Write for the last time."""
+        self._timer.stop()
+        with suppress(InputError, OSError):  # a full disk must not keep the window open
+            self.save()
+            if self._file is not None and self._written is not None:
+                sensor = self._written.session.sensor
+                forget_others(self._file, None if sensor is None else Path(sensor))
+
+    # -- sessions -----------------------------------------------------------------------------
+
+    def snapshot(self, file: Path | None = None) -> SavedSession:
+        """Session as it is now; a sensor that is in no file of the user's is kept beside `file`.
+
+        Raises
+        ------
+        InputError
+            That sensor cannot be kept.
+        """
+        window, state = self._window, self._window.state
+        sensor = self._sensor_name(file)
+        moved = window.scene.moved_by_user
+        now = SavedSession(
+            source=self._source_name(),
+            truth=self._truth_name(),
+            live=self._live(sensor),
+            sensor=sensor,
+            frame=state.frame,
+            play_range=state.play_range,
+            markers=state.markers,
+            choices=plain_choices(state.choices),
+            camera=_camera(window) if moved else None,
+            geometry=_text(window.saveGeometry()),
+            layout=_text(window.saveState()),
+            shortcuts=window.shortcuts.changed,
+        )
+        absent = self._absent
+        if absent is None:
+            return now
+        kept = {name: getattr(absent, name) for name in OF_SOURCE}
+        obj = now.choices["pose_object"] or absent.choices.get("pose_object")
+        return now.model_copy(update={**kept, "choices": {**now.choices, "pose_object": obj}})
+
+    def save_as(self, path: Path) -> None:
+        """Write the session for a colleague; what is the user's own stays here."""
+        try:
+            write_whole(path, for_colleague(self.snapshot(path), path))
+        except InputError as error:
+            self._window.message.say(str(error))
+        else:
+            self._remember(str(path.absolute()))
+
+    def open(self, path: Path) -> None:
+        """Open a session file; what of it cannot be opened is a message, the rest is restored."""
+        try:
+            saved = read_session(path)
+        except InputError as error:
+            self._window.message.say(str(error))
+            return
+        self.restore(saved, path)
+
+    def restore(self, saved: SavedSession, path: Path) -> bool:
+        """Restore a session that was read from a file; whether its source is being opened."""
+        self._remember(str(path.absolute()))
+        present = plain_choices(self._window.state.choices)
+        own = {name: present[name] for name in OWN_CHOICES}
+        saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
+        self.use(saved, path)
+        return self.open_source(saved, path)
+
+    def use(self, saved: SavedSession, file: Path | None = None) -> None:
+        """Take choices and layout of a session."""
+        window, saved = self._window, located(saved, file)
+        choices, gone = saved.chosen, missing(saved).get("object")
+        self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
+        if gone is not None:
+            choices = replace(choices, pose_object=None)
+            self._problems.append(f"object {gone} is not there")
+        with window.settings.unrecorded():
+            window.state.choose(**vars(choices))
+            if saved.geometry:
+                window.restoreGeometry(_bytes(saved.geometry))
+            if saved.layout:
+                window.restoreState(_bytes(saved.layout))
+            window.status.setVisible("status" in choices.panels)
+
+    def open_source(self, saved: SavedSession, file: Path | None = None) -> bool:
+        """Ask for the source of a session, to come back to the same frame of it.
+
+        What is not there, or not yet, is a message; it is asked for again at the next start,
+        unless the user opens something else meanwhile.
+
+        Returns
+        -------
+        bool
+            Whether it is being opened.
+        """
+        saved = located(saved, file)
+        gone = missing(saved)
+        self._problems += [f"{k} {name} is not there" for k, name in gone.items() if k != "object"]
+        opener: Callable[[Sensor], FrameSource] | None = None
+        if saved.source == SYNTHETIC:
+            opener = synthetic
+        elif saved.source is not None and "recording" not in gone:
+            truth = None if saved.truth is None or "truth" in gone else Path(saved.truth)
+            opener = recording(Path(saved.source), truth)
+        self._pending = saved
+        if opener is None:
+            self._go_without(saved)
+            return False
+        sensor = None if "sensor" in gone else saved.sensor
+        self._window.controller.opening.open(
+            saved.source or "",
+            opener,
+            self._sensor_opener(opener, sensor),
+            frame=saved.frame,
+            playing=opener is synthetic,
+            live=opener is synthetic,
+        )
+        return True
+
+    def expect(self, saved: SavedSession, path: Path) -> None:
+        """Take range, markers and view of a session if this is its recording."""
+        if saved.source is not None and Path(saved.source) == path.absolute():
+            self._pending = saved
+
+    def reload(self) -> None:
+        """Open recording and sensor anew from their files."""
+        opened, state = self._opened, self._window.state
+        if opened is None or state.facts is None:
+            return
+        opener = opened.request.open_source
+        if isinstance(opener, RecordingOpener):
+            opener = replace(opener)
+        sensor = opened.sensor
+        path = sensor.resolve(sensor.file)
+        from_file = bool(sensor.file) and path.exists()
+        self._window.controller.opening.open(
+            opened.request.what,
+            opener,
+            (lambda: load_sensor(path)) if from_file else (lambda: sensor),
+            frame=state.frame,
+            playing=state.playing,
+            live=state.facts.live,
+        )
+
+    def _autosave(self) -> None:
+        try:
+            self.save()
+        except (InputError, OSError) as error:
+            self._timer.stop()
+            self._window.message.say(f"The session is not saved any more: {error}")
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _source_name(self) -> str | None:
+        """The source that is open, as far as it has a name."""
+        opener = None if self._opened is None else self._opened.request.open_source
+        if isinstance(opener, RecordingOpener):
+            return str(opener.path.absolute())
+        return SYNTHETIC if opener is synthetic else None
+
+    def _truth_name(self) -> str | None:
+        opener = None if self._opened is None else self._opened.request.open_source
+        truth = opener.truth if isinstance(opener, RecordingOpener) else None
+        return None if truth is None else str(truth.absolute())
+
+    def _sensor_name(self, file: Path | None) -> str | None:
+        """The sensor in use: a preset, a file of the user's, or its copy beside `file`."""
+        if self._opened is None:
+            return None
+        sensor = self._opened.sensor
+        if file is None or not self._is_unsaved(sensor):
+            return name_of(sensor)
+        if self._copied is None or self._copied[0] is not sensor or self._copied[1] != file:
+            self._copied = sensor, file, kept_beside(sensor, file)
+        return str(self._copied[2])
+
+    def _is_unsaved(self, sensor: Sensor) -> bool:
+        """Whether a sensor is in no file that the user knows of."""
+        beside = self._file is not None and is_beside(sensor, self._file)
+        return not sensor.file or beside or self._window.gamma0.holds(sensor)
+
+    def _live(self, sensor: str | None) -> SessionPreset | None:
+        """Live sensors that are connected and shown, the chosen one with its present sensor."""
+        controller = self._window.live_controller
+        if controller.run is None or not self._is_live:
+            return None
+        live = with_paths(controller.run.preset, absolute)
+        return live if sensor is None else with_sensor(live, controller.chosen, sensor)
+
+    @property
+    def _is_live(self) -> bool:
+        opener = None if self._opened is None else self._opened.request.open_source
+        return isinstance(opener, LiveOpener)
+
+    def _is_open(self, saved: SavedSession) -> bool:
+        return saved.live is not None if self._is_live else saved.source == self._source_name()
+
+    def _go_without(self, saved: SavedSession) -> None:
+        """Wait for what a session's source lacks beside what is open, or will be in its place."""
+        if self._opened is None:
+            has_one = saved.source is not None or saved.live is not None
+            self._absent, self._to_connect = saved if has_one else None, saved.live
+        else:
+            self._tell_problems()
+            if saved.live is not None:
+                self._window.live_controller.connect_to(saved.live)
+
+    def _sensor_opener(
+        self, opener: Callable[[Sensor], object], name: str | None
+    ) -> Callable[[], Sensor]:
+        if name is not None:
+            return lambda: load_sensor(name)
+        present = self._window.controller.sensor or load_sensor("pico_flexx_75mm")
+        if isinstance(opener, RecordingOpener):
+            path = opener.path
+            return lambda: sensor_for(path, present)
+        return lambda: present
+
+    def _on_opened(self, opened: Opened) -> None:
+        before, self._opened = self._opened, opened
+        opener, sensor = opened.request.open_source, name_of(opened.sensor)
+        if before is not None and before.request.open_source is not opener:
+            self._forget_absent()
+        if (
+            sensor is not None
+            and Path(sensor).is_absolute()
+            and not self._is_unsaved(opened.sensor)
+        ):
+            self._remember(sensor)
+        if isinstance(opener, RecordingOpener):
+            self._remember(str(opener.path.absolute()))
+
+    def _forget_absent(self) -> None:
+        """The user has opened something else, or what was absent came."""
+        if self._absent is not None and not self._is_live:
+            # else it would come in place of what the user has opened
+            self._window.live_controller.cancel()
+        self._absent = None
+
+    def _on_failed(self, failed: Failed) -> None:
+        if isinstance(failed.request, OpenRequest) and self._pending is not None:
+            if self._opened is None:
+                self._problems = [failed.message]
+                self._absent = self._pending
+            self._pending = None
+
+    def _on_event(self, event: Event) -> None:
+        """Once the source is open: what belongs to it."""
+        if not isinstance(event, SourceChanged):
+            return
+        self._tell_problems()
+        pending, live = self._pending, self._to_connect
+        self._to_connect = None
+        if live is not None:
+            self._window.live_controller.connect_to(live)
+            return
+        self._pending = None
+        if pending is not None and self._is_open(pending):
+            self._take_what_belongs(pending, event.facts.frames)
+
+    def _take_what_belongs(self, saved: SavedSession, frames: int) -> None:
+        """Take range, markers and point of view."""
+        with self._window.settings.unrecorded():
+            state = self._window.state
+            state.choose_range(saved.play_range)
+            state.choose_markers(tuple(k for k in saved.markers if k < frames))
+        if saved.camera is not None:
+            camera = self._window.view.camera
+            for name in ("position", "focal_point", "up", "view_angle"):
+                setattr(camera, name, getattr(saved.camera, name))
+            self._window.view.refresh()
+
+    def _on_hint_read(self) -> None:
+        self.hinted = True
+
+    def _tell_problems(self) -> None:
+        if self._problems:
+            text = " and ".join(self._problems)
+            self._window.message.say(f"{self._origin}{text}; the rest is restored.")
+            self._problems = []
+
+    def _remember(self, path: str) -> None:
+        recent = (path, *(other for other in self.recent if other != path))[:MOST_RECENT]
+        if recent != self.recent:
+            self.recent = recent
+            self.recent_changed.emit()
+
+
+def write_whole(path: Path, what: BaseModel) -> None:
+    """Write a file whole or not at all; one that is there is replaced.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    file = QSaveFile(str(path))
+    text = what.model_dump_json(indent=1).encode()
+    opened = file.open(QSaveFile.OpenModeFlag.WriteOnly)
+    if not (opened and file.write(text) == len(text) and file.commit()):
+        raise InputError(f"{path}: cannot be written ({file.errorString()}); choose another place")
+
+
+def _camera(window: MainWindow) -> SavedCamera:
+    camera = window.view.camera
+    return SavedCamera(
+        position=tuple(camera.position),
+        focal_point=tuple(camera.focal_point),
+        up=tuple(camera.up),
+        view_angle=camera.view_angle,
+    )
+
+
+def _text(data: QByteArray) -> str:
+    return bytes(data.toBase64().data()).decode()
+
+
+def _bytes(text: str) -> QByteArray:
+    return QByteArray.fromBase64(text.encode())

@@ -1,0 +1,1 @@
+"""Around the panels: menus, shortcuts, command palette, theme, docks, messages."""

@@ -1,0 +1,76 @@
+"""Command palette: every action of the menus by a few letters, with the keyboard alone."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import QDialog, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+
+from bubbleviz_ui.shell.fuzzy_search import ranked
+from bubbleviz_ui.shell.shortcuts import Shortcuts
+
+WIDTH, HEIGHT = 520, 340
+TOP = 60
+"""Distance from the window's upper edge, screen pixels."""
+MOVES = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
+
+
+class CommandPalette(QDialog):
+    """Type letters, choose with the arrow keys, Enter does it, Escape leaves."""
+
+    def __init__(self, parent: QWidget, shortcuts: Shortcuts) -> None:
+        super().__init__(parent, Qt.WindowType.Popup)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.resize(WIDTH, HEIGHT)
+        self._shortcuts = shortcuts
+        self.search = QLineEdit()
+        self.search.setPlaceholderText("What to do?  ↑ ↓ choose, Enter does it, Esc leaves")
+        self.list = QListWidget()
+        self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(8, 8, 8, 8)
+        column.addWidget(self.search)
+        column.addWidget(self.list)
+        self.search.textChanged.connect(self._find)
+        self.search.installEventFilter(self)
+        self.list.itemClicked.connect(lambda _: self.do())
+        self._find("")
+
+    def open_over(self, window: QWidget) -> None:
+        """Appear in the middle of a window's upper half."""
+        place = window.mapToGlobal(window.rect().topLeft())
+        self.move(place.x() + (window.width() - WIDTH) // 2, place.y() + TOP)
+        self.show()
+        self.search.setFocus()
+
+    def do(self) -> None:
+        """Do what is chosen, once the palette is gone."""
+        item = self.list.currentItem()
+        if item is None:
+            return
+        action = self._shortcuts.actions[item.data(Qt.ItemDataRole.UserRole)]
+        self.close()
+        action.trigger()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Keys that move in the list go there; the text keeps the focus."""
+        if event.type() == QEvent.Type.KeyPress and isinstance(event, QKeyEvent):
+            if event.key() in MOVES:
+                self.list.event(event)
+                return True
+            if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+                self.do()
+                return True
+        return super().eventFilter(watched, event)
+
+    def _find(self, query: str) -> None:
+        self.list.clear()
+        actions = self._shortcuts.actions
+        names = [name for name, action in actions.items() if action.isEnabled()]
+        for name in ranked(query, names):
+            keys = self._shortcuts.keys(name)
+            item = QListWidgetItem(f"{name}    {keys}" if keys else name)
+            item.setData(Qt.ItemDataRole.UserRole, name)
+            self.list.addItem(item)
+        self.list.setCurrentRow(0)

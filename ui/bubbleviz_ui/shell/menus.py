@@ -1,0 +1,275 @@
+"""Menus and shortcuts of the window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from PySide6.QtGui import QAction, QActionGroup, QKeySequence
+from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
+
+from bubbleviz.files.defaults import SESSION_SUFFIX
+from bubbleviz.files.preset_files import preset_names
+from bubbleviz_ui.model.choices import LOOPBACK, ThemeName
+from bubbleviz_ui.model.scene_presets import Panel, load_scene
+from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.playback.playback_panel import next_speed
+from bubbleviz_ui.shell.shortcuts import UNLISTED
+from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.main_window import MainWindow
+
+SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
+RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
+
+
+class Menus:
+    """Actions of the menu bar; they only call the window and the model."""
+
+    def __init__(self, window: MainWindow) -> None:
+        self._window = window
+        bar = window.menuBar()
+        self._file(bar.addMenu("&File"))
+        self._edit(bar.addMenu("&Edit"))
+        self._playback(bar.addMenu("&Playback"))
+        self._live(bar.addMenu("&Live"))
+        self._view(bar.addMenu("&View"))
+        self._help(bar.addMenu("&Help"))
+
+    def _file(self, menu: QMenu) -> None:
+        self._add(menu, "&Open recording…", self._open_recording, QKeySequence.StandardKey.Open)
+        self._add(menu, "Open recording &folder…", self._open_folder, "Ctrl+Shift+O")
+        self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
+        self._add(menu, "Open &truth of a simulation…", self._open_truth)
+        self._recent(menu.addMenu("Open &recent"))
+        self._add(menu, "Re&load", self._window.session_saver.reload, "F5")
+        menu.addSeparator()
+        self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
+        self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
+        menu.addSeparator()
+        self._add(menu, "&Export…", self._window.show_export, "Ctrl+Shift+E")
+        self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
+        menu.addSeparator()
+        self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
+
+    def _recent(self, menu: QMenu) -> None:
+        session_saver = self._window.session_saver
+        menu.setProperty(UNLISTED, True)
+
+        def fill() -> None:
+            menu.clear()
+            for path in session_saver.recent:
+                menu.addAction(path).triggered.connect(partial(self._window.open_file, Path(path)))
+            menu.setEnabled(bool(session_saver.recent))
+
+        session_saver.recent_changed.connect(fill)
+        fill()
+
+    def _help(self, menu: QMenu) -> None:
+        palette = self._add(menu, "&Command palette…", self._window.show_palette)
+        palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
+        self._add(menu, "&What runs and what it costs", self._window.show_costs, "Ctrl+I")
+        self._add(menu, "&First steps", self._window.hint.show)
+        self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
+
+    def _edit(self, menu: QMenu) -> None:
+        stack = self._window.undo_stack
+        undo, redo = stack.createUndoAction(menu, "&Undo"), stack.createRedoAction(menu, "&Redo")
+        undo.setShortcut("Ctrl+Z")
+        redo.setShortcut("Ctrl+Shift+Z")
+        menu.addActions([undo, redo])
+
+    def _playback(self, menu: QMenu) -> None:
+        state = self._window.state
+        self._add(menu, "&Play / pause", lambda: state.set_playing(not state.playing), "Space")
+        self._add(menu, "One frame &back", lambda: state.step(-1), "Left")
+        self._add(menu, "One frame &on", lambda: state.step(1), "Right")
+        for title, seconds, keys in (
+            ("0.1 s back", -0.1, "Shift+Left"),
+            ("0.1 s on", 0.1, "Shift+Right"),
+            ("1 s back", -1.0, "Ctrl+Left"),
+            ("1 s on", 1.0, "Ctrl+Right"),
+        ):
+            self._add(menu, title, partial(state.jump, seconds), keys)
+        self._add(menu, "&First frame", lambda: state.seek(0), "Home")
+        self._add(menu, "&Last frame", self._last_frame, "End")
+        menu.addSeparator()
+        for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
+            self._add(menu, title, partial(self._change_speed, direction), keys)
+        self._add(menu, "&Every frame / real time", self._change_mode, "E")
+        self._add(menu, "&Loop", lambda: state.choose(loop=not state.choices.loop), "L")
+        self._add(menu, "Range begins here", lambda: self._range_end(0), "[")
+        self._add(menu, "Range ends here", lambda: self._range_end(1), "]")
+        self._add(menu, "Play all frames", lambda: state.choose_range(None), "Backspace")
+        menu.addSeparator()
+        self._add(menu, "&Mark this frame", lambda: state.toggle_marker(state.frame), "M")
+        self._add(menu, "Next marker", lambda: state.seek_marker(1), "PgDown")
+        self._add(menu, "Marker before", lambda: state.seek_marker(-1), "PgUp")
+        menu.addSeparator()
+        self._add(menu, "F&reeze a live source", lambda: state.freeze(not state.frozen), "F")
+        self._add(menu, "Back to &now", lambda: state.freeze(False), "N")
+
+    def _live(self, menu: QMenu) -> None:
+        window, live = self._window, self._window.live_controller
+        self._add(menu, "&Connect…", window.show_connect, "Ctrl+L")
+        self._add(menu, "&Disconnect", live.disconnect_all, "Ctrl+Shift+L")
+        menu.addSeparator()
+        self._add(menu, "&Record / stop recording", live.toggle_recording, "Ctrl+R")
+        self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
+        self._add(menu, "&Publish results / stop", live.toggle_publishing, "Ctrl+Shift+R")
+        self._add(menu, "Publish &at…", self._publish_at)
+        self._add(menu, "Gas pressure &zero now", live.zero_now, "Z")
+        self._add(menu, "The &other sensor", live.choose_other, "B")
+
+    def _view(self, menu: QMenu) -> None:
+        window = self._window
+        self._add(menu, "&Reset view", window.scene.reset_view, "R")
+        look = menu.addMenu("&Look from")
+        for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
+            self._add(look, title, partial(window.scene.look, viewpoint), f"Ctrl+{number}")
+        self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
+        for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
+            self._add(menu, title, partial(window.tools.use_tool, tool))
+        self._add(menu, "Reset p&ose", window.pose.session.reset, "X")
+        scenes = menu.addMenu("&Scene")
+        for name in preset_names("scenes"):
+            preset = load_scene(name)
+            self._add(scenes, preset.title, partial(window.use_scene, preset))
+        self._theme(menu.addMenu("&Theme"))
+        self._units(menu.addMenu("&Units"))
+        menu.addSeparator()
+        for name in get_args(Panel):
+            panel = window.panels[name]
+            if isinstance(panel, QDockWidget):
+                menu.addAction(panel.toggleViewAction())
+        status = self._add(
+            menu, "Status bar", lambda: window.status.setVisible(window.status.isHidden())
+        )
+        status.setCheckable(True)
+        menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
+
+    def _units(self, menu: QMenu) -> None:
+        """A choice of each kind of unit, with a line between kinds."""
+        menu.setObjectName("menu_units")
+        state = self._window.state
+        actions: dict[tuple[str, str], QAction] = {}
+        for kind, system in SYSTEMS.items():
+            group = QActionGroup(menu)
+            for symbol in system:
+                action = self._add(menu, symbol, partial(state.choose, **{kind: symbol}))
+                action.setCheckable(True)
+                group.addAction(action)
+                actions[kind, symbol] = action
+            menu.addSeparator()
+
+        def check() -> None:
+            for (kind, symbol), action in actions.items():
+                action.setChecked(getattr(state.choices, kind) == symbol)
+
+        menu.aboutToShow.connect(check)
+
+    def _theme(self, menu: QMenu) -> None:
+        menu.setObjectName("menu_theme")
+        state, group = self._window.state, QActionGroup(menu)
+        names: dict[ThemeName, str] = {
+            "system": "As the &system", "dark": "&Dark", "light": "&Light"
+        }  # fmt: skip
+        actions = {}
+        for name, title in names.items():
+            action = actions[name] = self._add(menu, title, partial(state.choose, theme=name))
+            action.setCheckable(True)
+            group.addAction(action)
+        menu.aboutToShow.connect(lambda: actions[state.choices.theme].setChecked(True))
+
+    def _add(
+        self,
+        menu: QMenu,
+        title: str,
+        do: Callable[[], object],
+        keys: str | QKeySequence.StandardKey | None = None,
+    ) -> QAction:
+        action = QAction(title, menu)
+        if keys is not None:
+            action.setShortcut(QKeySequence(keys))
+        action.triggered.connect(lambda: do())
+        menu.addAction(action)
+        return action
+
+    def _change_speed(self, direction: int) -> None:
+        state = self._window.state
+        state.choose(speed=next_speed(state.choices.speed, direction))
+
+    def _change_mode(self) -> None:
+        state = self._window.state
+        state.choose(every_frame=not state.choices.every_frame)
+
+    def _range_end(self, end: int) -> None:
+        state = self._window.state
+        if state.facts is not None:
+            first, last = state.play_range or (0, state.facts.frames - 1)
+            state.choose_range((first, state.frame) if end else (state.frame, last))
+
+    def _last_frame(self) -> None:
+        facts = self._window.state.facts
+        if facts is not None:
+            self._window.state.seek(facts.frames - 1)
+
+    def _publish_at(self) -> None:
+        state = self._window.state
+        endpoint, chosen = QInputDialog.getText(
+            self._window,
+            "Publish results",
+            "Listen at (127.0.0.1: this computer only; an address of it: others, too)",
+            text=state.choices.publish_at,
+        )
+        if chosen:
+            state.choose(publish_at=endpoint.strip() or LOOPBACK)
+
+    def _open_recording(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self._window, "Open recording", "", RECORDINGS)
+        if name:
+            self._window.controller.opening.recording(Path(name))
+
+    def _open_folder(self) -> None:
+        name = QFileDialog.getExistingDirectory(self._window, "Open recording folder")
+        if name:
+            self._window.controller.opening.recording(Path(name))
+
+    def _open_sensor(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(
+            self._window, "Open sensor", "", "Sensor files (*.toml);;All files (*)"
+        )
+        if name:
+            self._window.controller.opening.sensor_file(Path(name))
+
+    def _open_truth(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(
+            self._window, "Open truth", "", "Truth of a simulation (*.npz);;All files (*)"
+        )
+        if name:
+            self._window.controller.opening.truth(Path(name))
+
+    def _open_session(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self._window, "Open session", "", SESSIONS)
+        if name:
+            self._window.session_saver.open(Path(name))
+
+    def _save_session(self) -> None:
+        name, _ = QFileDialog.getSaveFileName(
+            self._window, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS
+        )
+        if name:
+            path = Path(name)
+            self._window.session_saver.save_as(
+                path if path.suffix else path.with_suffix(SESSION_SUFFIX)
+            )
+
+    def _screenshot(self) -> None:
+        name, _ = QFileDialog.getSaveFileName(
+            self._window, "Save screenshot", "bubbleviz.png", "PNG images (*.png)"
+        )
+        if name:
+            self._window.save_screenshot(Path(name))

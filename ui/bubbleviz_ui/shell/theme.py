@@ -1,0 +1,219 @@
+"""Every colour of the window, dark and light, and the style sheet made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor, QPalette
+from PySide6.QtWidgets import QApplication, QWidget
+
+from bubbleviz_ui.model.choices import ThemeName
+
+# Colours that mean something; they are the same in every theme.
+NEUTRAL = "#8c97a5"
+"""The membrane where nothing touches it."""
+WIREFRAME = "#5d6876"
+LINE = "#ffffff"
+FORCE = "#35d0ba"
+NEARER = "#2a6fff"
+FARTHER = "#13a35b"
+PATCH_POINT = "#b4f52e"
+UNKNOWN = "#5b6470"
+"""Where there is no number."""
+NODE = "#ff5ccd"
+CONTACT = "#e0662f"
+BETWEEN = "#e8edf2"
+"""Middle of a diverging map that lies on the membrane."""
+GAP = "#e5484d"
+BLUE, ORANGE, GREEN = "#4c9fe8", "#f0883e", "#35c07a"
+"""Curves; told apart with any colour vision, on dark and on light."""
+
+
+@dataclass(frozen=True)
+class Colours:
+    """A theme.
+
+    Attributes
+    ----------
+    view, cloud, rim, frustum : str
+        The 3-D view: background, plain points, lines.
+    window, panel, field, border : str
+        Surfaces, from the window's to those one writes on.
+    text, dim, disabled : str
+        Text, and what matters less.
+    accent, on_accent : str
+        What is chosen, and text on it.
+    button, hover, outline : str
+        Buttons, and the frame of check boxes.
+    message, message_edge : str
+        The message bar.
+    free, marker : str
+        On the timeline: frames without contact, marked frames.
+    good, usable, doubtful : str
+        Grades.
+    """
+
+    view: str
+    cloud: str
+    rim: str
+    frustum: str
+    window: str
+    panel: str
+    field: str
+    border: str
+    text: str
+    dim: str
+    disabled: str
+    accent: str
+    on_accent: str
+    button: str
+    hover: str
+    outline: str
+    message: str
+    message_edge: str
+    free: str
+    marker: str
+    good: str
+    usable: str
+    doubtful: str
+
+
+DARK = Colours(
+    view="#191d22",
+    cloud="#cfd6de",
+    rim="#c3ccd6",
+    frustum="#7f8b99",
+    window="#1d2126",
+    panel="#23282e",
+    field="#171a1e",
+    border="#3a414a",
+    text="#e6ebf0",
+    dim="#98a3af",
+    disabled="#666f79",
+    accent="#4c9fe8",
+    on_accent="#0b1118",
+    button="#2f353d",
+    hover="#3a424c",
+    outline="#66717e",
+    message="#5a2b2b",
+    message_edge="#b05050",
+    free="#3d4c5c",
+    marker="#f2c14e",
+    good="#4cc38a",
+    usable="#e5b567",
+    doubtful="#f07178",
+)
+LIGHT = Colours(
+    view="#f2f4f7",
+    cloud="#38424d",
+    rim="#4a5561",
+    frustum="#7f8b99",
+    window="#dfe3e8",
+    panel="#eceff3",
+    field="#ffffff",
+    border="#bcc4cd",
+    text="#161b21",
+    dim="#55606c",
+    disabled="#98a1ab",
+    accent="#1769c2",
+    on_accent="#ffffff",
+    button="#fafbfc",
+    hover="#dde6f0",
+    outline="#7b8794",
+    message="#f9d9d7",
+    message_edge="#c7625c",
+    free="#a9bccf",
+    marker="#b07a00",
+    good="#15803d",
+    usable="#9a6200",
+    doubtful="#c2303a",
+)
+
+
+def of(widget: QWidget) -> Colours:
+    """Theme that a widget has now."""
+    return DARK if widget.palette().color(QPalette.ColorRole.Text).lightness() > 127 else LIGHT
+
+
+def chosen(theme: ThemeName, scheme: Qt.ColorScheme) -> Colours:
+    """Colours of a choice; a system that does not say what it has gets the dark ones."""
+    light = theme == "light" or (theme == "system" and scheme == Qt.ColorScheme.Light)
+    return LIGHT if light else DARK
+
+
+def system_scheme() -> Qt.ColorScheme:
+    """What the desktop has, where it says so."""
+    return QApplication.styleHints().colorScheme()
+
+
+def apply(application: QApplication, colours: Colours) -> None:
+    """Give every window of the application a theme."""
+    new = palette(colours)
+    if application.palette() != new or not application.styleSheet():
+        application.setPalette(new)
+        application.setStyleSheet(style_sheet(colours))
+
+
+def style_sheet(c: Colours) -> str:
+    """Style sheet of a theme."""
+    return f"""
+QWidget {{ color: {c.text}; }}
+QPushButton:disabled, QToolButton:disabled {{ color: {c.disabled}; }}
+QMainWindow, QDialog {{ background: {c.window}; }}
+QMainWindow::separator {{ background: {c.field}; width: 4px; height: 4px; }}
+QDockWidget {{ font-weight: 600; }}
+QDockWidget::title {{ background: {c.panel}; padding: 6px 10px;
+    border-bottom: 1px solid {c.border}; }}
+QDockWidget > QWidget {{ background: {c.panel}; }}
+QToolTip {{ background: {c.field}; color: {c.text}; border: 1px solid {c.border}; padding: 4px; }}
+QStatusBar {{ background: {c.field}; border-top: 1px solid {c.border}; }}
+QStatusBar::item {{ border: none; }}
+QLabel#dim {{ color: {c.dim}; }}
+QLabel#value {{ font-weight: 600; }}
+QPushButton, QToolButton {{ background: {c.button}; border: 1px solid {c.border};
+    border-radius: 4px; padding: 4px 10px; }}
+QToolButton {{ padding: 4px 5px; }}
+QToolButton#slim {{ padding: 4px 2px; }}
+QPushButton:hover, QToolButton:hover {{ background: {c.hover}; }}
+QPushButton:checked, QToolButton:checked {{ background: {c.accent}; color: {c.on_accent}; }}
+QPushButton:focus, QToolButton:focus, QComboBox:focus, QDoubleSpinBox:focus
+    {{ border: 1px solid {c.accent}; }}
+QAbstractSpinBox {{ min-height: 1.35em; }}
+QCheckBox {{ spacing: 8px; padding: 2px; }}
+QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
+    border-radius: 3px; background: {c.field}; }}
+QCheckBox::indicator:checked {{ background: {c.accent}; border-color: {c.accent}; }}
+QCheckBox:focus {{ color: {c.accent}; }}
+QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
+QFrame#live {{ background: {c.panel}; border: none; border-bottom: 1px solid {c.border}; }}
+QFrame#message {{ background: {c.message}; border: none;
+    border-bottom: 1px solid {c.message_edge}; }}
+QFrame#busy, QFrame#hint {{ background: {c.panel}; border: none;
+    border-bottom: 1px solid {c.border}; }}
+"""
+
+
+def palette(c: Colours) -> QPalette:
+    """Palette of a theme for Qt's Fusion style."""
+    roles = QPalette.ColorRole
+    colours = {
+        roles.Window: c.window,
+        roles.WindowText: c.text,
+        roles.Base: c.field,
+        roles.AlternateBase: c.panel,
+        roles.Text: c.text,
+        roles.Button: c.panel,
+        roles.ButtonText: c.text,
+        roles.ToolTipBase: c.field,
+        roles.ToolTipText: c.text,
+        roles.Highlight: c.accent,
+        roles.HighlightedText: c.on_accent,
+        roles.PlaceholderText: c.dim,
+    }
+    made = QPalette()
+    for role, colour in colours.items():
+        made.setColor(role, QColor(colour))
+    for role in (roles.WindowText, roles.Text, roles.ButtonText):
+        made.setColor(QPalette.ColorGroup.Disabled, role, QColor(c.disabled))
+    return made

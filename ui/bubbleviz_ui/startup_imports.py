@@ -1,0 +1,16 @@
+"""Importing what a window is made of: most of the time from a process's start to its picture."""
+
+from __future__ import annotations
+
+import sys
+
+from bubbleviz.lazy_imports import everything_stays, import_without, made_later
+
+
+def import_the_window() -> None:
+    """Import it once, without what it never shows."""
+    if "bubbleviz_ui.main_window" in sys.modules:
+        return
+    import_without("matplotlib", "pyplot")
+    with everything_stays(), made_later("matplotlib.backends.backend_agg", "FigureCanvasAgg"):
+        import bubbleviz_ui.main_window  # noqa: F401

@@ -1,0 +1,73 @@
+"""Colour maps of the 3-D view."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bubbleviz_ui.model.choices import COLOUR_MAPS
+from bubbleviz_ui.shell import theme
+
+ENTRIES = 256
+NEUTRAL_ENTRIES = 5
+"""Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
+BLEND_ENTRIES = 20
+DARKEST = 0.28
+"""Share of a map that is too dark to be told from the shadows of the membrane."""
+
+
+@cache
+def _sampled(name: str, start: float) -> np.ndarray:
+    from matplotlib import colormaps
+
+    rgba = colormaps[name](np.linspace(start, 1.0, ENTRIES))
+    return np.asarray(rgba * 255.0).astype(np.uint8)
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue, 0 … 255, of `#rrggbb`."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def pressure_map() -> Any:
+    """Table of the contact pressure, to be filled by `pressure_colours`."""
+    return _table(pressure_colours(COLOUR_MAPS[0]))
+
+
+def pressure_colours(name: str) -> np.ndarray:
+    """Entries (256, 4) uint8: neutral at zero, then a uniform map: brighter is stronger."""
+    values = _sampled(name, DARKEST).copy()
+    neutral = np.array([*rgb(theme.NEUTRAL), 255], float)
+    values[:NEUTRAL_ENTRIES] = neutral
+    blend = slice(NEUTRAL_ENTRIES, NEUTRAL_ENTRIES + BLEND_ENTRIES)
+    share = np.linspace(0.0, 1.0, BLEND_ENTRIES)[:, None]
+    values[blend] = (1 - share) * neutral + share * values[blend]
+    return values
+
+
+def residual_map(middle: str) -> Any:
+    """Diverging: blue where measured nearer than modelled, green where farther, `middle` between.
+
+    Neither end is a colour of the pressure map, so the two are never mistaken for each other.
+    """
+    return _table(residual_colours(middle))
+
+
+def residual_colours(middle: str) -> np.ndarray:
+    """Entries (256, 4) uint8 of the residual map."""
+    ends = (theme.NEARER, middle, theme.FARTHER)
+    nearer, between, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
+    share = np.linspace(-1.0, 1.0, ENTRIES)[:, None]
+    values = np.where(share < 0, nearer, farther) * abs(share) + between * (1.0 - abs(share))
+    return values.astype(np.uint8)
+
+
+def _table(values: np.ndarray) -> Any:
+    import pyvista as pv
+
+    table = pv.LookupTable()
+    table.values = values
+    table.nan_color = theme.UNKNOWN
+    return table

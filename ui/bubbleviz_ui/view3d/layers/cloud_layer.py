@@ -1,0 +1,127 @@
+"""The measured points, coloured by residual, by patch membership, or plain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_bar import ColourBar
+from bubbleviz_ui.view3d.colour_maps import residual_colours, residual_map, rgb
+from bubbleviz_ui.view3d.layers.layer import Picture
+from bubbleviz_ui.view3d.render_view import View
+
+CHUNK = 1024
+"""The buffers change in steps, so a few points more or less change no array's size."""
+
+
+class CloudLayer:
+    """Point cloud in buffers with some room; spare points repeat the last one."""
+
+    RESIDUAL = "residual"
+    COLOUR = "colour"
+
+    def __init__(self, view: View, units: Units) -> None:
+        import pyvista as pv
+
+        self._units = units
+        self._poly = pv.PolyData(np.zeros((1, 3)))
+        self._table = residual_map(theme.of(view).cloud)
+        self._plain = theme.of(view).cloud
+        self._reserve(CHUNK)
+        self.actor = view.add_mesh(
+            self._poly,
+            scalars=self.RESIDUAL,
+            cmap=self._table,
+            style="points",
+            point_size=2,
+            render_points_as_spheres=False,
+            lighting=False,
+            show_scalar_bar=False,
+            interpolate_before_map=False,
+            reset_camera=False,
+            render=False,
+        )
+        self.actor.mapper.SetScalarModeToUsePointFieldData()
+        self.actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
+        self._bar = ColourBar(view, self._table, "residual", bottom=0.04)
+        self._visible = True
+        view.follow_theme(self._take_colours)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Put the points of the old sensor away."""
+        self._poly.points[:] = 0.0
+
+    def draw(self, picture: Picture) -> None:
+        """Write the points and their colours into the buffers."""
+        result = picture.result
+        if result.cloud_m is None or len(result.cloud_m) == 0:
+            self.actor.visibility = False
+            return
+        most = picture.choices.cloud_points or len(result.cloud_m)
+        step = -(-len(result.cloud_m) // most)
+        points = result.cloud_m[::step]
+        self._reserve(len(points))
+        _fill(self._poly.points, points)
+        by_residual = picture.choices.cloud_colour == "residual"
+        if by_residual and result.cloud_residual_m is not None:
+            self._colour_by_residual(result.cloud_residual_m[::step], picture.ranges.residual_m)
+        else:
+            self._colour(result if picture.choices.cloud_colour == "patch" else None, step)
+        self._poly.Modified()
+        self.actor.visibility = self._visible
+        self._bar.set_visible(self._visible and by_residual)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide the points and their bar."""
+        self._visible = visible
+        self.actor.visibility = visible
+        self._bar.set_visible(visible)
+
+    def _take_colours(self, colours: theme.Colours) -> None:
+        self._plain = colours.cloud
+        self._table.values = residual_colours(colours.cloud)
+
+    def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
+        unit = self._units.length
+        high = unit.of(high_m)
+        _fill(self._poly.point_data[self.RESIDUAL], unit.of(1.0) * residual_m)
+        self._bar.set_range(-high, high, unit)
+        self.actor.mapper.scalar_range = (-high, high)
+        self._use(self.RESIDUAL, direct=False)
+
+    def _colour(self, patch_of: Result | None, step: int) -> None:
+        """Colour all points alike but those of a result's patch."""
+        colours = self._poly.point_data[self.COLOUR]
+        colours[:] = rgb(self._plain)
+        patch = patch_of.patch if patch_of is not None else None
+        pixels = patch_of.cloud_pixels if patch_of is not None else None
+        if patch is not None and patch.pixel_mask is not None and pixels is not None:
+            inside = patch.pixel_mask.ravel()[pixels[::step]]
+            colours[: len(inside)][inside] = rgb(theme.PATCH_POINT)
+        self._use(self.COLOUR, direct=True)
+
+    def _use(self, array: str, *, direct: bool) -> None:
+        mapper = self.actor.mapper
+        mapper.SelectColorArray(array)
+        mapper.SetColorModeToDirectScalars() if direct else mapper.SetColorModeToMapScalars()
+
+    def _reserve(self, count: int) -> None:
+        size = -(-count // CHUNK) * CHUNK
+        fits = size <= self._poly.n_points <= size + 2 * CHUNK
+        if fits and self.RESIDUAL in self._poly.point_data:
+            return
+        self._poly.point_data.clear()
+        self._poly.points = np.zeros((size, 3), np.float32)
+        self._poly.verts = np.insert(np.arange(size), 0, size)
+        self._poly.point_data[self.RESIDUAL] = np.zeros(size, np.float32)
+        self._poly.point_data[self.COLOUR] = np.zeros((size, 3), np.uint8)
+
+
+def _fill(buffer: np.ndarray, values: np.ndarray) -> None:
+    """Write values into the head of a buffer and repeat the last in the rest."""
+    buffer[: len(values)] = values
+    buffer[len(values) :] = values[-1]

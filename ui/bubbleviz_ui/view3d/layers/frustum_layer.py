@@ -1,0 +1,68 @@
+"""The depth camera's field of view."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Camera, Sensor
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.layer import Picture
+from bubbleviz_ui.view3d.render_view import View
+
+LINES = np.array([[2, 0, 1], [2, 0, 2], [2, 0, 3], [2, 0, 4], [2, 1, 2], [2, 2, 3], [2, 3, 4],
+                  [2, 4, 1]])  # fmt: skip
+
+
+class FrustumLayer:
+    """Lines from the camera through the corners of the image, as far as the membrane."""
+
+    def __init__(self, view: View) -> None:
+        import pyvista as pv
+
+        self._poly = pv.PolyData(np.zeros((5, 3)), lines=LINES.ravel())
+        self._camera: Camera | None = None
+        self._far_m = 0.1
+        self._drawn_for: object = None
+        self._actor = view.add_mesh(
+            self._poly,
+            color=theme.of(view).frustum,
+            line_width=1,
+            lighting=False,
+            name="frustum",
+            reset_camera=False,
+            render=False,
+        )
+        view.follow_theme(lambda colours: setattr(self._actor.prop, "color", colours.frustum))
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take another camera and its distance to the membrane."""
+        self._camera = sensor.camera
+        self._far_m = float(np.linalg.norm(mesh.nodes.mean(axis=0) - sensor.camera.position_m))
+        self._drawn_for = None
+
+    def draw(self, picture: Picture) -> None:
+        """Follow the recording's intrinsics, which win over the sensor's."""
+        intrinsics = picture.result.frame.intrinsics
+        if self._camera is None or self._drawn_for == (intrinsics or "sensor"):
+            return
+        self._drawn_for = intrinsics or "sensor"
+        self._poly.points[:] = _corners(self._camera, intrinsics, self._far_m)
+        self._poly.Modified()
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide."""
+        self._actor.visibility = visible
+
+
+def _corners(camera: Camera, intrinsics: Intrinsics | None, far_m: float) -> np.ndarray:
+    """Camera centre and the four corners of its image at a depth, in B."""
+    used = intrinsics or Intrinsics(
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
+        camera.distortion_model, camera.distortion,
+    )  # fmt: skip
+    slopes = used.slopes()[[0, 0, -1, -1], [0, -1, -1, 0]]
+    corners = np.column_stack([slopes, np.ones(4)]) * far_m
+    T = camera.T_B_C
+    return np.vstack([T[:3, 3], corners @ T[:3, :3].T + T[:3, 3]])

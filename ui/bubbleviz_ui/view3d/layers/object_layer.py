@@ -1,0 +1,87 @@
+"""The object that is looked for, translucent, at its pose or where it is to begin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Pose
+from bubbleviz.rigid_object import RigidObject
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.layer import Picture
+from bubbleviz_ui.view3d.render_view import View
+
+FOUND, LOST = theme.GREEN, theme.GAP
+OPACITY = 0.45
+
+
+class ObjectLayer:
+    """One actor; its mesh changes with the object, its matrix with the pose.
+
+    Attributes
+    ----------
+    place : (4, 4) array or None
+        Where it is drawn now; None while it is not.
+    """
+
+    def __init__(self, view: View) -> None:
+        import pyvista as pv
+
+        self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
+        self.actor = view.add_mesh(
+            self._poly,
+            color=FOUND,
+            opacity=OPACITY,
+            ambient=0.3,
+            name="object",
+            reset_camera=False,
+            render=False,
+        )
+        self.actor.SetPickable(False)
+        self.actor.visibility = False
+        self._visible, self._has_mesh = False, False
+        self.place: np.ndarray | None = None
+
+    def set_object(self, obj: RigidObject | None) -> None:
+        """Take another object, or none; it is not drawn before it has a place."""
+        self._has_mesh = obj is not None
+        if obj is not None:
+            faces = np.column_stack([np.full(len(obj.triangles), 3), obj.triangles])
+            self._poly.points = obj.vertices.astype(float)
+            self._poly.faces = faces.ravel()
+        self.put(None)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Forget where it was on another sensor."""
+        self.put(None)
+
+    def draw(self, picture: Picture) -> None:
+        """Draw the pose of a result; what it has none of stays where it was."""
+        pose = picture.result.pose
+        if pose is not None:
+            self.put(shown_place(pose, picture.choices.pose_stage), lost=pose.status != "ok")
+
+    def put(self, T_B_O: np.ndarray | None, *, lost: bool = False) -> None:
+        """Place it at a pose (4, 4), or nowhere."""
+        self.place = T_B_O if T_B_O is not None and np.isfinite(T_B_O).all() else None
+        if self.place is not None:
+            self.actor.user_matrix = self.place
+            self.actor.prop.color = LOST if lost else FOUND
+        self._update()
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide."""
+        self._visible = visible
+        self._update()
+
+    def _update(self) -> None:
+        shown = self._visible and self._has_mesh and self.place is not None
+        self.actor.visibility = shown
+
+
+def shown_place(pose: Pose, stage: int) -> np.ndarray:
+    """T_B_O (4, 4) of the stage that is to be seen."""
+    if stage == 1 and pose.stage_one is not None:
+        return pose.stage_one.T_B_O
+    return pose.T_B_O

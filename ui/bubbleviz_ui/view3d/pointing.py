@@ -1,0 +1,53 @@
+"""From the mouse over the 3-D view to the place it points at."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QObject, QTimer
+
+from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scene import Scene
+
+EVERY_MS = 30
+"""Picking takes some ms of the GUI thread, mouse moves come in hundreds a second."""
+
+
+class Pointing(QObject):
+    """Picks while the images panel is open; else nobody wants to know.
+
+    Parameters
+    ----------
+    state : SessionState
+    view : View
+    scene : Scene
+    hover : Hover
+    """
+
+    def __init__(self, state: SessionState, view: View, scene: Scene, hover: Hover) -> None:
+        super().__init__(view)
+        self._state, self._scene, self._hover = state, scene, hover
+        self._at = (0.0, 0.0)
+        self._due = QTimer(self)
+        self._due.setSingleShot(True)
+        self._due.setInterval(EVERY_MS)
+        self._due.timeout.connect(self._pick)
+        view.moved.connect(self._on_moved)
+        view.left.connect(self._on_left)
+        hover.changed.connect(scene.mark)
+
+    def _on_moved(self, x: float, y: float) -> None:
+        self._at = (x, y)
+        if "images" in self._state.choices.panels and not self._due.isActive():
+            self._due.start()
+
+    def _on_left(self) -> None:
+        self._due.stop()
+        self._hover.leave()
+
+    def _pick(self) -> None:
+        point = self._scene.pick(*self._at)
+        if point is None:
+            self._hover.leave()
+        else:
+            self._hover.at_point(point)

@@ -1,0 +1,239 @@
+"""The 3-D view: a VTK render window in Qt that draws once, however often it is asked to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
+from PySide6.QtGui import (
+    QDragEnterEvent,
+    QDropEvent,
+    QImage,
+    QKeyEvent,
+    QMouseEvent,
+    QResizeEvent,
+    QShowEvent,
+)
+from PySide6.QtWidgets import QWidget
+from pyvistaqt import QtInteractor
+
+from bubbleviz_ui.model.rate_meter import RateMeter
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d import direct_swap
+
+CLICK = 3.0
+"""How far the mouse may move in a click, screen pixels."""
+
+
+class View(QtInteractor):  # type: ignore[misc]
+    """View of the sensor; `refresh()` asks for a picture, which comes when nothing else waits.
+
+    VTK's own renders on mouse moves are such requests too, so any number of changes between two
+    pictures costs one render.
+
+    Attributes
+    ----------
+    dropped_files : Signal
+        List of paths the user dropped on the view.
+    moved : Signal
+        Where the mouse is, in Qt's pixels, while no button is held.
+    clicked : Signal
+        Where the left button was pressed and let go without moving, in Qt's pixels.
+    left : Signal
+        The mouse is elsewhere.
+    resized : Signal
+        The view has another size.
+    rendered : Signal
+        A new picture is on the screen.
+    renders : RateMeter
+        Real renders of VTK.
+    render_count : int
+        Renders since the view exists.
+    busy_s : float
+        Time the GUI thread has spent on pictures: changing the scene and rendering it, s.
+    """
+
+    dropped_files = Signal(list)
+    rendered = Signal()
+    moved = Signal(float, float)
+    clicked = Signal(float, float)
+    left = Signal()
+    resized = Signal()
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
+        direct_swap.prepare(self)
+        self.renders = RateMeter()
+        self.render_count = 0
+        self.busy_s = 0.0
+        self._due = QTimer(self)
+        self._due.setSingleShot(True)
+        self._due.timeout.connect(self._draw)
+        self.frameSwapped.connect(self._on_screen)
+        # Plain: a gradient costs a quarter of an empty render.
+        self.follow_theme(lambda colours: self.set_background(colours.view))
+        self._tags = [
+            (subject, subject.AddObserver(event, callback))
+            for subject, event, callback in (
+                (self.ren_win, "EndEvent", self._count_render),
+                (self.iren.interactor, "RenderEvent", self._on_vtk_wants_render),
+            )
+        ]
+        self.iren.interactor.EnableRenderOff()
+        self._add_lights()
+
+    def refresh(self) -> None:
+        """Ask for a picture; many calls before it is drawn are one render."""
+        if not self._due.isActive():
+            self._due.start()
+
+    def follow_theme(self, paint: Callable[[theme.Colours], object]) -> None:
+        """Call `paint` with the theme's colours, now and whenever it is another."""
+        paint(theme.of(self))
+        self._painters = (*self._painters, paint)
+
+    _painters: tuple[Callable[[theme.Colours], object], ...] = ()
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Follow the window's theme."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            for paint in self._painters:
+                paint(theme.of(self))
+            self.refresh()
+
+    def pixels(self) -> np.ndarray:
+        """What the view shows now, shape (height, width, 3), uint8."""
+        image = self.grabFramebuffer().convertToFormat(QImage.Format.Format_RGB888)
+        flat = np.frombuffer(image.constBits(), np.uint8)
+        rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
+        return rows.reshape(image.height(), image.width(), 3).copy()
+
+    def paintGL(self) -> None:
+        """Render for Qt, which puts the window together: at first, after resizing, to grab it."""
+        start = time.perf_counter()
+        super().paintGL()
+        self.busy_s += time.perf_counter() - start
+
+    def _draw(self) -> None:
+        """Render and put the picture on the screen, by Qt's way where there is no shorter one."""
+        window = self.ren_win
+        if not (direct_swap.can_show(self) and window.GetReadyForRendering()):
+            self.update()
+            return
+        start = time.perf_counter()
+        self.makeCurrent()
+        self._in_paint = True  # pyvistaqt asks Qt to paint what is rendered at other times
+        direct_swap.render(window)
+        self._in_paint = False
+        direct_swap.show(self, window)
+        self.doneCurrent()
+        self.busy_s += time.perf_counter() - start
+        self._on_screen()
+
+    def close(self) -> None:
+        """Let go of VTK's render window and of every observer that would keep it alive."""
+        self._due.stop()
+        for subject, tag in self._tags:
+            subject.RemoveObserver(tag)
+        self._tags, self._painters = [], ()
+        super().close()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Watch the native window."""
+        super().showEvent(event)
+        window = self.windowHandle()
+        if window is not None:
+            window.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Draw anew what was covered: Qt has the last picture it drew itself, which may be old."""
+        if event.type() == QEvent.Type.Expose:
+            self.refresh()
+        return bool(super().eventFilter(watched, event))
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Turn the scene while a button is held, else say where the mouse is."""
+        super().mouseMoveEvent(event)
+        if not event.buttons():
+            self.moved.emit(event.position().x(), event.position().y())
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Begin to turn the scene, or a click."""
+        super().mousePressEvent(event)
+        self._pressed = event.position()
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """End turning, or the click."""
+        super().mouseReleaseEvent(event)
+        moved = event.position() - self._pressed
+        if event.button() == Qt.MouseButton.LeftButton and moved.manhattanLength() <= CLICK:
+            self.clicked.emit(event.position().x(), event.position().y())
+
+    _pressed = QPointF(-1e6, -1e6)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Say that the size is another."""
+        super().resizeEvent(event)
+        self.resized.emit()
+
+    def leaveEvent(self, event: QEvent) -> None:
+        """Say that the mouse is elsewhere."""
+        super().leaveEvent(event)
+        self.left.emit()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Leave keys to the window: VTK's own would quit or change styles."""
+        event.ignore()
+
+    def keyReleaseEvent(self, event: QKeyEvent) -> None:
+        """Leave keys to the window."""
+        event.ignore()
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Accept files."""
+        if event.mimeData().hasUrls():
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Hand dropped files to the window instead of reading them as meshes."""
+        paths = [Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()]
+        if paths:
+            event.acceptProposedAction()
+            self.dropped_files.emit(paths)
+
+    def _add_lights(self) -> None:
+        import pyvista as pv
+
+        for position, intensity in (((-0.5, 0.7, 1.0), 0.75), ((0.8, -0.3, 0.6), 0.35)):
+            light = pv.Light(light_type="camera light", intensity=intensity)
+            light.position = position
+            self.add_light(light)
+
+    def _count_render(self, *_: Any) -> None:
+        self.render_count += 1
+        self.renders.tick(time.perf_counter())
+        self._unseen = True
+
+    _unseen = False
+
+    def _on_screen(self) -> None:
+        """Say so, unless Qt has put the window together for another reason."""
+        if self._unseen:
+            self._unseen = False
+            self.rendered.emit()
+
+    def _on_vtk_wants_render(self, *_: Any) -> None:
+        """Render while painting, else ask for a picture.
+
+        The interactor itself never renders (`EnableRenderOff`): it would keep Python's lock
+        meanwhile, and the solver thread would wait for the picture. The window lets it go.
+        """
+        if self._in_paint:
+            self.ren_win.Render()
+        else:
+            self.refresh()

@@ -1,0 +1,63 @@
+"""Ends of the colour and length scales: the user's, else the largest seen, rounded up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.view3d.layers.layer import Ranges
+
+STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+PRESSURE_SHARE = 0.25
+"""The pressure scale starts at this share of the gauge pressure: noise must not look strong."""
+RESIDUAL_TIMES_RMS = 3.0
+SMALLEST_FORCE_N = 2.0
+SMALLEST_RESIDUAL_M = 1e-4
+
+
+def rounded_up(value: float) -> float:
+    """Smallest round number (1, 1.5, 2, 3, …, times a power of ten) not below a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step for step in STEPS if step * power >= value * (1 - 1e-9)) * power
+
+
+class HeldRanges:
+    """Scales that grow with the data and never shrink, so colours stay comparable."""
+
+    def __init__(self) -> None:
+        self._held = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+
+    def set_sensor(self, sensor: Sensor) -> None:
+        """Begin anew for another source."""
+        start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
+        self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+
+    def take(self, result: Result, choices: Choices) -> Ranges:
+        """Scales to draw a result with."""
+        pressure, residual, force = 0.0, 0.0, 0.0
+        if result.estimate is not None and result.estimate.status == "ok":
+            pressure = float(result.estimate.contact_pressure_pa.max(initial=0.0))
+            residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
+        if result.estimate is not None and result.estimate.status == "no_contact":
+            residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
+        if result.patch is not None:
+            force = float(np.linalg.norm(result.patch.force_n))
+        held = self._held
+        self._held = Ranges(
+            _grown(held.pressure_pa, pressure),
+            _grown(held.residual_m, residual),
+            _grown(held.force_n, force),
+        )
+        return Ranges(
+            choices.pressure_max_pa or self._held.pressure_pa,
+            choices.residual_max_m or self._held.residual_m,
+            self._held.force_n,
+        )
+
+
+def _grown(held: float, seen: float) -> float:
+    return rounded_up(seen) if math.isfinite(seen) and seen > held else held

@@ -1,0 +1,198 @@
+"""All 3-D layers together: which are visible, and one picture after another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.diagnostics.probe import Probed
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
+from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
+from bubbleviz_ui.view3d.layers.drawn_surface import Surface
+from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
+from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
+from bubbleviz_ui.view3d.layers.frustum_layer import FrustumLayer
+from bubbleviz_ui.view3d.layers.layer import Layer, Picture
+from bubbleviz_ui.view3d.layers.membrane_layer import MembraneLayer, WireframeLayer
+from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
+from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
+from bubbleviz_ui.view3d.layers.readout_layer import ReadoutLayer
+from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
+from bubbleviz_ui.view3d.layers.vectors_layer import VectorsLayer
+from bubbleviz_ui.view3d.picker import Picker
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scale_ranges import HeldRanges
+from bubbleviz_ui.view3d.tools.section_plane import Section
+from bubbleviz_ui.view3d.tools.viewpoints import ANGLE_DEG, Viewpoint, look_along, look_as
+
+ON_SURFACE = frozenset({"membrane", "wireframe", "contour", "vectors"})
+MARGIN = 1.0
+"""Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
+
+
+class Scene:
+    """Draws results in a view. Actors are made once; a result changes arrays in place."""
+
+    def __init__(self, view: View, units: Units, choices: Choices) -> None:
+        self._view = view
+        self._choices = choices
+        self._surface = Surface(units)
+        self.ranges = HeldRanges()
+        self._T_W_B = np.eye(4)
+        self._beside_m = np.empty((0, 3))
+        self._result: Result | None = None
+        self._placed: tuple[object, ...] | None = None
+        self._mesh: MembraneMesh | None = None
+        self._sensor: Sensor | None = None
+        self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
+        membrane = MembraneLayer(view, self._surface, units)
+        wireframe = WireframeLayer(view, self._surface)
+        contour = ContourLayer(view, self._surface)
+        cloud, vectors = CloudLayer(view, units), VectorsLayer(view)
+        self.object = ObjectLayer(view)
+        self._rim = RimLayer(view, self._surface)
+        self.layers: dict[str, Layer] = {
+            "membrane": membrane,
+            "wireframe": wireframe,
+            "contour": contour,
+            "cloud": cloud,
+            "force": ForceLayer(view),
+            "readout": ReadoutLayer(view, units),
+            "frustum": FrustumLayer(view),
+            "rim": self._rim,
+            "object": self.object,
+            "fit": FitLayer(view),
+            "vectors": vectors,
+        }
+        self.marks = ProbeMarks(view)
+        self.section = Section(
+            view, self._surface, [a.actor for a in (membrane, wireframe, contour, cloud, vectors)]
+        )
+        self._picker = Picker(view, surfaces=[membrane.actor], clouds=[cloud.actor])
+        self.depth_camera: DepthCamera | None = None
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take another sensor; the camera stays where the user has put it."""
+        self._mesh, self._sensor = mesh, sensor
+        self._result = None
+        self._bounds = _bounds(mesh, sensor, self._beside_m)
+        self._surface.set_mesh(mesh)
+        self.ranges.set_sensor(sensor)
+        self.marks.set_camera(np.array(sensor.camera.position_m))
+        for layer in self.layers.values():
+            layer.set_sensor(sensor, mesh)
+        if self._placed is None or self._placed == self._camera_place():
+            self.reset_view()
+
+    @property
+    def moved_by_user(self) -> bool:
+        """Whether one looks from elsewhere than the scene says."""
+        return self._placed is not None and self._placed != self._camera_place()
+
+    def reset_view(self) -> None:
+        """Look at the whole membrane from where the scene says."""
+        if self._mesh is None:
+            return
+        seen = np.vstack([self._mesh.nodes, self._beside_m])
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        R_B_W = self._T_W_B[:3, :3].T
+        camera = self._view.camera
+        camera.focal_point = tuple((low + high) / 2)
+        camera.position = tuple((low + high) / 2 + R_B_W @ self._choices.view_from)
+        camera.up = tuple(R_B_W[:, 2])
+        camera.view_angle = ANGLE_DEG
+        bounds = [b for pair in zip(low, high, strict=True) for b in pair]
+        self._view.renderer.ResetCamera(bounds)
+        camera.zoom(self._choices.zoom)
+        self._placed = self._camera_place()
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
+        self._view.refresh()
+
+    def place(self, T_W_B: np.ndarray, beside_m: np.ndarray, colour: str | None) -> None:
+        """Take where the sensor is in the world, what else is in view, and the sensor's colour.
+
+        A fresh view has the world's z up, and everything in it; `beside_m` is (k, 3) in B.
+        """
+        self._T_W_B, self._beside_m = T_W_B, beside_m
+        self._rim.paint(colour)
+        if self._mesh is not None and self._sensor is not None:
+            self._bounds = _bounds(self._mesh, self._sensor, beside_m)
+
+    def move_camera(self, T: np.ndarray) -> None:
+        """Look at the same things after B became another frame; T takes the old into the new."""
+        camera, R, t = self._view.camera, T[:3, :3], T[:3, 3]
+        camera.position = tuple(R @ camera.position + t)
+        camera.focal_point = tuple(R @ camera.focal_point + t)
+        camera.up = tuple(R @ camera.up)
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
+        self._view.refresh()
+
+    def show(self, result: Result, choices: Choices) -> None:
+        """Draw a result with what the user chose to see."""
+        self._result, self._choices = result, choices
+        self.section.apply(choices)
+        shape = None
+        if ON_SURFACE & choices.layers:
+            shape = self._surface.shape_of(result.estimate, choices.exaggeration)
+        if shape is not None:
+            self._surface.draw(shape)
+        picture = Picture(result, shape, self.ranges.take(result, choices), choices)
+        for name, layer in self.layers.items():
+            layer.set_visible(name in choices.layers)
+            if name in choices.layers:
+                layer.draw(picture)
+        # The bounds of what is drawn would be gathered from every point of every layer.
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
+        self._view.refresh()
+
+    def apply(self, choices: Choices) -> None:
+        """Draw the last result again with other choices."""
+        self._choices = choices
+        if self._result is not None:
+            self.show(self._result, choices)
+
+    def look(self, name: Viewpoint) -> None:
+        """Look from one of the usual places; later sensors do not change it."""
+        if self._mesh is None or self.depth_camera is None:
+            return
+        low, high = self._mesh.nodes.min(axis=0), self._mesh.nodes.max(axis=0)
+        if name == "camera":
+            far = float(np.linalg.norm((low + high) / 2 - self.depth_camera.center))
+            look_as(self._view, self.depth_camera, far)
+        else:
+            box = [float(b) for pair in zip(low, high, strict=True) for b in pair]
+            look_along(self._view, name, box)
+        self._view.renderer.ResetCameraClippingRange(self._bounds)
+        self._view.refresh()
+
+    def mark(self, place: Probed | None) -> None:
+        """Light up a place, its node where it is drawn."""
+        self.marks.show(place, self.drawn_node(place))
+
+    def drawn_node(self, place: Probed | None) -> np.ndarray | None:
+        """Where the node of a place is drawn, (3,) in B; None without a place."""
+        return self._surface.drawn_node(place) if place is not None else None
+
+    def pick(self, x: float, y: float) -> np.ndarray | None:
+        """Point (3,) in B under a place of the view, as it truly is; None where nothing is."""
+        point = self._picker.at(x, y)
+        return None if point is None else self._surface.true_place(point)
+
+    def _camera_place(self) -> tuple[object, ...]:
+        camera = self._view.camera
+        return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))
+
+
+def _bounds(mesh: MembraneMesh, sensor: Sensor, beside_m: np.ndarray) -> list[float]:
+    """Box around everything that is ever drawn: x, y and z, each from and to, m."""
+    seen = np.vstack([mesh.nodes, beside_m])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    margin = MARGIN * float(np.linalg.norm(high - low))
+    low = np.minimum(low, sensor.camera.position_m) - margin
+    high = np.maximum(high, sensor.camera.position_m) + margin
+    return [float(end) for pair in zip(low, high, strict=True) for end in pair]

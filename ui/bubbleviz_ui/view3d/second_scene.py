@@ -1,0 +1,99 @@
+"""The sensor beside the one that the scene is about: the same layers, placed by one matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
+from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
+from bubbleviz_ui.view3d.layers.drawn_surface import Surface
+from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
+from bubbleviz_ui.view3d.layers.layer import Layer, Picture
+from bubbleviz_ui.view3d.layers.membrane_layer import MembraneLayer
+from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scale_ranges import HeldRanges
+
+
+class SecondScene:
+    """Draws the results of a second sensor into the view, on the scales of the first.
+
+    Parameters
+    ----------
+    view : View
+    units : Units
+    ranges : HeldRanges
+        Of the scene, which has the colour bars.
+    """
+
+    def __init__(self, view: View, units: Units, ranges: HeldRanges) -> None:
+        self._view, self._ranges = view, ranges
+        self._surface = Surface(units)
+        before = set(_props(view))
+        self._rim = RimLayer(view, self._surface)
+        self._layers: dict[str, Layer] = {
+            "membrane": MembraneLayer(view, self._surface, units),
+            "contour": ContourLayer(view, self._surface),
+            "cloud": CloudLayer(view, units),
+            "force": ForceLayer(view),
+            "rim": self._rim,
+        }
+        self._assembly = _gathered(view, [p for p in _props(view) if p not in before])
+        self._assembly.SetVisibility(False)
+
+    def set_sensor(
+        self, sensor: Sensor, mesh: MembraneMesh, T_B_here: np.ndarray, colour: str
+    ) -> None:
+        """Take the sensor, and where it is in the bubble frame of the scene's."""
+        from vtkmodules.vtkCommonMath import vtkMatrix4x4
+
+        matrix = vtkMatrix4x4()
+        matrix.DeepCopy(T_B_here.ravel().tolist())
+        self._assembly.SetUserMatrix(matrix)
+        self._assembly.SetVisibility(False)
+        self._surface.set_mesh(mesh)
+        for layer in self._layers.values():
+            layer.set_sensor(sensor, mesh)
+        self._rim.paint(colour)
+
+    def show(self, result: Result, choices: Choices) -> None:
+        """Have the next picture show a result with what the user chose to see."""
+        shape = self._surface.shape_of(result.estimate, choices.exaggeration)
+        if shape is not None:
+            self._surface.draw(shape)
+        picture = Picture(result, shape, self._ranges.take(result, choices), choices)
+        for name, layer in self._layers.items():
+            layer.set_visible(name in choices.layers)
+            if name in choices.layers:
+                layer.draw(picture)
+        self._assembly.SetVisibility(True)
+
+    def hide(self) -> None:
+        """Show nothing."""
+        self._assembly.SetVisibility(False)
+        self._view.refresh()
+
+
+def _props(view: View) -> list[Any]:
+    props = view.renderer.GetViewProps()
+    return [props.GetItemAsObject(k) for k in range(props.GetNumberOfItems())]
+
+
+def _gathered(view: View, props: list[Any]) -> Any:
+    """Assembly of the actors among some props; the rest, which are colour bars, is taken out."""
+    from vtkmodules.vtkRenderingCore import vtkAssembly, vtkProp3D
+
+    assembly = vtkAssembly()
+    for prop in props:
+        view.renderer.RemoveViewProp(prop)
+        if isinstance(prop, vtkProp3D):
+            assembly.AddPart(prop)
+    view.renderer.AddViewProp(assembly)
+    return assembly

@@ -1,0 +1,59 @@
+"""The distance between two points one has clicked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.render_view import View
+
+TO_THE_FRONT = -6000.0
+"""Depth offset in the units of VTK's coincident topology."""
+
+
+class Distance:
+    """Two points and the line between them; a third click begins anew.
+
+    Attributes
+    ----------
+    points_m : list of (3,) arrays
+        What was clicked, in B.
+    """
+
+    def __init__(self, view: View) -> None:
+        import pyvista as pv
+
+        self._view = view
+        self.points_m: list[np.ndarray] = []
+        self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
+        looks = {"color": theme.GREEN, "lighting": False, "reset_camera": False, "render": False}
+        self._line = view.add_mesh(self._poly, line_width=2, **looks)
+        self._dots = view.add_mesh(self._poly, style="points", point_size=10, **looks)
+        for actor in (self._line, self._dots):
+            actor.SetPickable(False)
+            actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+            actor.mapper.SetRelativeCoincidentTopologyPointOffsetParameter(TO_THE_FRONT)
+            actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, TO_THE_FRONT)
+        self.clear()
+
+    @property
+    def length_m(self) -> float | None:
+        """Distance in m; None before the second click."""
+        if len(self.points_m) < 2:
+            return None
+        return float(np.linalg.norm(self.points_m[1] - self.points_m[0]))
+
+    def add(self, point_m: np.ndarray) -> None:
+        """Take a point (3,) in B."""
+        self.points_m = [*self.points_m, point_m][-2:] if len(self.points_m) < 2 else [point_m]
+        self._poly.points[:] = np.array([self.points_m[0], self.points_m[-1]])
+        self._poly.Modified()
+        self._dots.visibility = True
+        self._line.visibility = len(self.points_m) == 2
+        self._view.refresh()
+
+    def clear(self) -> None:
+        """Forget the points."""
+        self.points_m = []
+        self._dots.visibility = self._line.visibility = False
+        self._view.refresh()

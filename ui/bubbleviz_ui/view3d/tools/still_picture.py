@@ -1,0 +1,38 @@
+"""A picture of the 3-D view at any resolution, from the same window VTK draws in."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz_ui.view3d.render_view import View
+
+POINTS_PER_INCH = 72
+
+
+def still(view: View, width: int, height: int) -> np.ndarray:
+    """Picture of the view as it is, (height, width, 3) uint8; text grows with it.
+
+    VTK draws into a buffer of its own, so the window does not change and nothing flashes up.
+    """
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
+
+    window = view.ren_win
+    before, dpi = tuple(window.GetSize()), window.GetDPI()
+    view.makeCurrent()
+    try:
+        window.SetSize(width, height)
+        window.SetDPI(round(POINTS_PER_INCH * height / max(view.height(), 1)))
+        window.Render()
+        reader = vtkWindowToImageFilter()
+        reader.SetInput(window)
+        reader.ReadFrontBufferOff()
+        reader.ShouldRerenderOff()
+        reader.Update()
+        pixels = vtk_to_numpy(reader.GetOutput().GetPointData().GetScalars())
+        return np.ascontiguousarray(pixels.reshape(height, width, 3)[::-1])
+    finally:
+        window.SetSize(*before)
+        window.SetDPI(dpi)
+        view.doneCurrent()
+        view.refresh()

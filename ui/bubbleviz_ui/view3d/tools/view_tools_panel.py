@@ -1,0 +1,294 @@
+"""3-D tools panel: look, point, measure, cut open, exaggerate, and take pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSlider,
+    QSpinBox,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.diagnostics.probe import Probed
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.model.choices import COLOUR_MAPS
+from bubbleviz_ui.model.events import ChoicesChanged, Event
+from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.images_panel import words
+from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scene import Scene
+from bubbleviz_ui.view3d.tools.distance import Distance
+from bubbleviz_ui.view3d.tools.still_picture import still
+from bubbleviz_ui.view3d.tools.turntable import Turntable
+from bubbleviz_ui.view3d.tools.viewpoints import Viewpoint
+
+VIEWS: dict[Viewpoint, str] = {
+    "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
+}  # fmt: skip
+TOOLS = {"turn": "Turn", "pick": "Pick", "distance": "Distance"}
+LARGEST_PIXELS = 8192
+MOST_EXAGGERATED = 10.0
+SECTION_STEPS = 200
+WIDTH = 286
+"""Room for the numbers of a place, screen pixels."""
+
+
+class ViewTools(QWidget):
+    """Controls of the 3-D view that are no layers.
+
+    Attributes
+    ----------
+    failed : Signal
+        What could not be written, in words.
+    """
+
+    failed = Signal(str)
+
+    def __init__(
+        self, state: SessionState, controller: Controller, view: View, scene: Scene
+    ) -> None:
+        super().__init__()
+        self._state, self._view, self._scene = state, view, scene
+        self.tool = "turn"
+        self.distance = Distance(view)
+        self.turntable = Turntable(view)
+        self.picked = Hover(controller)
+        self._marks = ProbeMarks(view)
+        self._reach_m = 0.1
+        self._make_buttons()
+        self._make_settings()
+        self._lay_out()
+        self._connect(controller)
+        self._show_choices()
+        self._say()
+        keep_keys(self)
+        state.subscribe(self._on_event)
+
+    def _make_buttons(self) -> None:
+        self.views = {name: self._button(title) for name, title in VIEWS.items()}
+        self.views["camera"].setToolTip("As the depth camera sees it")
+        self.tools = {name: self._button(title) for name, title in TOOLS.items()}
+        for name in ("top", "side", "front"):
+            self.views[name].setToolTip(f"Look from the {name}, in the bubble frame B")
+        self.tools["turn"].setToolTip("Drag turns the scene, the wheel goes nearer")
+        self.tools["pick"].setToolTip("Click on the membrane or a point: numbers that stay")
+        self.tools["distance"].setToolTip("Click on two points; a third begins anew")
+        group = QButtonGroup(self)
+        for button in self.tools.values():
+            button.setCheckable(True)
+            group.addButton(button)
+        self.tools["turn"].setChecked(True)
+        self.said = [QLabel() for _ in range(3)]
+
+    def _make_settings(self) -> None:
+        self.colour_map = QComboBox()
+        self.colour_map.addItems(COLOUR_MAPS)
+        self.colour_map.setToolTip("Colours of the contact pressure, perceptually uniform")
+        self.exaggeration = QDoubleSpinBox()
+        self.exaggeration.setRange(0.0, MOST_EXAGGERATED)
+        self.exaggeration.setSingleStep(0.5)
+        self.exaggeration.setSuffix(" ×")
+        self.exaggeration.setToolTip("Displacement u drawn so many times as large")
+        self.section = QComboBox()
+        for axis, title in ((None, "whole"), ("x", "cut ⊥ x"), ("y", "cut ⊥ y"), ("z", "cut ⊥ z")):
+            self.section.addItem(title, axis)
+        self.section_at = QSlider(Qt.Orientation.Horizontal)
+        self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
+        self.flipped = QCheckBox("other side")
+        self.section_text = QLabel()
+        self.section.setToolTip("Cut the membrane open across an axis of the bubble frame B")
+        self.section_at.setToolTip("Where the cutting plane is")
+        self.flipped.setToolTip("Show what is on the other side of the plane")
+        self.width_box, self.height_box = _pixels(), _pixels()
+        self.save = QPushButton("Save…")
+        self.save.setToolTip("Picture of the 3-D view at this size, PNG")
+        self.turn = self._button("Spin")
+        self.turn.setCheckable(True)
+        self.turn.setToolTip("Turntable: turn about the vertical, 30° a second")
+
+    def _lay_out(self) -> None:
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 10, 12, 10)
+        column.setSpacing(6)
+        column.addLayout(_row(*self.views.values()))
+        column.addLayout(_row(*self.tools.values(), self.turn))
+        for label in self.said:
+            column.addWidget(label)
+        form = QFormLayout()
+        form.addRow("Colours", self.colour_map)
+        form.addRow("Exaggerate u", self.exaggeration)
+        form.addRow("Section", self.section)
+        form.addRow(self.section_text, self.section_at)
+        form.addRow("", self.flipped)
+        form.addRow("Picture", _row(self.width_box, QLabel("×"), self.height_box, self.save))
+        column.addLayout(form)
+        column.addStretch(1)
+        self.setMinimumWidth(WIDTH)
+        self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
+
+    def _connect(self, controller: Controller) -> None:
+        state = self._state
+        for viewpoint, button in self.views.items():
+            button.clicked.connect(lambda _, name=viewpoint: self._scene.look(name))
+        for name, button in self.tools.items():
+            button.clicked.connect(lambda _, name=name: self.use_tool(name))
+        self.colour_map.currentTextChanged.connect(lambda name: state.choose(colour_map=name))
+        self.exaggeration.valueChanged.connect(lambda v: state.choose(exaggeration=v))
+        self.section.currentIndexChanged.connect(
+            lambda _: state.choose(section_axis=self.section.currentData())
+        )
+        self.section_at.valueChanged.connect(
+            lambda step: state.choose(section_at_m=self._reach_m * step / SECTION_STEPS)
+        )
+        self.flipped.toggled.connect(lambda on: state.choose(section_flipped=on))
+        for box in (self.width_box, self.height_box):
+            box.valueChanged.connect(lambda _: state.choose(picture_size=self._picture_size()))
+        self.turn.toggled.connect(self.turntable.set_turning)
+        self.save.clicked.connect(self._choose_file)
+        self._view.clicked.connect(self._on_clicked)
+        self.picked.changed.connect(self._on_picked)
+        controller.opened.connect(self._on_opened)
+
+    # -- pointing -----------------------------------------------------------------------------
+
+    def use_tool(self, name: str) -> None:
+        """What a click in the view does from now on: `turn` (nothing), `pick`, `distance`."""
+        self.tool = name
+        self.tools[name].setChecked(True)
+        self.picked.leave()
+        self.distance.clear()
+        pointer = Qt.CursorShape.ArrowCursor if name == "turn" else Qt.CursorShape.CrossCursor
+        self._view.setCursor(pointer)
+        self._say()
+
+    def _on_clicked(self, x: float, y: float) -> None:
+        if self.tool == "turn":
+            return
+        point = self._scene.pick(x, y)
+        if self.tool == "pick":
+            self.picked.leave() if point is None else self.picked.at_point(point)
+        elif point is not None:
+            self.distance.add(point)
+        self._say()
+
+    def _on_picked(self, place: Probed | None) -> None:
+        self._marks.show(place, self._scene.drawn_node(place))
+        self._say()
+
+    def _say(self) -> None:
+        """Write what was pointed at, in the operator's units."""
+        lines = {
+            "turn": ("Drag turns, wheel zooms,", "middle button moves", ""),
+            "pick": ("Click on the membrane", "or on a measured point", ""),
+            "distance": ("Click on two points", "", ""),
+        }[self.tool]
+        units, ends = self._state.units, self.distance.points_m
+        if self.tool == "pick" and self.picked.place is not None:
+            lines = words(self.picked.place, units)
+        elif self.tool == "distance" and self.distance.length_m is not None:
+            dx, dy, dz = (units.length.of(float(d)) for d in ends[1] - ends[0])
+            digits = units.length.digits
+            lines = (
+                f"distance {units.length.text(self.distance.length_m)}",
+                f"Δx {dx:.{digits}f} · Δy {dy:.{digits}f}",
+                f"Δz {dz:.{digits}f} {units.length.symbol}",
+            )
+        elif self.tool == "distance" and ends:
+            lines = ("Click on the other point", "", "")
+        for label, line in zip(self.said, lines, strict=True):
+            label.setText(line)
+
+    # -- settings -----------------------------------------------------------------------------
+
+    def _on_opened(self, opened: Opened) -> None:
+        self._marks.set_camera(opened.camera.center)
+        self._reach_m = float(abs(opened.mesh.nodes).max())
+        self.distance.clear()
+        self._show_choices()
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ChoicesChanged):
+            self._show_choices()
+            self._say()
+
+    def _show_choices(self) -> None:
+        choices, length = self._state.choices, self._state.units.length
+        controls = (self.colour_map, self.exaggeration, self.section, self.section_at,
+                    self.flipped, self.width_box, self.height_box)  # fmt: skip
+        blockers = [QSignalBlocker(control) for control in controls]
+        self.colour_map.setCurrentText(choices.colour_map)
+        self.exaggeration.setValue(choices.exaggeration)
+        self.section.setCurrentIndex(self.section.findData(choices.section_axis))
+        self.section_at.setValue(round(SECTION_STEPS * choices.section_at_m / self._reach_m))
+        self.flipped.setChecked(choices.section_flipped)
+        for box, pixels in zip(
+            (self.width_box, self.height_box), choices.picture_size, strict=True
+        ):
+            box.setValue(pixels)
+        del blockers
+        self.section_text.setText(f"at {length.text(choices.section_at_m)}")
+        for control in (self.section_at, self.flipped):
+            control.setEnabled(choices.section_axis is not None)
+
+    # -- pictures -----------------------------------------------------------------------------
+
+    def _picture_size(self) -> tuple[int, int]:
+        return self.width_box.value(), self.height_box.value()
+
+    def save_picture(self, path: Path) -> None:
+        """Write the 3-D view at the chosen size."""
+        pixels = still(self._view, *self._picture_size())
+        height, width = pixels.shape[:2]
+        image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+        if not image.save(str(path)):
+            self.failed.emit(f"{path}: cannot be written; choose another place")
+
+    def _choose_file(self) -> None:
+        name, _ = QFileDialog.getSaveFileName(
+            self, "Save picture of the 3-D view", "view.png", "PNG images (*.png)"
+        )
+        if name:
+            self.save_picture(Path(name))
+
+    @staticmethod
+    def _button(text: str) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setObjectName("slim")
+        return button
+
+
+def _pixels() -> QSpinBox:
+    box = QSpinBox()
+    box.setRange(16, LARGEST_PIXELS)
+    box.setKeyboardTracking(False)
+    box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
+    box.setToolTip("Pixels")
+    return box
+
+
+def _row(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    row.setSpacing(4)
+    for widget in widgets:
+        row.addWidget(widget)
+    row.addStretch(1)
+    return row

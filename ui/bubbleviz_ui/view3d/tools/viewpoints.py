@@ -1,0 +1,46 @@
+"""Where one can look from: along the axes, and as the depth camera does."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz_ui.view3d.render_view import View
+
+Viewpoint = Literal["top", "side", "front", "camera"]
+DIRECTIONS = {
+    "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+}
+"""From the middle of the membrane to the eye, and what is up, in B."""
+ANGLE_DEG = 30.0
+"""View angle of a fresh VTK camera."""
+
+
+def look_along(view: View, name: Viewpoint, bounds_m: list[float]) -> None:
+    """Look from a side at everything inside a box (x, y and z from and to, m)."""
+    towards, up = DIRECTIONS[name]
+    middle = np.array([bounds_m[0] + bounds_m[1], bounds_m[2] + bounds_m[3],
+                       bounds_m[4] + bounds_m[5]]) / 2  # fmt: skip
+    camera = view.camera
+    camera.view_angle = ANGLE_DEG
+    camera.focal_point = tuple(middle)
+    camera.position = tuple(middle + np.array(towards))
+    camera.up = up
+    view.renderer.ResetCamera(bounds_m)
+
+
+def look_as(view: View, camera: DepthCamera, far_m: float) -> None:
+    """Look with the eye of the depth camera, its image filling the view; `far_m` ahead is focus."""
+    T, own = camera.T_B_C, camera.intrinsics
+    vtk_camera = view.camera
+    vtk_camera.position = tuple(T[:3, 3])
+    vtk_camera.focal_point = tuple(T[:3, 3] + far_m * T[:3, 2])
+    vtk_camera.up = tuple(-T[:3, 1])
+    tall = own.height / own.fy
+    wide = own.width / own.fx * view.height() / max(view.width(), 1)
+    vtk_camera.view_angle = math.degrees(2.0 * math.atan(0.5 * max(tall, wide)))

@@ -1,0 +1,115 @@
+"""The commands that open the window: one thin function each, heavy imports inside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from bubbleviz.files.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
+from bubbleviz.files.preset_files import preset_names
+
+_fresh = click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
+
+
+@click.command(hidden=True)
+@_fresh
+def window(fresh: bool) -> int:
+    """Open the window as it was left, at first on a live synthetic sensor."""
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz_ui.app import run_window
+
+    return run_window(load_sensor(SYNTHETIC_SENSOR), fresh=fresh)
+
+
+@click.command("open")
+@click.argument(
+    "recording", metavar="[REC | X.bubbleviz]", required=False, type=click.Path(path_type=Path)
+)
+@click.option("--source", help="A live source: synthetic:, replay:REC, zenoh:, realsense:")
+@click.option("--session", help="Live sensors together: a session preset or TOML file.")
+@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@click.option("--scene", help=f"Scene preset: {', '.join(preset_names('scenes'))}.")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    help="TRUTH.npz of a simulated REC; by default the one beside it of the same name.",
+)
+@click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
+@click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
+@_fresh
+def open_recording(
+    recording: Path | None,
+    source: str | None,
+    session: str | None,
+    sensor: str | None,
+    scene: str | None,
+    truth: Path | None,
+    frame: int | None,
+    screenshot: Path | None,
+    fresh: bool,
+) -> int:
+    """Show a recording, a saved session or a live source in the window."""
+    if sum(given is not None for given in (recording, source, session)) != 1:
+        raise click.UsageError("give one of REC, --source and --session")
+    if recording is None:
+        if any(given is not None for given in (truth, frame, screenshot)):
+            raise click.UsageError("--truth, --frame and --screenshot are for recordings")
+        return _open_live(source, session, sensor, scene, fresh=fresh)
+    if recording.suffix.lower() == SESSION_SUFFIX:
+        if any(given is not None for given in (sensor, truth, frame, screenshot)):
+            raise click.UsageError("--sensor, --truth, --frame and --screenshot are for recordings")
+        return _open_saved(recording, scene, fresh=fresh)
+    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz_ui.model.scene_presets import load_scene
+
+    if screenshot is not None:
+        from bubbleviz.files.output_files import refuse_existing
+
+        refuse_existing(screenshot)
+    preset = None if scene is None else load_scene(scene)
+    name, chosen = checked_sensor(recording, sensor)
+    if sensor is None:
+        click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
+    from bubbleviz_ui import app
+
+    if screenshot is None:
+        return app.run_window(chosen, recording, frame, preset, fresh=fresh, truth=truth)
+    app.screenshot(chosen, recording, frame or 0, screenshot, preset, truth=truth)
+    click.echo(f"wrote {screenshot}")
+    return 0
+
+
+def _open_saved(saved: Path, scene: str | None, *, fresh: bool) -> int:
+    """The window as it was when somebody saved a session."""
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz_ui.app import run_window
+    from bubbleviz_ui.model.scene_presets import load_scene
+
+    preset = None if scene is None else load_scene(scene)
+    return run_window(load_sensor(SYNTHETIC_SENSOR), scene=preset, fresh=fresh, saved=saved)
+
+
+def _open_live(
+    source: str | None,
+    session: str | None,
+    sensor: str | None,
+    scene: str | None,
+    *,
+    fresh: bool,
+) -> int:
+    """The window on live sensors."""
+    from bubbleviz.live.session_preset import load_session
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz_ui.app import run_window
+    from bubbleviz_ui.live.connection import single
+    from bubbleviz_ui.model.scene_presets import load_scene
+
+    if session is not None and sensor is not None:
+        raise click.UsageError("the sensors are named in the session file; leave --sensor out")
+    name = sensor or SYNTHETIC_SENSOR
+    live = single(source, name) if source is not None else load_session(session or "")
+    preset = None if scene is None else load_scene(scene)
+    return run_window(
+        load_sensor(live.sensors[0].sensor), None, None, preset, fresh=fresh, live=live
+    )

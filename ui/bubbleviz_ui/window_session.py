@@ -1,0 +1,279 @@
+"""One window with its application, and the loop that waits for it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bubbleviz.errors import InputError
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.startup_imports import import_the_window
+
+if TYPE_CHECKING:
+    from PySide6.QtWidgets import QApplication
+
+    from bubbleviz.live.session_preset import SessionPreset
+    from bubbleviz_ui.engine.requests import Failed, Opened
+    from bubbleviz_ui.model.scene_presets import ScenePreset
+    from bubbleviz_ui.session_files.session_file import SavedSession
+
+PATIENCE_S = 60.0
+"""How long a picture may take before something is called broken."""
+CONNECT_S = 5.0
+"""How long a live source may take before the window is shown without it."""
+SWITCH_S = 5e-4
+"""How long the solver thread may keep Python to itself while the window waits; 5 ms by default."""
+
+
+class WindowSession:
+    """The application, one window and its event loop; see `window_session`."""
+
+    def __init__(self) -> None:
+        import_the_window()
+        from bubbleviz_ui.engine.controller import Controller
+        from bubbleviz_ui.engine.interrupt import Interrupt
+        from bubbleviz_ui.engine.solver_thread import Worker
+        from bubbleviz_ui.main_window import MainWindow
+        from bubbleviz_ui.model.session_state import SessionState
+
+        self.application = application()
+        self.interrupt = Interrupt()
+        self.state = state = SessionState()
+        self.controller = Controller(state, Worker())
+        # The window first: VTK and Open3D share modules, and two threads that import them at the
+        # same time can lock each other out.
+        self.window = MainWindow(state, self.controller)
+        self._answers: list[Opened | Failed] = []
+
+    def start(
+        self,
+        sensor: Sensor,
+        recording: Path | None,
+        frame: int | None,
+        scene: ScenePreset | None = None,
+        keep_in: Path | None = None,
+        live: SessionPreset | None = None,
+        saved: tuple[Path, SavedSession] | None = None,
+        truth: Path | None = None,
+    ) -> None:
+        """Open what `window_session` was asked for."""
+        state = self.state
+        self.controller.opened.connect(self._note)
+        self.controller.failed.connect(self._note)
+        known = any(each is not None for each in (recording, live, saved))
+        restored = keep_in is not None and self._restore(keep_in, recording, known=known)
+        if saved is not None:
+            file, given = saved
+            restored = self._came_back(self.window.session_saver.restore(given, file))
+        if scene is not None:
+            self.window.use_scene(scene)
+        if live is not None:
+            self._connect(live)
+        elif not restored:
+            self._open(sensor, recording, frame, truth)
+        if frame is not None and state.facts is not None and frame != state.frame:
+            raise InputError(
+                f"{recording or 'synthetic press'}: has no frame {frame}; "
+                f"choose 0 to {state.facts.frames - 1}"
+            )
+        self.controller.opened.disconnect(self._note)
+        self.controller.failed.disconnect(self._note)
+        self._answers.clear()  # each holds a camera's rays and a frame
+
+    def _note(self, answer: Opened | Failed) -> None:
+        self._answers.append(answer)
+
+    def _open(
+        self, sensor: Sensor, recording: Path | None, frame: int | None, truth: Path | None
+    ) -> None:
+        from bubbleviz_ui.engine.requests import Failed
+        from bubbleviz_ui.engine.source_openers import recording as recording_opener
+        from bubbleviz_ui.engine.source_openers import synthetic
+
+        self._answers.clear()
+        self.controller.opening.open(
+            str(recording) if recording else "synthetic press",
+            recording_opener(recording, truth) if recording else synthetic,
+            lambda: sensor,
+            frame=frame or 0,
+            playing=frame is None,
+            live=recording is None,
+        )
+        self.wait_for(lambda: bool(self._answers), "opening")
+        answer = self._answers[0]
+        if isinstance(answer, Failed):
+            if answer.details:
+                raise RuntimeError(answer.details)  # a bug, not the user's file
+            raise InputError(answer.message)
+
+    def _connect(self, live: SessionPreset) -> None:
+        """Connect; a source that is not there yet is waited for in the window."""
+        from bubbleviz_ui.engine.requests import Failed
+
+        live_controller, problems = self.window.live_controller, list[str]()
+        live_controller.said.connect(lambda problem, _: problems.append(problem))
+        live_controller.connect_to(live)
+        end = time.monotonic() + CONNECT_S
+        self.wait_for(
+            lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
+        )
+        problems += [answer.message for answer in self._answers if isinstance(answer, Failed)]
+        if problems:
+            raise InputError(problems[0])
+
+    def _restore(self, file: Path, recording: Path | None, *, known: bool) -> bool:
+        """Come back to the user's last session; whether its source is open now.
+
+        Where it is `known` what to open, that is opened in its place; what cannot be opened any
+        more is a message in the window.
+        """
+        session_saver = self.window.session_saver
+        saved = session_saver.keep_in(file)
+        session_saver.use(saved)
+        with self.window.settings.unrecorded():
+            self.window.shortcuts.use(saved.shortcuts)
+        if recording is not None:
+            session_saver.expect(saved, recording)
+        if known:
+            return False
+        return self._came_back(session_saver.open_source(saved))
+
+    def _came_back(self, asked: bool) -> bool:
+        """Whether a session's source, where one was asked for, is open now."""
+        from bubbleviz_ui.engine.requests import Opened
+
+        if asked:
+            self.wait_for(lambda: bool(self._answers), "opening")
+        return asked and isinstance(self._answers[0], Opened)
+
+    def wait_for(self, done: Callable[[], bool], what: str) -> None:
+        """Run the event loop until something is done; KeyboardInterrupt after ^C."""
+        end = time.monotonic() + PATIENCE_S
+        while not done():
+            self.raise_if_interrupted()
+            if time.monotonic() > end:
+                raise InputError(f"{what} took more than {PATIENCE_S:.0f} s; given up")
+            self.application.processEvents()
+            time.sleep(0.002)
+
+    def settle(self, pictures: int = 3) -> None:
+        """Run until the window is laid out and has drawn what it shows."""
+        view = self.window.view
+        for _ in range(pictures):
+            count = view.render_count
+            view.refresh()
+            self.wait_for(lambda count=count: view.render_count > count, "drawing")  # type: ignore[misc]
+        self.window.show_rates()
+        self.application.processEvents()
+
+    def save(self, out: Path) -> None:
+        """Write the picture of the window whole or not at all."""
+        from PySide6.QtCore import QSaveFile
+
+        file = QSaveFile(str(out))
+        opened = file.open(QSaveFile.OpenModeFlag.WriteOnly)
+        if not (opened and self.window.grab().save(file, "PNG") and file.commit()):
+            raise InputError(f"{out}: cannot be written ({file.errorString()})")
+
+    def save_still(self, out: Path) -> None:
+        """Write the picture of one frame while a recording plays: view and panels agree on it."""
+        playing, failures = self.state.playing, list[object]()
+        failed = self.controller.failed.connect(failures.append)
+        self.state.set_playing(False)
+        self.wait_for(lambda: self._is_shown or bool(failures), "the frame")
+        self.controller.failed.disconnect(failed)
+        self.settle()
+        self.save(out)
+        self.state.set_playing(playing)
+
+    @property
+    def _is_shown(self) -> bool:
+        result = self.controller.result
+        return result is not None and result.frame.index == self.state.frame
+
+    def raise_if_interrupted(self) -> None:
+        """KeyboardInterrupt where ^C came; for loops of one's own."""
+        if self.interrupt.came:
+            raise KeyboardInterrupt
+
+    def run(self) -> int:
+        """Run the event loop until the window is closed or ^C comes; exit code."""
+        from bubbleviz_ui.engine.interrupt import EXIT_CODE
+
+        return EXIT_CODE if self.interrupt.came else self.application.exec()
+
+    def close(self) -> None:
+        """Close the window and let go of it."""
+        from PySide6.QtCore import QEvent
+        from shiboken6 import isValid
+
+        if isValid(self.window):
+            self.window.close()
+        self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+        self.application.processEvents()
+        self.interrupt.close()
+
+
+@contextmanager
+def window_session(
+    sensor: Sensor,
+    recording: Path | None,
+    frame: int | None,
+    scene: ScenePreset | None = None,
+    keep_in: Path | None = None,
+    live: SessionPreset | None = None,
+    saved: Path | None = None,
+    truth: Path | None = None,
+) -> Iterator[WindowSession]:
+    """Session whose window is closed and gone at the end.
+
+    With `keep_in`, the user's last session is read from that file, and this one kept in it; with
+    `saved`, the session of that file is restored. `truth` is what is true of the recording, where
+    it is of a simulation and no file of its name beside it says so.
+
+    Raises
+    ------
+    InputError
+        The session cannot be read, or the recording cannot be opened, does not fit the sensor, or
+        has no such frame.
+    KeyboardInterrupt
+        ^C came before there was an event loop to end.
+    """
+    given = None if saved is None else (saved, _read(saved))  # before there is a window
+    session = WindowSession()
+    try:
+        session.start(sensor, recording, frame, scene, keep_in, live, given, truth)
+        yield session
+    finally:
+        session.close()
+
+
+def _read(saved: Path) -> SavedSession:
+    from bubbleviz_ui.session_files.session_file import read_session
+
+    return read_session(saved)
+
+
+def application() -> QApplication:
+    """The Qt application with the window's look; made once."""
+    from PySide6.QtWidgets import QApplication
+
+    from bubbleviz_ui.shell import theme
+
+    sys.setswitchinterval(SWITCH_S)
+    existing = QApplication.instance()
+    if isinstance(existing, QApplication):
+        made = existing
+    else:
+        if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
+            os.environ.setdefault("QT_QPA_PLATFORM", "xcb")  # VTK draws through X
+        made = QApplication(["bubbleviz"])
+    made.setApplicationName("bubbleviz")
+    made.setStyle("Fusion")
+    theme.apply(made, theme.chosen("system", theme.system_scheme()))
+    return made

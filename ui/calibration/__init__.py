@@ -1,1 +1,0 @@
-"""The calibration session of the window: what was chosen, what came of it, who computes it."""
