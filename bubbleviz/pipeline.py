@@ -144,8 +144,7 @@ class Pipeline:
         with self._timed("total", times):
             if self._wanted("estimate", products):
                 with self._timed("estimate", times):
-                    depth = self._straightened(frame)
-                    estimate = self.estimator.estimate(depth, frame.gas_pressure_pa)
+                    estimate = self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa)
                 result = replace(result, estimate=estimate)
             if self._wanted("patch", products) and result.estimate is not None:
                 with self._timed("patch", times):
@@ -235,17 +234,11 @@ class Pipeline:
         model = np.full(len(pixels), np.nan)
         hits = self._view.hits(estimate.displacement_m, pixels)
         model[np.searchsorted(pixels, hits.ray)] = hits.range_m
+        measured = self.camera.range_image(frame.depth_m)
         if self.pixels is not None:
             model += np.where(self.pixels.mask, self.pixels.bias_m, np.nan).ravel()[pixels]
-        return self.camera.range_image(self._straightened(frame)).ravel()[pixels] - model
-
-    def _straightened(self, frame: Frame) -> np.ndarray:
-        """z-depth (H, W) as calibrated at several inflation levels, m; else as it is."""
-        line = self.pixels.line if self.pixels is not None else None
-        if line is None:
-            return frame.depth_m
-        ranges = line.straighten(self.camera.range_image(frame.depth_m))
-        return self.camera.depth_image(ranges).astype(np.float32)
+            measured = self.pixels.straightened(measured)
+        return measured.ravel()[pixels] - model
 
     @staticmethod
     def _wanted(stage: str, products: frozenset[Product]) -> bool:

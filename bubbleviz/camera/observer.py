@@ -157,6 +157,7 @@ class RangeObserver:
         )
         self._reference = (hits.range_m + bias)[used][order].astype(np.float32)
         self._scale = camera.range_per_depth.ravel()[pixel]
+        self._line = None if pixels is None or pixels.line is None else pixels.line.at(pixel)
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
         self._neighbourhood = self._neighbourhoods(blocks)
@@ -199,7 +200,10 @@ class RangeObserver:
 
     def pixel_residuals(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured minus reference range of the pixels in use, (k,), m; NaN: no return."""
-        return depth_m.ravel()[self.pixel] * self._scale - self._reference
+        ranges = depth_m.ravel()[self.pixel] * self._scale
+        if self._line is not None:
+            ranges = self._line.straighten(ranges)
+        return ranges - self._reference
 
     def observe(self, depth_m: np.ndarray, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a z-depth image.

@@ -43,6 +43,11 @@ class RangeLine:
         within = np.clip(range_m, self.nearest_m, self.farthest_m)
         return range_m + (self.slope - 1.0) * (within - self.rest_m)
 
+    def at(self, pixels: np.ndarray) -> RangeLine:
+        """The line of some pixels, by their flat indices; arrays (k,) in single precision."""
+        images = (self.slope, self.rest_m, self.nearest_m, self.farthest_m)
+        return RangeLine(*(x.ravel()[pixels].astype(np.float32) for x in images), self.levels)
+
 
 @dataclass(frozen=True)
 class PixelModel:
@@ -94,6 +99,10 @@ class PixelModel:
             made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
         return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated, line)
+
+    def straightened(self, range_m: np.ndarray) -> np.ndarray:
+        """Measured range (H, W) with true changes from rest, m; as it is where there is no line."""
+        return range_m if self.line is None else self.line.straighten(range_m)
 
 
 def _line(data: Mapping[str, np.ndarray]) -> RangeLine | None:

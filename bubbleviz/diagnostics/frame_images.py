@@ -60,5 +60,4 @@ class FrameImages:
     def _range(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured range, straight where it was calibrated at several inflation levels, m."""
         ranges = self._camera.range_image(depth_m)
-        line = self._pixels.line if self._pixels is not None else None
-        return ranges if line is None else line.straighten(ranges)
+        return ranges if self._pixels is None else self._pixels.straightened(ranges)

@@ -93,7 +93,7 @@ def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found):
     frame = dome[0]
     pushed = dome.camera.depth_image(dome.camera.range_image(frame.depth_m) - 4e-3)
     pressed = type(frame)(1, 0.0, pushed.astype(np.float32), frame.intrinsics)
-    residuals = []
+    changes = []
     for each in (plain, rectified):
         with written(each) as sensor:
             pipeline = Pipeline(sensor, intrinsics=frame.intrinsics)
@@ -101,10 +101,11 @@ def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found):
             assert (saved.line is None) == (each is plain)
             wanted = frozenset({"patch"})
             assert np.linalg.norm(pipeline.process(frame, wanted).patch.force_n) < 0.05
-            residuals.append(pipeline._straightened(pressed) - pressed.depth_m)
-    assert not np.nan_to_num(residuals[0]).any()
+            shown = dome.camera.range_image(pressed.depth_m)
+            changes.append(saved.straightened(shown) - shown)
+    assert not np.nan_to_num(changes[0]).any()
     mask = rectified.pixels.mask
-    moved = dome.camera.range_image(residuals[1])[mask] / -4e-3
+    moved = changes[1][mask] / -4e-3
     wanted = (1.0 / dome.scale - 1.0)[mask]
     assert np.median(np.abs(moved - wanted)) < 0.3 * STRETCH
 

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError
+from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.rigid_motion import motion_between, moved
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.study.presses import made
@@ -145,7 +147,7 @@ import sys
 import numpy as np
 from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Calibration, load_sensor
 pipeline = Pipeline(load_sensor("pico_flexx_75mm"))
 pipeline.process(Frame(0, 0.0, np.full((171, 224), 0.13, np.float32)), frozenset({"patch"}))
 print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
@@ -154,3 +156,37 @@ print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_rectified_ranges_slide_flat_faces_as_true_ones_do(sensor, tmp_path):
+    """A camera that shows changes of range too large on one side and too small on the other."""
+    truth = np.eye(4)
+    truth[:3, 3] = [0.003, -0.004, 0.038]
+    source = SyntheticSource(sensor, made("cross"), truth[None], sharp=True)
+    true, camera = source[0], source.camera
+    mesh = build_mesh(sensor)
+    rest = MembraneView(camera, mesh).range_image(np.zeros(len(mesh.nodes)))
+    slope = np.broadcast_to(np.linspace(0.85, 1.15, rest.shape[1]), rest.shape)
+    shown = rest + (camera.range_image(true.depth_m) - rest) / slope
+    shown = np.where(np.isfinite(shown), shown, camera.range_image(true.depth_m))
+    seen = replace(true, depth_m=camera.depth_image(shown).astype(np.float32))
+    off = moved(truth, np.array([2e-3, 1e-3, 0.0, 0.0, 0.0, 0.12]), truth[:3, 3])
+    poses = []
+    for name, frame, line in (("plain", true, np.ones_like(rest)), ("rectified", seen, slope)):
+        np.savez(
+            tmp_path / f"{name}.npz", mask=np.isfinite(rest), bias_m=np.zeros_like(rest),
+            noise_m=np.full_like(rest, 1e-3), correlated_pixels=1.0, slope=line,
+            rest_m=np.nan_to_num(rest), nearest_m=np.zeros_like(rest),
+            farthest_m=np.ones_like(rest), levels=3,
+        )  # fmt: skip
+        calibration = Calibration(pixels_file=f"{name}.npz")
+        pipeline = Pipeline(
+            sensor.model_copy(update={"calibration": calibration, "folder": tmp_path})
+        )
+        pipeline.follow(source.obj, off)
+        poses.append(pipeline.process(frame, PRODUCTS).pose)
+    plain, rectified = poses
+    assert plain.status == rectified.status == "ok"
+    apart = motion_between(plain.T_B_O, rectified.T_B_O, truth[:3, 3])
+    assert np.linalg.norm(apart[:3]) < 5e-5
+    assert np.linalg.norm(apart[3:]) < np.radians(0.2)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.session_files.session_file import SavedSession
 
-PATIENCE_S = 60.0
-"""How long a picture may take before something is called broken."""
+PATIENCE_S = 300.0
+"""How long opening or a picture may take, on a busy machine too, before it is called broken."""
 CONNECT_S = 5.0
 """How long a live source may take before the window is shown without it."""
 SWITCH_S = 5e-4
