@@ -81,7 +81,7 @@ def test_the_windows_commands_have_help_without_qt() -> None:
     assert loaded_after_help(every) == "LOADED ['bubbleviz_ui']"
 
 
-INSTALL = 'pip install "bubbleviz[window]"'
+INSTALL = '[window]"'
 
 
 @pytest.mark.parametrize("words", [[], ["open", "x.mcap"], ["bench", "window", "--synthetic"]])

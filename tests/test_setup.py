@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import REPOSITORY
 
+REPOSITORY = Path(__file__).parents[1]
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux") or shutil.which("flock") is None,
     reason="Debian's package names, and locks of util-linux",

@@ -11,6 +11,7 @@ import os
 import signal
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 
 from bubbleviz.batch.batch_job import Job
@@ -87,8 +88,10 @@ class _Worker:
 def _interrupts_for_the_parent() -> Iterator[None]:
     """Processes started here never see ^C, which a terminal sends to all of them.
 
-    They inherit what is blocked; here it arrives when the block ends.
+    They inherit what is blocked; here it arrives when the block ends. Python before 3.12 unblocks
+    it when it starts its resource tracker, with the first process: so that is started before.
     """
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

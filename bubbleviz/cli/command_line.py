@@ -18,12 +18,13 @@ from bubbleviz.cli.live_commands import publish, record, watch
 from bubbleviz.cli.recording_commands import estimate, info, pose, simulate
 from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.wording import how_to_install
 
 WINDOW_GROUP = "bubbleviz.commands"
 """Entry points of the commands that the window brings."""
 WINDOW_COMMANDS = ("bench", "open", "window")
 WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
-INSTALL = 'is not installed; run pip install "bubbleviz[window]"'
+INSTALL = f"is not installed; run {how_to_install('window')}"
 
 # The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

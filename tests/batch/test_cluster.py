@@ -84,7 +84,7 @@ def test_no_address(address: str) -> None:
 
 def test_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # what a missing module looks like
-    with pytest.raises(InputError, match=r"pip install .bubbleviz\[cluster\]"):
+    with pytest.raises(InputError, match=r"pip install .*\[cluster\]"):
         check_cluster("tcp://127.0.0.1:8786")
 
 
