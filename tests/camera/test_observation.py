@@ -55,7 +55,7 @@ def test_rays_walk_to_where_they_would_be_cast(depth_m):
     caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
     old = caster.cast(MESH.deformed(smooth_dent(depth_m)), MESH.normals)
     nodes = MESH.deformed(smooth_dent(depth_m + 0.5 * MESH.edge_length))
-    fresh, walked = caster.cast(nodes, MESH.normals), caster.again(nodes, MESH.normals, old)
+    fresh, walked = caster.cast(nodes, MESH.normals), caster.recast(nodes, MESH.normals, old)
     both, a, b = np.intersect1d(fresh.ray, walked.ray, return_indices=True)
     assert len(both) > 0.999 * len(fresh.ray)
     assert np.mean(fresh.triangle[a] != old.triangle[b]) > 0.002  # or there was nothing to walk

@@ -45,7 +45,7 @@ def small_sensor_file(small_sensor: Sensor, tmp_path_factory: pytest.TempPathFac
 def eventually() -> Callable[[Callable[[], object]], None]:
     """Wait for something to come true; the limit is for broken code only."""
 
-    def wait(condition: Callable[[], object], limit_s: float = 30.0) -> None:
+    def wait(condition: Callable[[], object], limit_s: float = 240.0) -> None:
         deadline = time.monotonic() + limit_s
         while not condition():
             assert time.monotonic() < deadline, "it never came true"

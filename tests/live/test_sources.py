@@ -347,7 +347,7 @@ def test_without_the_package_one_line_says_what_to_install(
     small_sensor: Sensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(InputError, match=r"bubbleviz\[realsense\]"):
+    with pytest.raises(InputError, match=r"pip install .*\[realsense\]"):
         open_stream("realsense:", small_sensor)
 
 

@@ -51,7 +51,7 @@ def run(what: str, **environment: str) -> subprocess.CompletedProcess[str]:
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
         [sys.executable, "-c", PROGRAM.format(here=str(HERE), what=what)],
-        env={**kept, **environment}, capture_output=True, text=True, timeout=200, check=False,
+        env={**kept, **environment}, capture_output=True, text=True, timeout=600, check=False,
         cwd=HERE.parents[1],
     )  # fmt: skip
 
@@ -60,7 +60,7 @@ def in_window(body: str) -> subprocess.CompletedProcess[str]:
     """Run `body` with a window that plays the synthetic press, as a process of its own."""
     code = WINDOW.format(here=str(HERE), body=textwrap.indent(textwrap.dedent(body), "    "))
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=200, check=False,
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False,
         cwd=HERE.parents[1],
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.view3d.colour_maps import rgb
 
-PATIENCE_MS = 30_000
+PATIENCE_MS = 240_000
 
 
 @dataclass

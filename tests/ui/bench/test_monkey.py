@@ -21,7 +21,7 @@ print(json.dumps([report.actions, report.problems]))
 def monkey(seconds: float, seed: int, before: str = "") -> tuple[int, list[str]]:
     code = before + PROGRAM.format(here=str(HERE), seconds=seconds, seed=seed)
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=200,
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=600,
         cwd=HERE.parents[1], env=os.environ,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -14,7 +14,7 @@ PROGRAM = "import sys; from bubbleviz.cli.command_line import main; sys.exit(mai
 
 def bench(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", PROGRAM, "bench", *map(str, arguments), "--json"]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
 
 
 def test_start_waits_for_the_picture_of_each_process(punyo_press: Path) -> None:

@@ -48,8 +48,8 @@ def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot: QtBot) -> Non
     timer = QTimer(interval=REST_MS)  # as often as the other looks, which began before
     timer.start()
     for _ in range(3):
-        qtbot.waitSignal(timer.timeout).wait()
+        qtbot.waitSignal(timer.timeout, timeout=240_000).wait()
     assert not given.is_set()
     state.set_playing(False)
-    qtbot.waitUntil(given.is_set)
+    qtbot.waitUntil(given.is_set, timeout=240_000)
     giving.close()

@@ -109,6 +109,6 @@ def test_frames_asked_for_meanwhile_are_dropped(qtbot: QtBot, held: tuple[Worker
     for number in range(2, 6):
         worker.ask(frame(number))
     server.go.set()
-    qtbot.waitUntil(lambda: len(answers) == 2, timeout=20_000)
+    qtbot.waitUntil(lambda: len(answers) == 2, timeout=240_000)
     assert [r.id for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
     assert worker.dropped == 3

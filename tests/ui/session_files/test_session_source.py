@@ -232,7 +232,7 @@ def bubbleviz(*arguments: str, **environment: str) -> subprocess.CompletedProces
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
         [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", *arguments],
-        env={**kept, **environment}, capture_output=True, text=True, timeout=200, check=False,
+        env={**kept, **environment}, capture_output=True, text=True, timeout=600, check=False,
         cwd=Path(__file__).parents[3],
     )  # fmt: skip
 

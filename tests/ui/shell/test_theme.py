@@ -143,7 +143,7 @@ def fits(screen: str, **environment: str) -> dict[str, object]:
     done = subprocess.run(
         [sys.executable, "-c", FITS.format(here=str(HERE), screen=screen)],
         env={**os.environ, **environment}, capture_output=True, text=True, check=False,
-        timeout=200, cwd=HERE.parents[1],
+        timeout=600, cwd=HERE.parents[1],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
