@@ -23,15 +23,6 @@ os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder ther
 REPOSITORY = Path(__file__).parents[1]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where tests run in two processes: one for windows and live sources, which share a machine's
-    screen and clock, the other for the rest, a file at a time."""
-    for item in items:
-        part = item.path.relative_to(REPOSITORY / "tests").parts[0]
-        together = "window" if part in ("ui", "live") else item.path.name
-        item.add_marker(pytest.mark.xdist_group(together))
-
-
 @pytest.fixture(scope="session", autouse=True)
 def _temporary_files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """What the tests and their processes leave in the temporary folder goes with pytest's own."""
