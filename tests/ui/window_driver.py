@@ -41,7 +41,13 @@ class Driver:
     def settle(self) -> None:
         """Wait until the frame at the cursor is shown and painted."""
         result = lambda: self.window.controller.result  # noqa: E731
-        self.wait(lambda: result() is not None and result().frame.index == self.state.frame)
+        # while playing the cursor is ahead of the solver, on a slow machine always
+        self.wait(
+            lambda: (
+                result() is not None
+                and (self.state.playing or result().frame.index == self.state.frame)
+            )
+        )
         count = self.window.view.render_count
         self.window.view.refresh()
         self.wait(lambda: self.window.view.render_count > count)

@@ -220,7 +220,7 @@ def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path
 
     name = sensor_file(bench.folder)
     path = tmp_path / "rec.mcap"
-    record_source(SYNTHETIC, load_sensor(name), path, 0.6)
+    record_source(SYNTHETIC, load_sensor(name), path, 3.0)  # a few frames on slow machines
     bench.connect(single(f"replay:{path}", name))
     bench.wait(lambda: "ended" in bench.window.live.state.text())
     bench.state.seek(1)
