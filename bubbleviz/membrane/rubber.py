@@ -1,0 +1,403 @@
+"""The exact rubber membrane: energy, forces and tangent of incompressible neo-Hookean triangles.
+
+For a P1 triangle the neo-Hookean energy A₀ (μh/2) (tr C + 1/det C − 3) has two parts. That with
+tr C is the energy of linear springs: a constant matrix, μh times the cotangent Laplacian of the
+stress-free triangle. 1/det C = (A₀/A)² depends on the current area alone. The energy is thus
+
+    W(x) = ½ xᵀ (L₀ ⊗ I) x + Σ ψ(A),   ψ(A) = ½ μh A₀³/A² + γ A,
+
+whose second term also holds what a film of constant tension γ has.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
+
+FILM_STIFFNESS = 0.02
+"""μh over γ of a film of constant tension, which has no stiffness along itself so that its nodes
+would drift. Changes its tension by about this share of the strain."""
+
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+_FIRST, _SECOND, _SAME = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2], [0, 3, 5]
+_TURNS = ((1, 1.0), (2, -1.0), (4, 1.0))
+"""Pairs of different corners, and whether the second follows the first."""
+
+
+class _Facets(NamedTuple):
+    """Current triangles, components first, so that a whole mesh is one array operation.
+
+    Attributes
+    ----------
+    area : (m,) array
+        m².
+    normal : (3, m) array
+        Unit normals.
+    gradients : (3, 3, m) array
+        ∇φ_a by corner a and component, 1/m; ∂A/∂x_a = A ∇φ_a.
+    """
+
+    area: np.ndarray
+    normal: np.ndarray
+    gradients: np.ndarray
+
+
+class _Shadow(NamedTuple):
+    """Current triangles over the plane z = 0; V = Σ double × height.
+
+    Attributes
+    ----------
+    height : (m,) array
+        A sixth of the sum of the corners' z, m.
+    double : (m,) array
+        Twice the area in the plane, m².
+    slope : (3, 2, m) array
+        Derivatives of `double` by corner and component, m.
+    """
+
+    height: np.ndarray
+    double: np.ndarray
+    slope: np.ndarray
+
+
+class _Pattern(NamedTuple):
+    """Where the entries of the triangles go in a symmetric sparse matrix; fixed by the mesh.
+
+    Attributes
+    ----------
+    indices, indptr : int arrays
+        Of the columns.
+    slots : (6 · 9 · m,) int array
+        Place in the data of every entry of the blocks (pair of corners, 3, 3, m).
+    mirror : int array
+        Place of the transposed entry.
+    """
+
+    indices: np.ndarray
+    indptr: np.ndarray
+    slots: np.ndarray
+    mirror: np.ndarray
+
+    @classmethod
+    def of(cls, corners: np.ndarray, moving: np.ndarray, nodes: int) -> _Pattern:
+        """Pattern over the `moving` ones of so many nodes, for triangles (3, m)."""
+        size = 3 * len(moving)
+        dof = np.full((nodes, 3), -1)
+        dof[moving] = np.arange(size).reshape(-1, 3)
+        corner = dof[corners].transpose(0, 2, 1)  # (corner, component, m)
+        row, column = np.broadcast_arrays(corner[_FIRST][:, :, None], corner[_SECOND][:, None])
+        row, column = row.ravel(), column.ravel()
+        kept = (row >= 0) & (column >= 0)
+        there, back = column[kept] * size + row[kept], row[kept] * size + column[kept]
+        keys, where = np.unique(np.concatenate([there, back]), return_inverse=True)
+        slots = np.full(len(row), len(keys))  # held nodes: one place too many
+        slots[kept] = where[: len(there)]
+        columns, rows = np.divmod(keys, size)
+        indptr = np.searchsorted(columns, np.arange(size + 1))
+        mirror = np.searchsorted(keys, rows * size + columns)
+        return cls(rows.astype(np.int32), indptr.astype(np.int32), slots, mirror)
+
+    def assembled(self, blocks: np.ndarray) -> np.ndarray:
+        """Data of the matrix that blocks (6, 3, 3, m) and their transposes add up to."""
+        blocks[_SAME] *= 0.5  # they and their transposes are both on the diagonal
+        half = np.bincount(self.slots, blocks.ravel(), minlength=len(self.indices) + 1)[:-1]
+        return half + half[self.mirror]
+
+
+class RubberMembrane:
+    """Membrane of incompressible neo-Hookean rubber, a film of constant tension, or both.
+
+    Positions x are (n, 3) arrays in m in the bubble frame. Vectors and matrices over the moving
+    nodes have three rows a node, in the order of `moving`.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Reference surface, under `gauge_pressure_pa`.
+    gauge_pressure_pa : float
+        Pressure G that the reference surface holds, Pa.
+    stress_free : (m, 2, 2) array, optional
+        Inverse metric of the stress-free triangles, 1/m²: with the stress-free edges
+        D₀ = [X₁ − X₀, X₂ − X₀] (2×2) it is (D₀ᵀ D₀)⁻¹. The reference triangles by default.
+    mu_h_n_per_m : float or (m,) array
+        Shear modulus times stress-free thickness, N/m.
+    film_n_per_m : float or (m,) array
+        Constant tension γ beside the rubber's, N/m.
+    rim_slack_m : float, optional
+        The rim is held by springs that give this much under the pull of the mean tension; clamped
+        where it is None.
+
+    Raises
+    ------
+    InputError
+        A stress-free triangle has no area, or a number is negative or not finite.
+    """
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        gauge_pressure_pa: float,
+        stress_free: np.ndarray | None = None,
+        mu_h_n_per_m: float | np.ndarray = 0.0,
+        film_n_per_m: float | np.ndarray = 0.0,
+        rim_slack_m: float | None = None,
+    ) -> None:
+        self.mesh, self.gauge_pressure_pa = mesh, gauge_pressure_pa
+        count = len(mesh.triangles)
+        inverse = inverse_metric(mesh) if stress_free is None else np.asarray(stress_free, float)
+        self.mu_h = np.broadcast_to(np.asarray(mu_h_n_per_m, float), count)
+        self.film = np.broadcast_to(np.asarray(film_n_per_m, float), count)
+        determinant = inverse[:, 0, 0] * inverse[:, 1, 1] - inverse[:, 0, 1] * inverse[:, 1, 0]
+        for name, values in (("area", determinant), ("stiffness", self.mu_h + self.film)):
+            if not (np.isfinite(values).all() and (values > 0.0).all()):
+                raise InputError(
+                    f"rubber: stress-free triangles of no {name}; check the prestretch"
+                )
+        self.stress_free_area = 0.5 / np.sqrt(determinant)
+        self._corners = mesh.triangles.T
+        self.inverse = inverse
+        self._springs = self._spring_matrix()
+        self.moving = mesh.free if rim_slack_m is None else np.arange(len(mesh.nodes))
+        self._rim_springs = np.zeros(len(mesh.nodes))
+        if rim_slack_m is not None:
+            self._rim_springs = self._mean_tension() / rim_slack_m * _rim_lengths(mesh)
+
+    @classmethod
+    def uniform(
+        cls,
+        mesh: MembraneMesh,
+        gauge_pressure_pa: float,
+        tension_n_per_m: float,
+        prestretch: float | None = None,
+        rim_slack_m: float | None = None,
+    ) -> RubberMembrane:
+        """Membrane of the same tension γ0 everywhere.
+
+        Parameters
+        ----------
+        mesh, gauge_pressure_pa, rim_slack_m
+            As of the class.
+        tension_n_per_m : float
+            γ0 = μh (1 − λ⁻⁶), N/m.
+        prestretch : float, optional
+            λ: stress-free triangles are the reference ones shrunk by it. None: constant tension.
+
+        Raises
+        ------
+        InputError
+            λ is not above 1, or γ0 not above 0.
+        """
+        if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
+            raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
+        if prestretch is None:
+            stiffness = FILM_STIFFNESS * tension_n_per_m
+            return cls(mesh, gauge_pressure_pa, None, stiffness, tension_n_per_m, rim_slack_m)
+        if not (np.isfinite(prestretch) and prestretch > 1.0):
+            raise InputError(f"prestretch {prestretch}: give a number above 1, or leave it out")
+        mu_h = tension_n_per_m / (1.0 - prestretch**-6)
+        stress_free = prestretch**2 * inverse_metric(mesh)
+        return cls(mesh, gauge_pressure_pa, stress_free, mu_h, rim_slack_m=rim_slack_m)
+
+    # -- energy and forces ----------------------------------------------------------------------
+
+    def energy(self, x: np.ndarray) -> float:
+        """Stored energy W in J, up to a constant; inf where a triangle has no area."""
+        area = self._facets(x).area
+        if not (area > 0.0).all():
+            return np.inf
+        by_area = 0.5 * self.mu_h * self.stress_free_area**3 / area**2 + self.film * area
+        moved = x - self.mesh.nodes
+        rim = self._rim_springs @ np.einsum("ij,ij->i", moved, moved)
+        springs = np.einsum("ij,ij->", x, self._springs @ x)
+        return float(0.5 * springs + by_area.sum() + 0.5 * rim)
+
+    def force(self, x: np.ndarray) -> np.ndarray:
+        """Gradient of `energy`, (n, 3), N: what holds the nodes where they are."""
+        facets = self._facets(x)
+        slope, _ = self._area_law(facets.area)
+        by_area = self._gathered(slope * facets.area * facets.gradients)
+        return self._springs @ x + by_area + self._rim_springs[:, None] * (x - self.mesh.nodes)
+
+    @cached_property
+    def rest_force(self) -> np.ndarray:
+        """f_rest (n, 3), N: residual of the reference surface, which is taken as in equilibrium.
+
+        On a clamped rim it is the rim's pull at rest.
+        """
+        x0 = self.mesh.nodes
+        return self.force(x0) - self.gauge_pressure_pa * self.volume_gradient(x0)
+
+    def residual(self, x: np.ndarray, pressure_pa: float | np.ndarray) -> np.ndarray:
+        """∂W/∂x − p ∂V/∂x − f_rest, (n, 3), N: the force that something else must exert.
+
+        Parameters
+        ----------
+        x : (n, 3) array
+        pressure_pa : float or (n,) array
+            Pressure p from inside at the nodes over that outside, Pa; that of the gas less that
+            of a contact.
+        """
+        load = np.reshape(pressure_pa, (-1, 1)) * self.volume_gradient(x)
+        return self.force(x) - load - self.rest_force
+
+    def stress(self, x: np.ndarray) -> np.ndarray:
+        """Cauchy stress times thickness of every triangle, (m, 3, 3), N/m."""
+        facets = self._facets(x)
+        area, n = facets.area, facets.normal.T
+        edges = x[self.mesh.triangles[:, 1:]] - x[self.mesh.triangles[:, :1]]  # (m, 2, 3)
+        springs = self.mu_h * self.stress_free_area / area
+        slope, _ = self._area_law(area)
+        tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
+        stretched = np.einsum("tai,tab,tbj->tij", edges, self.inverse, edges)
+        return springs[:, None, None] * stretched + slope[:, None, None] * tangent
+
+    # -- volume ---------------------------------------------------------------------------------
+
+    def volume(self, x: np.ndarray) -> float:
+        """Volume under the membrane above z = 0, m³ (Eq. 7)."""
+        shadow = self._shadow(x)
+        return float(shadow.double @ shadow.height)
+
+    def volume_gradient(self, x: np.ndarray) -> np.ndarray:
+        """∂V/∂x, (n, 3), m²: on inner nodes the area vector that a pressure acts on."""
+        height, double, slope = self._shadow(x)
+        parts = np.empty((3, 3, len(height)))
+        parts[:, :2] = height * slope
+        parts[:, 2] = double / 6.0
+        return self._gathered(parts)
+
+    # -- tangent --------------------------------------------------------------------------------
+
+    def tangent(self, x: np.ndarray, pressure_pa: float | np.ndarray) -> sparse.csc_array:
+        """Exact derivative of `residual` over the moving nodes, (3f, 3f), N/m.
+
+        Symmetric where the pressure is the same everywhere. The gas law is not in it: it adds
+        β g gᵀ with g = ∂V/∂x and β = −dp/dV. The matrices of all calls share their indices.
+        """
+        pattern, blocks = self._pattern, self._area_blocks(x)
+        if np.ndim(pressure_pa):
+            row_pressure = np.asarray(pressure_pa, float)[self.moving][pattern.indices // 3]
+            data = pattern.assembled(blocks)
+            data -= row_pressure * pattern.assembled(self._volume_blocks(x))
+        else:
+            blocks -= pressure_pa * self._volume_blocks(x)
+            data = pattern.assembled(blocks)
+        data += self._constant
+        size = 3 * len(self.moving)
+        return sparse.csc_array((data, pattern.indices, pattern.indptr), shape=(size, size))
+
+    def _area_blocks(self, x: np.ndarray) -> np.ndarray:
+        """Second derivatives of Σ ψ(A) by pair of corners and components, (6, 3, 3, m), N/m.
+
+        ∂²A/∂x_a∂x_b = A (e_a e_bᵀ − e_b e_aᵀ + (e_a·e_b) n nᵀ) with e_a = ∇φ_a.
+        """
+        area, n, e = self._facets(x)
+        slope, bend = self._area_law(area)
+        k = slope * area
+        first, second = e[_FIRST], e[_SECOND]
+        blocks = first[:, :, None] * (bend * area**2 * second)[:, None]
+        blocks += (k * np.einsum("pim,pim->pm", first, second))[:, None, None] * (n[:, None] * n)
+        turn = 0.5 * slope * n  # k (e_a e_bᵀ − e_b e_aᵀ) for b after a: e_a × e_b = n/(2A)
+        for pair, sign in _TURNS:
+            for i, j, normal in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+                blocks[pair, i, j] += sign * turn[normal]
+                blocks[pair, j, i] -= sign * turn[normal]
+        return blocks
+
+    def _volume_blocks(self, x: np.ndarray) -> np.ndarray:
+        """Second derivatives of the volume, laid out as the area's, m."""
+        height, _, slope = self._shadow(x)
+        blocks = np.zeros((6, 3, 3, len(height)))
+        sixth = slope / 6.0
+        blocks[:, :2, 2] = sixth[_FIRST]
+        blocks[:, 2, :2] = sixth[_SECOND]
+        for pair, sign in _TURNS:
+            blocks[pair, 0, 1] = sign * height
+            blocks[pair, 1, 0] = -sign * height
+        return blocks
+
+    @cached_property
+    def _pattern(self) -> _Pattern:
+        return _Pattern.of(self._corners, self.moving, len(self.mesh.nodes))
+
+    @cached_property
+    def _constant(self) -> np.ndarray:
+        """What of the tangent's data no motion changes: the springs."""
+        springs = (self._springs + sparse.diags_array(self._rim_springs)).tocsr()
+        indices, indptr = self._pattern.indices, self._pattern.indptr
+        columns = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+        nodes = self.moving[indices // 3], self.moving[columns // 3]
+        same = indices % 3 == columns % 3
+        return np.where(same, np.asarray(springs[nodes]).ravel(), 0.0)
+
+    # -- helpers --------------------------------------------------------------------------------
+
+    def _by_corner(self, x: np.ndarray) -> np.ndarray:
+        """Corner positions (component, corner, m)."""
+        return np.ascontiguousarray(x.T)[:, self._corners]
+
+    def _shadow(self, x: np.ndarray) -> _Shadow:
+        p = self._by_corner(x)
+        slope = np.stack([p[1][_NEXT] - p[1][_LAST], p[0][_LAST] - p[0][_NEXT]], axis=1)
+        return _Shadow(p[2].sum(axis=0) / 6.0, np.einsum("am,am->m", p[0], slope[:, 0]), slope)
+
+    def _spring_matrix(self) -> sparse.csr_array:
+        """L₀ (n, n), N/m: μh times the cotangent Laplacian of the stress-free triangles."""
+        from_edges = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
+        element = np.einsum("ia,tij,jb->tab", from_edges, self.inverse, from_edges)
+        element *= (self.mu_h * self.stress_free_area)[:, None, None]
+        t = self.mesh.triangles
+        rows, columns = np.repeat(t, 3, axis=1).ravel(), np.tile(t, (1, 3)).ravel()
+        n = len(self.mesh.nodes)
+        return sparse.coo_array((element.ravel(), (rows, columns)), shape=(n, n)).tocsr()
+
+    def _mean_tension(self) -> float:
+        """Mean tension of the reference surface, N/m."""
+        trace = np.trace(self.stress(self.mesh.nodes), axis1=1, axis2=2)
+        return float(0.5 * trace @ self.mesh.facet_areas / self.mesh.facet_areas.sum())
+
+    def _facets(self, x: np.ndarray) -> _Facets:
+        p = self._by_corner(x)
+        edges = p[:, _LAST] - p[:, _NEXT]  # opposite each corner, (component, corner, m)
+        first, second = edges[:, 2], -edges[:, 1]  # corner 1 and corner 2 from corner 0
+        vector = first[_NEXT] * second[_LAST] - first[_LAST] * second[_NEXT]
+        double = np.sqrt(np.einsum("im,im->m", vector, vector))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            normal = vector / double
+            scaled = normal / double
+        gradients = scaled[_NEXT, None] * edges[_LAST] - scaled[_LAST, None] * edges[_NEXT]
+        return _Facets(0.5 * double, normal, gradients.swapaxes(0, 1))
+
+    def _area_law(self, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """ψ′ and ψ″ of the area terms, N/m and N/m³."""
+        rubber = self.mu_h * (self.stress_free_area / area) ** 3
+        return self.film - rubber, 3.0 * rubber / area
+
+    def _gathered(self, parts: np.ndarray) -> np.ndarray:
+        """Sums over the triangles at each node of parts (corner, component, m)."""
+        flat, count = self._corners.ravel(), len(self.mesh.nodes)
+        sums = [np.bincount(flat, parts[:, i].ravel(), minlength=count) for i in range(3)]
+        return np.stack(sums, axis=1)
+
+
+def inverse_metric(mesh: MembraneMesh) -> np.ndarray:
+    """Inverse metric of the mesh's own triangles, (m, 2, 2), 1/m²; see `RubberMembrane`."""
+    corners = mesh.nodes[mesh.triangles]
+    edges = corners[:, 1:] - corners[:, :1]
+    return np.linalg.inv(edges @ edges.swapaxes(1, 2))
+
+
+def _rim_lengths(mesh: MembraneMesh) -> np.ndarray:
+    """Length of the rim that each node stands for, (n,), m; 0 off the rim."""
+    across = triangles_across(mesh.triangles)
+    triangle, corner = np.nonzero(across < 0)
+    ends = mesh.triangles[triangle, (corner + 1) % 3], mesh.triangles[triangle, (corner + 2) % 3]
+    half = 0.5 * np.linalg.norm(mesh.nodes[ends[0]] - mesh.nodes[ends[1]], axis=1)
+    count = len(mesh.nodes)
+    return np.bincount(ends[0], half, minlength=count) + np.bincount(ends[1], half, minlength=count)
