@@ -26,8 +26,12 @@ class Contact:
     ----------
     displacement_m : (n,) array
         u along the reference normals, m; 0 on the rim.
+    displacement_3d_m : (n, 3) array
+        The whole displacement, m.
     contact_pressure_pa : (n,) array
         p_c ≥ 0, Pa.
+    nodal_force_n : (n, 3) array
+        Of the object on the membrane, N.
     gap_m : (n,) array
         Bound g on u from the object, m; inf where its normal line does not meet it.
     gas_pressure_change_pa : float
@@ -51,7 +55,9 @@ class Contact:
     """
 
     displacement_m: np.ndarray
+    displacement_3d_m: np.ndarray
     contact_pressure_pa: np.ndarray
+    nodal_force_n: np.ndarray
     gap_m: np.ndarray
     gas_pressure_change_pa: float
     complementarity: float
@@ -106,6 +112,10 @@ class ForwardModel:
     def press(self, obj: RigidObject, T_B_O: np.ndarray) -> Contact:
         """Equilibrium with the object at the pose; the contact of the last call starts it."""
         return self.solve(self._finder.gaps(obj, T_B_O))
+
+    def forget(self) -> None:
+        """Start the next call as if it were the first."""
+        self._active = None
 
     def solve(self, gap_m: np.ndarray) -> Contact:
         """Equilibrium under given bounds g (n,) on the displacement, m."""
@@ -209,7 +219,9 @@ class ForwardModel:
         met = np.isfinite(gap_m)
         return Contact(
             displacement_m=u,
+            displacement_3d_m=u[:, None] * mesh.normals,
             contact_pressure_pa=p_c,
+            nodal_force_n=-(mesh.areas * p_c)[:, None] * mesh.normals,
             gap_m=gap_m,
             gas_pressure_change_pa=p_v,
             complementarity=float(np.abs(over[met] * p_c[met]).max(initial=0.0)),

@@ -46,10 +46,10 @@ class GapFinder:
         return self._lowest_entry(ray, where, entering)
 
     def _load(self, obj: RigidObject) -> None:
-        scene = _scene(obj.vertices, obj.triangles)
+        scene = raycasting_scene(obj.vertices, obj.triangles)
         a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
         vectors = np.cross(b - a, c - a)
-        self._solid = _is_watertight(obj.triangles)
+        self._solid = is_watertight(obj.triangles)
         if self._solid and np.einsum("ij,ij->", vectors, a) < 0.0:
             vectors = -vectors  # inward normals: the signed volume is negative
         self._object, self._scene = obj, scene
@@ -99,7 +99,7 @@ class GapFinder:
             mesh = self.mesh
             step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
             rays = _rays(mesh.nodes - step * mesh.normals, -mesh.normals)
-            distance = _scene(mesh.nodes, mesh.triangles).cast_rays(rays)["t_hit"].numpy()
+            distance = raycasting_scene(mesh.nodes, mesh.triangles).cast_rays(rays)["t_hit"].numpy()
             across = 0.5 * (distance.astype(np.float64) + step)
             self._reach = np.minimum(across, _way_through_chamber(mesh))
         return self._reach
@@ -134,7 +134,8 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _scene(vertices: np.ndarray, triangles: np.ndarray) -> Any:
+def raycasting_scene(vertices: np.ndarray, triangles: np.ndarray) -> Any:
+    """Open3D's scene of one mesh."""
     import_without("open3d", "visualization")
     from open3d import core
     from open3d.t.geometry import RaycastingScene
@@ -153,7 +154,7 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
     return core.Tensor.from_numpy(np.hstack([origins, directions]).astype(np.float32))
 
 
-def _is_watertight(triangles: np.ndarray) -> bool:
+def is_watertight(triangles: np.ndarray) -> bool:
     """Whether every edge has two triangles that run along it in opposite directions."""
     n = int(triangles.max()) + 1
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()

@@ -4,9 +4,11 @@ For a P1 triangle the neo-Hookean energy A₀ (μh/2) (tr C + 1/det C − 3) has
 tr C is the energy of linear springs: a constant matrix, μh times the cotangent Laplacian of the
 stress-free triangle. 1/det C = (A₀/A)² depends on the current area alone. The energy is thus
 
-    W(x) = ½ xᵀ (L₀ ⊗ I) x + Σ ψ(A),   ψ(A) = ½ μh A₀³/A² + γ A,
+    W(x) = ½ xᵀ (L₀ ⊗ I) x + Σ ψ(A),   ψ(A) = ½ μh A₀³/A².
 
-whose second term also holds what a film of constant tension γ has.
+Far-stretched rubber, λ → ∞, keeps the springs alone, whose stiffness is the paper's K. Free to
+slide along itself it is a film of constant tension: the least energy of the springs over all ways
+to lay the nodes on a surface is γ0 times its area (a conformal map).
 """
 
 from __future__ import annotations
@@ -20,9 +22,8 @@ from scipy import sparse
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 
-FILM_STIFFNESS = 0.02
-"""μh over γ of a film of constant tension, which has no stiffness along itself so that its nodes
-would drift. Changes its tension by about this share of the strain."""
+FAR_STRETCHED = 1e3
+"""λ in place of infinity: 1/det C is then below rounding, and the springs alone are left."""
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _FIRST, _SECOND, _SAME = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2], [0, 3, 5]
@@ -111,7 +112,7 @@ class _Pattern(NamedTuple):
 
 
 class RubberMembrane:
-    """Membrane of incompressible neo-Hookean rubber, a film of constant tension, or both.
+    """Membrane of incompressible neo-Hookean rubber.
 
     Positions x are (n, 3) arrays in m in the bubble frame. Vectors and matrices over the moving
     nodes have three rows a node, in the order of `moving`.
@@ -122,13 +123,11 @@ class RubberMembrane:
         Reference surface, under `gauge_pressure_pa`.
     gauge_pressure_pa : float
         Pressure G that the reference surface holds, Pa.
-    stress_free : (m, 2, 2) array, optional
+    stress_free : (m, 2, 2) array
         Inverse metric of the stress-free triangles, 1/m²: with the stress-free edges
-        D₀ = [X₁ − X₀, X₂ − X₀] (2×2) it is (D₀ᵀ D₀)⁻¹. The reference triangles by default.
+        D₀ = [X₁ − X₀, X₂ − X₀] (2×2) it is (D₀ᵀ D₀)⁻¹.
     mu_h_n_per_m : float or (m,) array
         Shear modulus times stress-free thickness, N/m.
-    film_n_per_m : float or (m,) array
-        Constant tension γ beside the rubber's, N/m.
     rim_slack_m : float, optional
         The rim is held by springs that give this much under the pull of the mean tension; clamped
         where it is None.
@@ -143,18 +142,16 @@ class RubberMembrane:
         self,
         mesh: MembraneMesh,
         gauge_pressure_pa: float,
-        stress_free: np.ndarray | None = None,
-        mu_h_n_per_m: float | np.ndarray = 0.0,
-        film_n_per_m: float | np.ndarray = 0.0,
+        stress_free: np.ndarray,
+        mu_h_n_per_m: float | np.ndarray,
         rim_slack_m: float | None = None,
     ) -> None:
         self.mesh, self.gauge_pressure_pa = mesh, gauge_pressure_pa
         count = len(mesh.triangles)
-        inverse = inverse_metric(mesh) if stress_free is None else np.asarray(stress_free, float)
+        inverse = np.asarray(stress_free, float)
         self.mu_h = np.broadcast_to(np.asarray(mu_h_n_per_m, float), count)
-        self.film = np.broadcast_to(np.asarray(film_n_per_m, float), count)
         determinant = inverse[:, 0, 0] * inverse[:, 1, 1] - inverse[:, 0, 1] * inverse[:, 1, 0]
-        for name, values in (("area", determinant), ("stiffness", self.mu_h + self.film)):
+        for name, values in (("area", determinant), ("stiffness", self.mu_h)):
             if not (np.isfinite(values).all() and (values > 0.0).all()):
                 raise InputError(
                     f"rubber: stress-free triangles of no {name}; check the prestretch"
@@ -164,9 +161,9 @@ class RubberMembrane:
         self.inverse = inverse
         self._springs = self._spring_matrix()
         self.moving = mesh.free if rim_slack_m is None else np.arange(len(mesh.nodes))
-        self._rim_springs = np.zeros(len(mesh.nodes))
+        self.rim_springs = np.zeros(len(mesh.nodes))
         if rim_slack_m is not None:
-            self._rim_springs = self._mean_tension() / rim_slack_m * _rim_lengths(mesh)
+            self.rim_springs = self.mean_tension / rim_slack_m * _rim_lengths(mesh)
 
     @classmethod
     def uniform(
@@ -186,7 +183,8 @@ class RubberMembrane:
         tension_n_per_m : float
             γ0 = μh (1 − λ⁻⁶), N/m.
         prestretch : float, optional
-            λ: stress-free triangles are the reference ones shrunk by it. None: constant tension.
+            λ: stress-free triangles are the reference ones shrunk by it. None: constant tension,
+            which is far-stretched rubber.
 
         Raises
         ------
@@ -195,14 +193,12 @@ class RubberMembrane:
         """
         if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
             raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
-        if prestretch is None:
-            stiffness = FILM_STIFFNESS * tension_n_per_m
-            return cls(mesh, gauge_pressure_pa, None, stiffness, tension_n_per_m, rim_slack_m)
+        prestretch = FAR_STRETCHED if prestretch is None else prestretch
         if not (np.isfinite(prestretch) and prestretch > 1.0):
             raise InputError(f"prestretch {prestretch}: give a number above 1, or leave it out")
         mu_h = tension_n_per_m / (1.0 - prestretch**-6)
         stress_free = prestretch**2 * inverse_metric(mesh)
-        return cls(mesh, gauge_pressure_pa, stress_free, mu_h, rim_slack_m=rim_slack_m)
+        return cls(mesh, gauge_pressure_pa, stress_free, mu_h, rim_slack_m)
 
     # -- energy and forces ----------------------------------------------------------------------
 
@@ -211,9 +207,9 @@ class RubberMembrane:
         area = self._facets(x).area
         if not (area > 0.0).all():
             return np.inf
-        by_area = 0.5 * self.mu_h * self.stress_free_area**3 / area**2 + self.film * area
+        by_area = 0.5 * self.mu_h * self.stress_free_area**3 / area**2
         moved = x - self.mesh.nodes
-        rim = self._rim_springs @ np.einsum("ij,ij->i", moved, moved)
+        rim = self.rim_springs @ np.einsum("ij,ij->i", moved, moved)
         springs = np.einsum("ij,ij->", x, self._springs @ x)
         return float(0.5 * springs + by_area.sum() + 0.5 * rim)
 
@@ -222,7 +218,7 @@ class RubberMembrane:
         facets = self._facets(x)
         slope, _ = self._area_law(facets.area)
         by_area = self._gathered(slope * facets.area * facets.gradients)
-        return self._springs @ x + by_area + self._rim_springs[:, None] * (x - self.mesh.nodes)
+        return self._springs @ x + by_area + self.rim_springs[:, None] * (x - self.mesh.nodes)
 
     @cached_property
     def rest_force(self) -> np.ndarray:
@@ -329,7 +325,7 @@ class RubberMembrane:
     @cached_property
     def _constant(self) -> np.ndarray:
         """What of the tangent's data no motion changes: the springs."""
-        springs = (self._springs + sparse.diags_array(self._rim_springs)).tocsr()
+        springs = (self._springs + sparse.diags_array(self.rim_springs)).tocsr()
         indices, indptr = self._pattern.indices, self._pattern.indptr
         columns = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
         nodes = self.moving[indices // 3], self.moving[columns // 3]
@@ -357,7 +353,8 @@ class RubberMembrane:
         n = len(self.mesh.nodes)
         return sparse.coo_array((element.ravel(), (rows, columns)), shape=(n, n)).tocsr()
 
-    def _mean_tension(self) -> float:
+    @property
+    def mean_tension(self) -> float:
         """Mean tension of the reference surface, N/m."""
         trace = np.trace(self.stress(self.mesh.nodes), axis1=1, axis2=2)
         return float(0.5 * trace @ self.mesh.facet_areas / self.mesh.facet_areas.sum())
@@ -377,7 +374,7 @@ class RubberMembrane:
     def _area_law(self, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """ψ′ and ψ″ of the area terms, N/m and N/m³."""
         rubber = self.mu_h * (self.stress_free_area / area) ** 3
-        return self.film - rubber, 3.0 * rubber / area
+        return -rubber, 3.0 * rubber / area
 
     def _gathered(self, parts: np.ndarray) -> np.ndarray:
         """Sums over the triangles at each node of parts (corner, component, m)."""

@@ -1,0 +1,135 @@
+"""One step of Newton's method with contact: a quadratic programme over half-spaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.membrane.factor import Factor, Factoriser, NodeBlocks
+from bubbleviz.membrane.object_surface import Planes
+
+_ROUNDS = 12
+"""Changes of the active set in one step; the next step goes on from where it ended."""
+_SHIFTS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
+"""Shares of the mean diagonal added to a tangent along which the energy would not fall."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Solution of a quadratic programme.
+
+    Attributes
+    ----------
+    motion : (f, 3) array
+        m.
+    load : (f,) array
+        Contact force along each plane's normal, N, not below 0.
+    held : (f,) bool array
+        Nodes on their planes.
+    """
+
+    motion: np.ndarray
+    load: np.ndarray
+    held: np.ndarray
+
+
+class ContactStep:
+    """min ½ δᵀ (K + β g gᵀ) δ + rᵀ δ over the half-spaces n·δ ≥ −gap of the moving nodes.
+
+    Parameters
+    ----------
+    factoriser, blocks : Factoriser, NodeBlocks
+        Of K's pattern.
+    data : (nnz,) array
+        Of K, N/m.
+    residual, gradient : (f, 3) array
+        r in N and g = ∂V/∂x in m².
+    beta : float
+        Stiffness of the gas −dp/dV, Pa/m³.
+    planes : Planes
+        Of the moving nodes.
+    """
+
+    def __init__(
+        self,
+        factoriser: Factoriser,
+        blocks: NodeBlocks,
+        data: np.ndarray,
+        residual: np.ndarray,
+        gradient: np.ndarray,
+        beta: float,
+        planes: Planes,
+    ) -> None:
+        self._factoriser, self._blocks, self._data = factoriser, blocks, data
+        self.residual, self._gradient, self._beta, self._planes = residual, gradient, beta, planes
+        self.factorisations = 0
+        self._last: tuple[Factor, np.ndarray] | None = None
+
+    def solve(self, held: np.ndarray) -> Step:
+        """Solve, beginning with the nodes `held` (f,) on their planes.
+
+        Where the tangent is indefinite, so that the energy would not fall along the solution, it is
+        stiffened until it does.
+        """
+        for shift in _SHIFTS:
+            data = self._data
+            if shift:
+                data = self._blocks.shifted(data, shift)
+            step = self._solve(data, held)
+            if self.slope(step) < 0.0 or not step.motion.any():
+                break
+        return step
+
+    def slope(self, step: Step) -> float:
+        """Fall of the energy along a step, penetration paid for at twice the largest load, J."""
+        inside = np.maximum(-self._planes.gap, 0.0).sum()
+        energy = float(np.sum(self.residual * step.motion))
+        return energy - 2.0 * float(step.load.max(initial=0.0)) * float(inside)
+
+    def _solve(self, data: np.ndarray, held: np.ndarray) -> Step:
+        """Primal-dual active set."""
+        gap, normal = self._planes
+        near = np.isfinite(gap)
+        held = held & near
+        for _ in range(_ROUNDS):
+            motion = self._motion(data, held)
+            pull = self.residual + self._blocks.times(data, motion)
+            pull += self._beta * np.sum(self._gradient * motion) * self._gradient
+            load = np.where(held, np.einsum("ij,ij->i", pull, normal), 0.0)
+            across = np.einsum("ij,ij->i", motion, normal)
+            tolerance = 1e-12 + 1e-9 * float(np.abs(motion).max())
+            following = np.where(held, load > 0.0, near & (across < -gap - tolerance))
+            if (following == held).all():
+                break
+            held = following
+        return Step(motion, np.maximum(load, 0.0), held)
+
+    def _motion(self, data: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Motion at which all forces across the planes of the held nodes vanish."""
+        nodes = np.flatnonzero(held)
+        normal = self._planes.normal[nodes]
+        to_plane = np.zeros_like(self.residual)
+        to_plane[nodes] = -self._planes.gap[nodes, None] * normal
+        right = -self.residual - self._blocks.times(data, to_plane)
+        right -= self._beta * np.sum(self._gradient * to_plane) * self._gradient
+        gradient = self._gradient.copy()
+        for vectors in (right, gradient):
+            along = np.einsum("ij,ij->i", vectors[nodes], normal)
+            vectors[nodes] -= along[:, None] * normal
+        factor = self._factoriser.factor(self._blocks.held(data, nodes, normal))
+        self.factorisations += 1
+        self._last = factor, gradient.ravel()
+        free = factor.solve_with(right.ravel(), gradient.ravel(), self._beta)
+        return to_plane + free.reshape(-1, 3)
+
+    def is_minimum(self) -> bool:
+        """Whether the energy curves upwards in every direction that the held nodes leave free."""
+        if self._last is None:
+            self._motion(self._data, np.zeros(len(self.residual), bool))
+        assert self._last is not None
+        factor, gradient = self._last
+        downward = factor.negative_directions()
+        if downward == 1:  # the gas may hold one
+            return 1.0 + self._beta * float(gradient @ factor.solve(gradient)) < 0.0
+        return downward == 0

@@ -1,0 +1,146 @@
+"""The surface of a rigid object as a contact condition: distance and normal near any point."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.membrane.gap import is_watertight, raycasting_scene
+from bubbleviz.membrane.mesh import cross
+from bubbleviz.rigid_object import RigidObject
+
+_SMOOTH_COSINE = np.cos(np.radians(30.0))
+"""Facets that meet at less than 30° are taken as parts of one smooth surface."""
+
+_ON_EDGE = 1e-5
+"""Barycentric coordinate below which the closest point is on the edge of a facet."""
+
+
+class Planes(NamedTuple):
+    """Half-spaces that points may not leave: n·(x + δ − x) ≥ −gap, one a point.
+
+    Attributes
+    ----------
+    gap : (k,) array
+        Signed distance, m, negative inside the object; inf where there is no condition.
+    normal : (k, 3) array
+        Unit, out of the object.
+    """
+
+    gap: np.ndarray
+    normal: np.ndarray
+
+
+class ObjectSurface:
+    """Closest places on an object's surface.
+
+    Facets that meet at a blunt angle are parts of a smooth surface, whose normal is interpolated
+    between their corners; others keep their edge. An object that is not watertight is a sheet, and
+    presses from outside.
+
+    Parameters
+    ----------
+    obj : RigidObject
+    """
+
+    def __init__(self, obj: RigidObject) -> None:
+        self.object = obj
+        self._corners = obj.vertices[obj.triangles]
+        vectors = cross(
+            self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]
+        )
+        self._solid = is_watertight(obj.triangles)
+        if self._solid and np.einsum("ij,ij->", vectors, self._corners[:, 0]) < 0.0:
+            vectors = -vectors  # normals pointed inward: the signed volume was negative
+        self._facet_normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        self._corner_normals = self._smoothed(vectors)
+        self._scene: Any = raycasting_scene(obj.vertices, obj.triangles)
+        self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
+        self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
+
+    def planes(
+        self, points: np.ndarray, outward: np.ndarray, T_B_O: np.ndarray, reach_m: float
+    ) -> Planes:
+        """Conditions on points near the object.
+
+        Parameters
+        ----------
+        points, outward : (k, 3) array
+            In B: places on the membrane, m, and its unit normals there.
+        T_B_O : (4, 4) array
+        reach_m : float
+            Points further from the object than this have no condition.
+        """
+        R = T_B_O[:3, :3]
+        x, out = (points - T_B_O[:3, 3]) @ R, outward @ R
+        gap, normal = np.full(len(x), np.inf), -out
+        near = np.flatnonzero(np.linalg.norm(x - self._centre, axis=1) < self._radius + reach_m)
+        if len(near):
+            gap[near], normal[near] = self._near(x[near], out[near])
+        gap[gap > reach_m] = np.inf
+        return Planes(gap, normal @ R.T)
+
+    def _near(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        from open3d import core
+
+        query = core.Tensor.from_numpy(x.astype(np.float32))
+        found = self._scene.compute_closest_points(query)
+        facet = found["primitive_ids"].numpy().astype(np.int64)
+        u, v = found["primitive_uvs"].numpy().astype(float).T
+        weights = np.stack([1.0 - u - v, u, v], axis=1)
+        away = x - np.einsum("ki,kij->kj", weights, self._corners[facet])
+        normal = self._corner_normals[facet]
+        normal = np.einsum("ki,kij->kj", weights, normal)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        gap = np.einsum("ij,ij->i", away, self._facet_normals[facet])
+        aside = np.linalg.norm(away - gap[:, None] * self._facet_normals[facet], axis=1)
+        # Nearest to a sharp edge or corner, not to the face it belongs to.
+        edge = (weights.min(axis=1) < _ON_EDGE) & (aside > np.maximum(0.5 * np.abs(gap), 1e-6))
+        if not self._solid:
+            behind = np.einsum("ij,ij->i", self._facet_normals[facet], out) > 0.0
+            sign = np.where(behind, -1.0, 1.0)
+            return np.where(edge, np.inf, sign * gap), sign[:, None] * normal
+        if edge.any():
+            within = self._scene.compute_occupancy(query[np.flatnonzero(edge)]).numpy() > 0.5
+            gap[edge] = np.where(within, -1.0, 1.0) * np.linalg.norm(away[edge], axis=1)
+            normal[edge] = away[edge] / gap[edge, None]
+        wrong = (gap < 0.0) & (np.einsum("ij,ij->i", normal, out) > 0.0)
+        if wrong.any():
+            gap[wrong], normal[wrong] = self._way_back(x[wrong], out[wrong])
+        return gap, normal
+
+    def _way_back(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Conditions of points nearest to the far side of a thin object: back the way they came."""
+        from open3d import core
+
+        rays = core.Tensor.from_numpy(np.hstack([x, -out]).astype(np.float32))
+        hits = self._scene.cast_rays(rays)
+        facet = hits["primitive_ids"].numpy().astype(np.int64)
+        met = np.isfinite(hits["t_hit"].numpy())
+        facet[~met] = 0
+        normal = self._facet_normals[facet]
+        gap = np.einsum("ij,ij->i", x - self._corners[facet, 0], normal)
+        return np.where(met & (gap < 0.0), gap, np.inf), normal
+
+    def _smoothed(self, vectors: np.ndarray) -> np.ndarray:
+        """Unit normals (m, 3, 3) at the facets' corners: means over facets of the same surface."""
+        triangles = self.object.triangles
+        count, n = len(triangles), len(self.object.vertices)
+        facets = np.repeat(np.arange(count), 3)
+        ones = np.ones(3 * count)
+        at = sparse.csr_array((ones, (np.arange(3 * count), triangles.ravel())), (3 * count, n))
+        of = sparse.csr_array((ones, (triangles.ravel(), facets)), (n, count))
+        pairs = (at @ of).tocoo()
+        corner, other = pairs.coords
+        dots = np.einsum("ij,ij->i", self._facet_normals[corner // 3], self._facet_normals[other])
+        kept = dots > _SMOOTH_COSINE
+        sums = np.stack(
+            [
+                np.bincount(corner[kept], vectors[other[kept], i], minlength=3 * count)
+                for i in range(3)
+            ],
+            axis=1,
+        )
+        return (sums / np.linalg.norm(sums, axis=1, keepdims=True)).reshape(count, 3, 3)

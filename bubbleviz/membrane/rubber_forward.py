@@ -1,0 +1,333 @@
+"""Rigid objects pressed into the exact membrane, without friction, against the gas behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bubbleviz.membrane.contact_step import ContactStep, Step
+from bubbleviz.membrane.factor import Factoriser, NodeBlocks
+from bubbleviz.membrane.forward_model import Contact, ForwardModel
+from bubbleviz.membrane.gap import checked_pose
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.object_surface import ObjectSurface, Planes
+from bubbleviz.membrane.rubber import RubberMembrane
+from bubbleviz.rigid_object import RigidObject
+
+BALANCE_AIM, BALANCE_ACCEPTED = 1e-7, 1e-6
+"""Largest force left at a node over the largest load on one: what is aimed at, and what will do
+where facets of the object keep Newton's method from going on."""
+DISTANCE_AIM_M, DISTANCE_ACCEPTED_M = 1e-9, 1e-8
+"""The same for the distance of loaded nodes from the object, and of others inside it."""
+_STEPS, _PATIENCE = 60, 10
+"""Steps of Newton's method for one pose, and how many may pass without halving what is missed."""
+_SHORTEST = 0.02
+"""Step of the object over the reach of its surface below which moving it in is given up."""
+_FLATTEST = 1e-4
+"""Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
+
+
+@dataclass(frozen=True)
+class RubberContact(Contact):
+    """Equilibrium of the exact membrane with an object, and how well it holds.
+
+    Attributes
+    ----------
+    energy_j : float
+        Stored in membrane and gas over the reference configuration: the work of the object.
+    rim_force_n : (3,) array
+        Of the rim on the membrane, N.
+    gas_force_n : (3,) array
+        Of the gas on it: gauge pressure times the area vector of the rim's opening, N.
+    rest_force_n : (3,) array
+        Resultant of f_rest, which stands in for what the reference surface lacks of equilibrium, N.
+    stable : bool
+        The energy is at a minimum.
+    """
+
+    energy_j: float
+    rim_force_n: np.ndarray
+    gas_force_n: np.ndarray
+    rest_force_n: np.ndarray
+    stable: bool
+
+    @property
+    def force_balance_n(self) -> float:
+        """What contact, rim, gas and f_rest leave of each other, N."""
+        held = self.rim_force_n + self.gas_force_n + self.rest_force_n
+        return float(np.linalg.norm(self.nodal_force_n.sum(axis=0) + held))
+
+
+@dataclass(frozen=True)
+class _State:
+    """A place on the way to equilibrium.
+
+    Attributes
+    ----------
+    x : (n, 3) array
+        Nodes, m.
+    load : (n,) array
+        Contact force along the object's normal, N.
+    planes : Planes
+        The object's, at x.
+    """
+
+    x: np.ndarray
+    load: np.ndarray
+    planes: Planes
+
+
+@dataclass(frozen=True)
+class _Missed:
+    """By how much a state misses equilibrium.
+
+    Attributes
+    ----------
+    balance : float
+        Largest force left at a node over the largest load on one.
+    distance_m : float
+        Largest distance of loaded nodes from the object, and of others inside it.
+    """
+
+    balance: float
+    distance_m: float
+
+    @property
+    def size(self) -> float:
+        """Both over what is aimed at."""
+        return max(self.balance / BALANCE_AIM, self.distance_m / DISTANCE_AIM_M)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is near enough."""
+        return self.balance < BALANCE_ACCEPTED and self.distance_m < DISTANCE_ACCEPTED_M
+
+
+@dataclass(frozen=True)
+class _Solved:
+    state: _State
+    missed: _Missed
+    stable: bool
+    factorisations: int
+
+    @property
+    def accepted(self) -> bool:
+        return self.missed.accepted and self.stable
+
+
+class RubberForward:
+    """Presses rigid objects into one exact membrane.
+
+    Minimises the energy of membrane and gas over positions with no node inside the object:
+    sequential quadratic programmes with the half-spaces of its surface nearest to the nodes, and a
+    line search on the energy, in which penetration has a price. It starts from the linear model's
+    equilibrium, and where that fails moves the object in from outside in steps. What it finds does
+    not depend on the poses before.
+
+    Parameters
+    ----------
+    membrane : RubberMembrane
+    gas : Gas
+        P0 and V0 of the reference configuration.
+    """
+
+    def __init__(self, membrane: RubberMembrane, gas: Gas) -> None:
+        self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
+        pattern = membrane.tangent(self.mesh.nodes, 0.0)
+        self._factoriser, self._blocks = Factoriser(pattern), NodeBlocks(pattern)
+        self._linear = ForwardModel(self.mesh, membrane.mean_tension, gas)
+        self._rest_volume = membrane.volume(self.mesh.nodes)
+        self._rest_energy = self._energy(self.mesh.nodes)
+        self._reach = 2.0 * self.mesh.edge_length
+        self._surface: ObjectSurface | None = None
+
+    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberContact:
+        """Equilibrium with the object at the pose.
+
+        Raises
+        ------
+        InputError
+            The pose is no rigid transform in metres.
+        """
+        pose = checked_pose(T_B_O)
+        surface = self._surface_of(obj)
+        self._linear.forget()
+        linear = self._linear.press(obj, pose)
+        load = linear.contact_pressure_pa * self.mesh.areas
+        start = self._at(surface, pose, self.mesh.nodes + linear.displacement_3d_m, load)
+        solved = self._solve(surface, pose, start)
+        if not solved.accepted:
+            stepped = self._from_outside(surface, pose)
+            count = solved.factorisations + stepped.factorisations
+            solved = replace(stepped, factorisations=count)
+        return self._certified(solved, linear)
+
+    def _surface_of(self, obj: RigidObject) -> ObjectSurface:
+        if self._surface is None or self._surface.object is not obj:
+            self._surface = ObjectSurface(obj)
+        return self._surface
+
+    def _from_outside(self, surface: ObjectSurface, pose: np.ndarray) -> _Solved:
+        """Equilibrium by moving the object in along −z, in steps that shrink where they fail."""
+        lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
+        way = max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
+        x, load = self.mesh.nodes, np.zeros(len(self.mesh.nodes))
+        step, count = self._reach, 0
+        while True:
+            left = max(way - step, 0.0)
+            lifted = pose.copy()
+            lifted[2, 3] += left
+            solved = self._solve(surface, lifted, self._at(surface, lifted, x, load))
+            count += solved.factorisations
+            if solved.accepted:
+                x, load, way, step = solved.state.x, solved.state.load, left, 1.5 * step
+            else:
+                step = 0.4 * min(step, way)
+            if way == 0.0 or step < _SHORTEST * self._reach:
+                return replace(solved, factorisations=count)
+
+    def _solve(self, surface: ObjectSurface, pose: np.ndarray, state: _State) -> _Solved:
+        """Newton's method from a state, at one pose."""
+        price, closest, since, count, stable = 0.0, np.inf, 0, 0, self._rest_is_stable
+        moving = self.membrane.moving
+        for _ in range(_STEPS):
+            missed = self._missed(state)
+            since = 0 if missed.size < 0.5 * closest else since + 1
+            closest = min(closest, missed.size)
+            if missed.size < 1.0 or (missed.accepted and since > 2) or since > _PATIENCE:
+                break
+            newton = self._contact_step(state)
+            step = newton.solve(state.load[moving] > 0.0)
+            count += newton.factorisations
+            price = max(price, 2.0 * float(step.load.max(initial=0.0)))
+            state = self._along(surface, pose, state, step, newton.residual, price)
+        missed = self._missed(state)
+        if missed.accepted and count:
+            stable = newton.is_minimum()
+        return _Solved(state, missed, stable, count)
+
+    def _contact_step(self, state: _State) -> ContactStep:
+        membrane, moving = self.membrane, self.membrane.moving
+        pressure, stiffness = self._gas_at(state.x)
+        return ContactStep(
+            self._factoriser,
+            self._blocks,
+            membrane.tangent(state.x, pressure).data,
+            membrane.residual(state.x, pressure)[moving],
+            membrane.volume_gradient(state.x)[moving],
+            stiffness,
+            Planes(state.planes.gap[moving], state.planes.normal[moving]),
+        )
+
+    @cached_property
+    def _rest_is_stable(self) -> bool:
+        rest = self.mesh.nodes
+        nothing = Planes(np.full(len(rest), np.inf), np.zeros_like(rest))
+        return self._contact_step(_State(rest, np.zeros(len(rest)), nothing)).is_minimum()
+
+    def _along(
+        self,
+        surface: ObjectSurface,
+        pose: np.ndarray,
+        state: _State,
+        step: Step,
+        residual: np.ndarray,
+        price: float,
+    ) -> _State:
+        """State as far along a step as energy and penetration fall together."""
+        moving = self.membrane.moving
+        motion, load = np.zeros_like(state.x), np.zeros_like(state.load)
+        motion[moving], load[moving] = step.motion, step.load
+        inside = self._inside(state.planes)
+        slope = float(np.sum(residual * step.motion)) - price * inside
+        now = self._energy(state.x) + price * inside
+        noise = 1e-13 * abs(now)
+        length = min(1.0, self._reach / max(float(np.abs(motion).max()), 1e-300))
+        while True:
+            x = state.x + length * motion
+            ahead = self._at(surface, pose, x, state.load + length * (load - state.load))
+            value = self._energy(x) + price * self._inside(ahead.planes)
+            if value <= now + _FLATTEST * length * slope + noise or length < 1e-4:
+                return ahead
+            length *= 0.5
+
+    # -- what a state is ------------------------------------------------------------------------
+
+    def _at(
+        self, surface: ObjectSurface, pose: np.ndarray, x: np.ndarray, load: np.ndarray
+    ) -> _State:
+        normals = self.membrane.volume_gradient(x)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return _State(x, load, surface.planes(x, normals, pose, self._reach))
+
+    def _inside(self, planes: Planes) -> float:
+        """Sum of the depths of the moving nodes in the object, m."""
+        return float(np.maximum(-planes.gap[self.membrane.moving], 0.0).sum())
+
+    def _gas_at(self, x: np.ndarray) -> tuple[float, float]:
+        """Gauge pressure, Pa, and −dp/dV, Pa/m³; inf where no volume is left."""
+        volume = self.gas.V0 + self.membrane.volume(x) - self._rest_volume
+        if not volume > 0.0:
+            return np.inf, np.inf
+        pressure = self.gas.P0 * self.gas.V0 / volume
+        return pressure - self.gas.P0 + self.membrane.gauge_pressure_pa, pressure / volume
+
+    def _energy(self, x: np.ndarray) -> float:
+        """Energy of membrane and gas, J, up to a constant; its gradient is the residual."""
+        P0, V0 = self.gas.P0, self.gas.V0
+        volume = V0 + self.membrane.volume(x) - self._rest_volume
+        if not volume > 0.0:
+            return np.inf
+        outside = P0 - self.membrane.gauge_pressure_pa
+        gas = outside * volume - P0 * V0 * np.log(volume / V0)
+        rest = np.sum(self.membrane.rest_force[self.membrane.moving] * x[self.membrane.moving])
+        return self.membrane.energy(x) + gas - float(rest)
+
+    def _missed(self, state: _State) -> _Missed:
+        pressure, _ = self._gas_at(state.x)
+        if not np.isfinite(pressure):
+            return _Missed(np.inf, np.inf)
+        moving = self.membrane.moving
+        push = state.load[moving, None] * state.planes.normal[moving]
+        left = self.membrane.residual(state.x, pressure)[moving] - push
+        gas = abs(pressure) * float(self.mesh.areas.max())
+        gap = state.planes.gap[moving]
+        away = np.where(state.load[moving] > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
+        scale = max(gas, float(state.load.max()))
+        return _Missed(float(np.abs(left).max()) / scale, float(away.max()))
+
+    def _certified(self, solved: _Solved, linear: Contact) -> RubberContact:
+        state, membrane, mesh = solved.state, self.membrane, self.mesh
+        pressure, _ = self._gas_at(state.x)
+        displacement = state.x - mesh.nodes
+        force = state.load[:, None] * state.planes.normal
+        areas = replace(mesh, nodes=state.x).areas
+        from_gas = pressure * membrane.volume_gradient(state.x)
+        rim, moving = mesh.rim, np.isin(np.arange(len(mesh.nodes)), membrane.moving)
+        held = membrane.force(state.x) - from_gas
+        sprung = membrane.rim_springs[:, None] * displacement
+        contact_pressure = state.load / areas
+        gap = np.where(np.isfinite(state.planes.gap), state.planes.gap, 0.0)
+        return RubberContact(
+            displacement_m=np.einsum("ij,ij->i", displacement, mesh.normals),
+            displacement_3d_m=displacement,
+            contact_pressure_pa=contact_pressure,
+            nodal_force_n=force,
+            gap_m=state.planes.gap,
+            gas_pressure_change_pa=pressure - membrane.gauge_pressure_pa,
+            complementarity=float(np.abs(gap * contact_pressure).max()),
+            penetration_m=float(-gap[moving].min(initial=0.0)),
+            rim_penetration_m=linear.rim_penetration_m,
+            balance_residual=solved.missed.balance,
+            gas_law_residual=0.0,
+            iterations=solved.factorisations,
+            outer_iterations=1,
+            converged=solved.accepted,
+            energy_j=self._energy(state.x) - self._rest_energy,
+            rim_force_n=np.where(moving[:, None], -sprung, held)[rim].sum(axis=0),
+            gas_force_n=from_gas.sum(axis=0),
+            rest_force_n=membrane.rest_force[moving].sum(axis=0),
+            stable=solved.stable,
+        )
