@@ -31,6 +31,8 @@ class Membrane(_Section):
     rim_semi_axes_m: tuple[Metres, Metres] | None = None
     height_m: Metres | None = None
     mesh_file: str | None = None
+    prestretch: float | None = Field(default=None, gt=1.0, le=10.0)
+    """λ of the rubber at rest; absent: constant tension."""
     nodes: int = Field(default=800, ge=30, le=100_000)
 
     @model_validator(mode="after")

@@ -12,6 +12,8 @@ from bubbleviz.membrane.mesh import MembraneMesh
 class MembraneView:
     """Renders ranges and nodal fields of the deformed membrane into the camera's image.
 
+    Displacements are those that `MembraneMesh.deformed` takes.
+
     Parameters
     ----------
     camera : DepthCamera

@@ -32,6 +32,13 @@ def info(recording: Path, as_json: bool) -> None:
 @click.option("--holes", type=float, default=0.0, help="Fraction of pixels without a return.")
 @click.option("--outliers", type=float, default=0.0, help="Fraction of pixels far off.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
+@click.option(
+    "--model",
+    type=click.Choice(["rubber", "linear"]),
+    default="rubber",
+    show_default=True,
+    help="The exact membrane, or the paper's linear one.",
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap.")
 @click.option("--truth", type=click.Path(path_type=Path), help="TRUTH.npz.")
 def simulate(
@@ -47,6 +54,7 @@ def simulate(
     holes: float,
     outliers: float,
     seed: int,
+    model: Literal["rubber", "linear"],
     out: Path,
     truth: Path | None,
 ) -> None:
@@ -67,7 +75,7 @@ def simulate(
         outliers=outliers,
     )
     source = simulated_press(
-        sensor, object_name, where, noise, frames=frames, rate_hz=rate, seed=seed
+        sensor, object_name, where, noise, frames=frames, rate_hz=rate, seed=seed, model=model
     )
     write_simulation(source, out, truth)
 

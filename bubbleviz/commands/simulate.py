@@ -15,7 +15,7 @@ from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
+from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
 
 
 def simulated_press(
@@ -27,6 +27,7 @@ def simulated_press(
     frames: int = 1,
     rate_hz: float = 30.0,
     seed: int = 0,
+    model: Model = "rubber",
 ) -> SyntheticSource:
     """Source of the frames that the command line describes.
 
@@ -41,13 +42,17 @@ def simulated_press(
     rate_hz : float
         Where the CSV has no times.
     seed : int
+    model : {"rubber", "linear"}
+        Membrane to press into.
     """
     obj, times = load_object(object_name), None
     if isinstance(pose, Path):
         poses, times = read_path(pose)
     else:
         poses = np.repeat(parse_pose(pose)[None], frames, axis=0)
-    return SyntheticSource(load_sensor(sensor), obj, poses, noise, rate_hz, seed, times_s=times)
+    return SyntheticSource(
+        load_sensor(sensor), obj, poses, noise, rate_hz, seed, times_s=times, model=model
+    )
 
 
 def write_simulation(source: SyntheticSource, out: Path, truth: Path | None = None) -> int:

@@ -79,7 +79,9 @@ class MembraneMesh:
         return float(np.sqrt(self.facet_areas.mean() * 4.0 / np.sqrt(3.0)))
 
     def deformed(self, displacement: np.ndarray) -> np.ndarray:
-        """Move the nodes to x = x0 + u n̂0 (Eq. 1); shape (n, 3), m."""
+        """Nodes moved by a displacement (n, 3), or by u (n,) along n̂0 (Eq. 1); (n, 3), m."""
+        if displacement.ndim == 2:
+            return self.nodes + displacement
         return self.nodes + displacement[:, None] * self.normals
 
     def cap_volume(self, displacement: np.ndarray | None = None) -> float:

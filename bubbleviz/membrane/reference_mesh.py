@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber import RubberMembrane
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.sensor import Sensor
 
@@ -58,3 +59,16 @@ def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
             "gauge pressure; give pneumatics.tension_n_per_m"
         )
     return sensor.pneumatics.gauge_pressure_pa / curvature
+
+
+def build_rubber(
+    sensor: Sensor, mesh: MembraneMesh, tension_n_per_m: float, rim_slack_m: float | None = None
+) -> RubberMembrane:
+    """Exact membrane of uniform tension and the sensor's pre-stretch on a mesh of its surface."""
+    return RubberMembrane.uniform(
+        mesh,
+        sensor.pneumatics.gauge_pressure_pa,
+        tension_n_per_m,
+        sensor.membrane.prestretch,
+        rim_slack_m,
+    )

@@ -25,6 +25,8 @@ _STEPS, _PATIENCE = 60, 10
 """Steps of Newton's method for one pose, and how many may pass without halving what is missed."""
 _SHORTEST = 0.02
 """Step of the object over the reach of its surface below which moving it in is given up."""
+_SHARP = 0.6
+"""Turn of the object's normal along an edge, rad, above which it goes round an edge of its own."""
 _FLATTEST = 1e-4
 """Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
 
@@ -122,7 +124,8 @@ class RubberForward:
 
     Minimises the energy of membrane and gas over positions with no node inside the object:
     sequential quadratic programmes with the half-spaces of its surface nearest to the nodes, and a
-    line search on the energy, in which penetration has a price. It starts from the linear model's
+    line search on the energy, in which penetration has a price. On a curved object corners keep as
+    far away as flat triangles would cut into it. It starts from the linear model's
     equilibrium, and where that fails moves the object in from outside in steps. What it finds does
     not depend on the poses before.
 
@@ -258,9 +261,27 @@ class RubberForward:
     def _at(
         self, surface: ObjectSurface, pose: np.ndarray, x: np.ndarray, load: np.ndarray
     ) -> _State:
-        normals = self.membrane.volume_gradient(x)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return _State(x, load, surface.planes(x, normals, pose, self._reach))
+        outward = self.membrane.volume_gradient(x)
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        planes = surface.planes(x, outward, pose, self._reach)
+        gap = planes.gap - self._sag(x, planes)
+        return _State(x, load, Planes(gap, planes.normal))
+
+    def _sag(self, x: np.ndarray, planes: Planes) -> np.ndarray:
+        """How far flat triangles with their corners on the object are inside it, (n,), m.
+
+        Their mean depth is Σ (n_j − n_i)·(x_j − x_i)/24 over the edges; corners are kept as far
+        out, so that the surface and not its corners lies on the object.
+        """
+        triangles = self.mesh.triangles
+        some = np.flatnonzero(np.isfinite(planes.gap)[triangles].all(axis=1))
+        corners, normals = x[triangles[some]], planes.normal[triangles[some]]
+        turn, edge = (np.roll(v, -1, axis=1) - v for v in (normals, corners))
+        depth = np.einsum("tij,tij->t", turn, edge) / 24.0
+        depth[np.linalg.norm(turn, axis=2).max(axis=1) > _SHARP] = 0.0
+        at, count = triangles[some].ravel(), np.zeros(len(x))
+        np.add.at(count, at, 1.0)
+        return np.bincount(at, np.repeat(depth, 3), len(x)) / np.maximum(count, 1.0)
 
     def _inside(self, planes: Planes) -> float:
         """Sum of the depths of the moving nodes in the object, m."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,12 +16,16 @@ from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import GapFinder
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
 from bubbleviz.membrane.refine import refine
+from bubbleviz.membrane.rubber_forward import RubberForward
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+
+Model = Literal["rubber", "linear"]
+"""The exact membrane, or the paper's linear one."""
 
 FINER = 4
 """Nodes of the simulation's mesh for every node of the estimator's."""
@@ -37,10 +41,12 @@ class Truth:
     Attributes
     ----------
     displacement_m, contact_pressure_pa : (n,) array
-        On the nodes of the simulation's own mesh.
+        On the nodes of the simulation's own mesh; the displacement along the rest normals.
+    displacement_3d_m : (n, 3) array
+        The whole displacement.
     gas_pressure_change_pa : float
     force_n : (3,) array
-        Resultant of p_c on the membrane in B.
+        Resultant of the contact on the membrane in B.
     center_of_pressure_m : (3,) array
         In B; NaN without contact.
     patch_area_m2 : float
@@ -50,6 +56,7 @@ class Truth:
     """
 
     displacement_m: np.ndarray
+    displacement_3d_m: np.ndarray
     contact_pressure_pa: np.ndarray
     gas_pressure_change_pa: float
     force_n: np.ndarray
@@ -93,6 +100,8 @@ class SyntheticSource:
         Target number of nodes of the simulation's mesh.
     sharp : bool
         Refine that mesh where edges of the object press; see `sharpened`.
+    model : {"linear", "rubber"}
+        Membrane to press into.
 
     Attributes
     ----------
@@ -114,6 +123,7 @@ class SyntheticSource:
         times_s: np.ndarray | None = None,
         nodes: int | None = None,
         sharp: bool = False,
+        model: Model = "linear",
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
@@ -126,7 +136,12 @@ class SyntheticSource:
         self.camera = DepthCamera.of(sensor.camera)
         # γ0 of the sensor's own mesh: a refined polyhedron has its curvature in the old edges.
         tension = reference_tension(sensor, build_mesh(sensor))
-        self._model = ForwardModel(self.mesh, tension, Gas.of(sensor.pneumatics, self.mesh))
+        gas = Gas.of(sensor.pneumatics, self.mesh)
+        self._model: ForwardModel | RubberForward = (
+            RubberForward(build_rubber(sensor, self.mesh, tension), gas)
+            if model == "rubber"
+            else ForwardModel(self.mesh, tension, gas)
+        )
         self._view = MembraneView(self.camera, self.mesh)
         self._solved = lru_cache(maxsize=300)(self._solve)
 
@@ -137,7 +152,7 @@ class SyntheticSource:
     def __getitem__(self, index: int) -> Frame:
         """Frame number `index`; IndexError outside 0 … F−1, SolveError without equilibrium."""
         contact = self.contact(index)
-        ranges = self._view.range_image(contact.displacement_m)
+        ranges = self._view.range_image(contact.displacement_3d_m)
         depth = self.camera.depth_image(self.noise.apply(ranges, self.seed, index))
         return Frame(
             index=index,
@@ -161,19 +176,21 @@ class SyntheticSource:
         """What is true of frame `index`."""
         contact = self.contact(index)
         touching = (contact.contact_pressure_pa > 0.0).astype(np.float64)
-        load = self.mesh.areas * contact.contact_pressure_pa
+        load = np.linalg.norm(contact.nodal_force_n, axis=1)
+        moved = contact.displacement_3d_m
         center = np.full(3, np.nan)
         if load.sum() > 0.0:
-            center = load @ self.mesh.deformed(contact.displacement_m) / load.sum()
+            center = load @ self.mesh.deformed(moved) / load.sum()
         half = 0.5 - 1e-9  # a place at exactly one half counts
         return Truth(
             displacement_m=contact.displacement_m,
+            displacement_3d_m=moved,
             contact_pressure_pa=contact.contact_pressure_pa,
             gas_pressure_change_pa=contact.gas_pressure_change_pa,
-            force_n=-load @ self.mesh.normals,
+            force_n=contact.nodal_force_n.sum(axis=0),
             center_of_pressure_m=center,
             patch_area_m2=area_above(self.mesh, touching, half),
-            patch_mask=self._view.above(contact.displacement_m, touching, half),
+            patch_mask=self._view.above(moved, touching, half),
         )
 
     def _solve(self, index: int) -> Contact:

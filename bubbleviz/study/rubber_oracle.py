@@ -268,7 +268,7 @@ def _root(missed: Callable[[np.ndarray], np.ndarray], guess: np.ndarray, what: s
         with np.errstate(all="ignore"):
             found = root(scaled, guess / scale, tol=1e-8).x
             left = float(np.abs(scaled(found)).max())
-    except (ArithmeticError, ValueError):
+    except (ArithmeticError, ValueError, SolveError):
         left = np.inf
     if not left < 1e-6:
         raise SolveError(f"rubber oracle: no equilibrium found at {what}")
