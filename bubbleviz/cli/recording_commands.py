@@ -35,9 +35,9 @@ def info(recording: Path, as_json: bool) -> None:
 @click.option(
     "--model",
     type=click.Choice(["rubber", "linear"]),
-    default="rubber",
+    default="linear",
     show_default=True,
-    help="The exact membrane, or the paper's linear one.",
+    help="The exact membrane, or the linear one that estimate has.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap.")
 @click.option("--truth", type=click.Path(path_type=Path), help="TRUTH.npz.")

@@ -27,7 +27,7 @@ def simulated_press(
     frames: int = 1,
     rate_hz: float = 30.0,
     seed: int = 0,
-    model: Model = "rubber",
+    model: Model = "linear",
 ) -> SyntheticSource:
     """Source of the frames that the command line describes.
 

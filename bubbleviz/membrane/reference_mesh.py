@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber import RubberMembrane
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.sensor import Sensor
 

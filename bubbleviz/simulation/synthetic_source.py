@@ -18,7 +18,7 @@ from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
 from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor

@@ -5,7 +5,7 @@ import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.rubber import RubberMembrane, inverse_metric
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 
 A, H, GAUGE, TENSION = 0.045, 0.020, 2500.0, 76.0

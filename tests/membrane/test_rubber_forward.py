@@ -10,8 +10,8 @@ from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber import RubberMembrane, inverse_metric
-from bubbleviz.membrane.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.study.accuracy.exact_bubble import Bubble, axial_contact
 from bubbleviz.study.rubber_oracle import AxialRubber

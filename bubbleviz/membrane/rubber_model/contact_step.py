@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.membrane.factor import Factor, Factoriser, NodeBlocks
-from bubbleviz.membrane.object_surface import Planes
+from bubbleviz.membrane.rubber_model.object_surface import Planes
+from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser, NodeBlocks
 
 _ROUNDS = 12
 """Changes of the active set in one step; the next step goes on from where it ended."""

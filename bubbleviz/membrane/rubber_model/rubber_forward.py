@@ -7,13 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from bubbleviz.membrane.contact_step import ContactStep, Step
-from bubbleviz.membrane.factor import Factoriser, NodeBlocks
 from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.object_surface import ObjectSurface, Planes
-from bubbleviz.membrane.rubber import RubberMembrane
+from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
+from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
 
 BALANCE_AIM, BALANCE_ACCEPTED = 1e-7, 1e-6

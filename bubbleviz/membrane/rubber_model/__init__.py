@@ -1,0 +1,1 @@
+"""The exact rubber membrane: energy and tangent, and rigid objects pressed into it."""
