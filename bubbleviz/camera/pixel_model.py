@@ -46,7 +46,8 @@ class RangeLine:
     def at(self, pixels: np.ndarray) -> RangeLine:
         """The line of some pixels, by their flat indices; arrays (k,) in single precision."""
         images = (self.slope, self.rest_m, self.nearest_m, self.farthest_m)
-        return RangeLine(*(x.ravel()[pixels].astype(np.float32) for x in images), self.levels)
+        slope, rest, nearest, farthest = (x.ravel()[pixels].astype(np.float32) for x in images)
+        return RangeLine(slope, rest, nearest, farthest, self.levels)
 
 
 @dataclass(frozen=True)
