@@ -103,12 +103,6 @@ class Rectification:
     slope_sigma: np.ndarray
     levels: int
 
-    def apply(self, range_m: np.ndarray) -> np.ndarray:
-        """Rectified range (H, W), m; NaN beyond the levels: a line must not be extrapolated."""
-        with np.errstate(invalid="ignore"):
-            inside = (range_m >= self.nearest_m) & (range_m <= self.farthest_m)
-        return np.where(inside, self.offset_m + self.slope * range_m, np.nan)
-
 
 def fit_rectification(levels: Sequence[Level]) -> Rectification:
     """Fit every pixel's line through the levels, each weighted by its noise.

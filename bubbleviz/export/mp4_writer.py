@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -121,13 +121,6 @@ def open_mp4(path: str | Path, fps: float) -> Iterator[Mp4Writer]:
             writer.abandon()
             raise
         writer.finish()
-
-
-def write_mp4(path: str | Path, pictures: Iterable[np.ndarray], fps: float) -> None:
-    """Write a video of pictures (H, W, 3) uint8; see `open_mp4`."""
-    with open_mp4(path, fps) as writer:
-        for picture in pictures:
-            writer.add(picture)
 
 
 def _even(picture: np.ndarray) -> np.ndarray:

@@ -143,11 +143,6 @@ class Recording:
             self.bag.close()
 
     @property
-    def has_gas_pressure(self) -> bool:
-        """Whether the gas pressure was recorded."""
-        return self._pressure is not None
-
-    @property
     def has_wrench(self) -> bool:
         """Whether a wrench was recorded."""
         return self._wrench is not None

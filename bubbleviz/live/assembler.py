@@ -74,8 +74,6 @@ class FrameAssembler:
     Attributes
     ----------
     counters : Counters
-    lag_s : float
-        May be set at any time.
     """
 
     def __init__(
@@ -87,7 +85,7 @@ class FrameAssembler:
         lag_s: float = 0.0,
     ) -> None:
         self.counters = Counters()
-        self.lag_s = lag_s
+        self._lag_s = lag_s
         self._names = names or TopicNames()
         self._size, self._camera = size, camera
         self._begin()
@@ -150,7 +148,7 @@ class FrameAssembler:
         return None if self._pending is None else self._deadline(self._pending)
 
     def _deadline(self, pending: _Pending) -> int:
-        return pending.frame.arrival_ns + WAIT_NS + round(max(self.lag_s, 0.0) * 1e9)
+        return pending.frame.arrival_ns + WAIT_NS + round(max(self._lag_s, 0.0) * 1e9)
 
     # -- which messages ---------------------------------------------------------------------
 
@@ -275,7 +273,7 @@ class FrameAssembler:
         """A frame's time on the clock of a series, ns."""
         by_arrival = series.samples.by_arrival
         time_ns = pending.frame.arrival_ns if by_arrival else pending.time_ns
-        return time_ns + round(self.lag_s * 1e9)
+        return time_ns + round(self._lag_s * 1e9)
 
     def _finished(self, pending: _Pending) -> Frame:
         values = {

@@ -104,11 +104,6 @@ class LiveStream:
         """Topics to choose from."""
         return self.source.topics()
 
-    def set_lag(self, lag_s: float) -> None:
-        """Set how much later the stamps of gas pressure and wrench are than the images', s."""
-        with self._lock:
-            self._assembler.lag_s = lag_s
-
     def _patience_s(self) -> float:
         """How long to wait before looking whether the frame that waits is due, s."""
         until = self._assembler.waits_until_ns

@@ -69,11 +69,6 @@ class MembraneMesh:
         return np.arctan2(sine, cosine)
 
     @property
-    def min_angle(self) -> float:
-        """Smallest interior angle of any triangle, rad: the usual measure of mesh quality."""
-        return float(self.angles.min())
-
-    @property
     def edge_length(self) -> float:
         """Edge in m of the equilateral triangle of mean area: the resolution of the mesh."""
         return float(np.sqrt(self.facet_areas.mean() * 4.0 / np.sqrt(3.0)))

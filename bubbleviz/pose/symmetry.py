@@ -13,7 +13,6 @@ _ALIKE = 2e-3
 """Distance over the object's size below which surfaces are the same."""
 
 _FOLDS = (2, 3, 4, 5, 6, 8)
-_IRRATIONAL_RAD = 1.0
 _CIRCLE = 360
 _MOST = 4 * _CIRCLE
 

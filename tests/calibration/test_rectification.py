@@ -22,10 +22,14 @@ def level(true_m, scale, offset, noise=1e-5):
     return Level(measured, np.full(SHAPE, true_m), np.full(SHAPE, noise))
 
 
+def rectified(fitted, range_m):
+    return fitted.offset_m + fitted.slope * range_m
+
+
 def test_two_levels_give_each_pixel_its_line():
     scale, offset = wrong_camera()
     fitted = fit_rectification([level(0.12, scale, offset), level(0.14, scale, offset)])
-    np.testing.assert_allclose(fitted.apply(scale * 0.131 + offset), 0.131, atol=1e-12)
+    np.testing.assert_allclose(rectified(fitted, scale * 0.131 + offset), 0.131, atol=1e-12)
 
 
 def test_a_third_level_is_averaged_not_followed():
@@ -33,23 +37,24 @@ def test_a_third_level_is_averaged_not_followed():
     levels = [level(r, scale, offset) for r in (0.12, 0.13, 0.14)]
     off = Level(levels[1].measured_m + 3e-4, levels[1].modelled_m, levels[1].noise_m)
     fitted = fit_rectification([levels[0], off, levels[2]])
-    np.testing.assert_allclose(fitted.apply(scale * 0.13 + offset), 0.13 - 1e-4, atol=2e-5)
+    np.testing.assert_allclose(rectified(fitted, scale * 0.13 + offset), 0.13 - 1e-4, atol=2e-5)
 
 
-def test_it_refuses_to_extrapolate():
+def test_the_line_ends_where_the_levels_do():
     scale, offset = wrong_camera()
     fitted = fit_rectification([level(0.12, scale, offset), level(0.14, scale, offset)])
-    assert np.isnan(fitted.apply(scale * 0.119 + offset)).all()
-    assert np.isnan(fitted.apply(scale * 0.141 + offset)).all()
-    assert np.isfinite(fitted.apply(scale * 0.14 + offset + 2e-5)).all()  # noise of the level
+    measured = scale * 0.12 + offset, scale * 0.14 + offset
+    for limit, end in zip((fitted.nearest_m, fitted.farthest_m), measured, strict=True):
+        assert np.all(np.abs(limit - end) > 2e-5)  # noise of the level is not beyond it
+        assert np.all(np.abs(limit - end) < 1e-4)
 
 
 def test_one_level_is_an_offset():
     scale, offset = wrong_camera()
     fitted = fit_rectification([level(0.12, scale, offset)])
     at_level = scale * 0.12 + offset
-    np.testing.assert_allclose(fitted.apply(at_level), 0.12)
-    np.testing.assert_allclose(fitted.apply(at_level - 0.01), 0.11)
+    np.testing.assert_allclose(rectified(fitted, at_level), 0.12)
+    np.testing.assert_allclose(rectified(fitted, at_level - 0.01), 0.11)
 
 
 def test_useless_levels_are_refused():
@@ -70,5 +75,5 @@ def test_level_of_an_identification_keeps_to_the_pixels_in_use():
     fitted = fit_rectification([Level.of(found)])
     np.testing.assert_array_equal(np.isfinite(fitted.offset_m), found.pixels.mask)
     mask = found.pixels.mask
-    after = fitted.apply(found.statistics.range_m)[mask] - found.modelled_range_m[mask]
+    after = rectified(fitted, found.statistics.range_m)[mask] - found.modelled_range_m[mask]
     np.testing.assert_allclose(after, 0.0, atol=1e-12)

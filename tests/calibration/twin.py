@@ -116,3 +116,11 @@ def cast(mesh: MembraneMesh, camera: DepthCamera, displacement: np.ndarray) -> n
     image = np.full((camera.intrinsics.height, camera.intrinsics.width), np.nan)
     image.ravel()[hits.ray] = hits.range_m
     return image
+
+
+def residuals_and_bias(found, frames) -> tuple[np.ndarray, np.ndarray]:
+    """Measured minus modelled range (F, k) of the pixels in use, and the bias (k,) of each, m."""
+    used = found.pixels.mask
+    per_depth, model = found.camera.range_per_depth[used], found.modelled_range_m[used]
+    residual = np.stack([frame.depth_m[used] * per_depth - model for frame in frames])
+    return residual, found.pixels.bias_m[used]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.mp4_writer import open_mp4, write_mp4
+from bubbleviz.export.mp4_writer import open_mp4
 
 
 def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
@@ -21,10 +21,16 @@ def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
         yield picture
 
 
+def write(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
+    with open_mp4(path, fps) as writer:
+        for picture in pictures:
+            writer.add(picture)
+
+
 @pytest.mark.parametrize("size", [(64, 96), (65, 97)])
 def test_frames_come_back(size: tuple[int, int], tmp_path: Path) -> None:
     path = tmp_path / "view.mp4"
-    write_mp4(path, pictures(8, *size), fps=12.5)
+    write(path, pictures(8, *size), fps=12.5)
     reader = imageio_ffmpeg.read_frames(str(path))
     facts = next(reader)
     width, height = facts["size"]
@@ -46,9 +52,9 @@ def test_nothing_is_left_without_an_end(tmp_path: Path) -> None:
             writer.add(picture)
         raise KeyboardInterrupt
     with pytest.raises(InputError, match="no picture"):
-        write_mp4(tmp_path / "b.mp4", [], 30.0)
+        write(tmp_path / "b.mp4", [], 30.0)
     with pytest.raises(InputError, match="32×64 pixels, the first 64×64"):
-        write_mp4(tmp_path / "c.mp4", [*pictures(1, 64, 64), *pictures(1, 64, 32)], 30.0)
+        write(tmp_path / "c.mp4", [*pictures(1, 64, 64), *pictures(1, 64, 32)], 30.0)
     assert not list(tmp_path.iterdir())
 
 
@@ -57,9 +63,9 @@ def test_refusals_before_the_work(tmp_path: Path) -> None:
     there.write_text("mine")
     never: Iterator[np.ndarray] = iter(())
     with pytest.raises(InputError, match="exists already"):
-        write_mp4(there, never, 30.0)
+        write(there, never, 30.0)
     with pytest.raises(InputError, match=r"ends in \.mp4"):
-        write_mp4(tmp_path / "x.avi", never, 30.0)
+        write(tmp_path / "x.avi", never, 30.0)
     with pytest.raises(InputError, match="pictures a second"):
-        write_mp4(tmp_path / "x.mp4", never, float("nan"))
+        write(tmp_path / "x.mp4", never, float("nan"))
     assert there.read_text() == "mine"

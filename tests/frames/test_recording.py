@@ -113,7 +113,6 @@ def test_without_gas_pressure_wrench_and_camera_info_they_are_none(tmp_path: Pat
     with Recording(bag.write(tmp_path)) as recording:
         frame = recording[0]
         assert (frame.gas_pressure_pa, frame.wrench, frame.intrinsics) == (None, None, None)
-        assert not recording.has_gas_pressure
         assert not recording.has_wrench
 
 

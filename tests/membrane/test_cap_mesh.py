@@ -28,7 +28,7 @@ def test_shape_and_count(name, nodes):
     cap = CAPS[name]
     mesh = mesh_cap(cap, nodes)
     assert len(mesh.nodes) == pytest.approx(nodes, rel=0.05)
-    assert np.degrees(mesh.min_angle) >= 30.0
+    assert np.degrees(mesh.angles.min()) >= 30.0
     assert mesh.facet_areas.max() < 2.6 * mesh.facet_areas.min()
     inside = (mesh.nodes - cap.centre) / cap.semi_axes
     np.testing.assert_allclose(np.linalg.norm(inside, axis=1), 1.0, atol=1e-9)
