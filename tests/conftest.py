@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -40,3 +41,16 @@ def punyo_press() -> Path:
     if not path.is_dir():
         pytest.skip("the real recording punyo_press_a is not on this machine")
     return path
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], object]], None]:
+    """Wait for something to come true; the limit is for broken code only."""
+
+    def wait(condition: Callable[[], object], limit_s: float = 240.0) -> None:
+        deadline = time.monotonic() + limit_s
+        while not condition():
+            assert time.monotonic() < deadline, "it never came true"
+            time.sleep(0.02)
+
+    return wait

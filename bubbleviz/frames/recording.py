@@ -27,7 +27,7 @@ from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_
 from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import Series
 
-_SAMPLED_ABOVE = 4096
+SAMPLED_ABOVE = 4096
 _GARBAGE_NS = 3_600_000_000_000
 
 
@@ -213,7 +213,7 @@ def _header_stamps(images: Messages) -> np.ndarray:
     Each costs the decompression of the chunk's first blocks (0.1 ms). In a long recording whose
     sampled stamps all are the log times to the nanosecond, the others are taken to be, too.
     """
-    if len(images) > _SAMPLED_ABOVE:
+    if len(images) > SAMPLED_ABOVE:
         sample = np.linspace(0, len(images) - 1, 64).astype(int)
         if all(images.stamp_ns(int(k)) == images.log_ns[k] for k in sample):
             return images.log_ns

@@ -7,11 +7,12 @@ left to `sliding`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bubbleviz.pose.contact_points import ContactPoints
+from bubbleviz.pose.object_distance import ObjectDistance, object_distance
 from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.rigid_motion import motion_between, moved, rows, way_at
 
@@ -27,13 +28,6 @@ _PARALLEL = np.cos(np.radians(45.0))
 
 _AWAY = 0.3
 """Cosine between the normals of membrane and object beyond which they face the same way."""
-
-_OVER = np.cos(np.radians(30.0))
-"""Cosine between the way to the closest place and the normal there, for a point over a face and
-not beside it."""
-
-_NEAR_M = 1e-3
-"""Distance below which noise decides on the direction of the way to the closest place."""
 
 _SLACK_M = 5e-4
 """How far blur takes the estimated membrane into an object's edges."""
@@ -156,31 +150,6 @@ _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 """Where a point beside the object is off to is half noise: turns cannot be told from it."""
 
 
-@dataclass(frozen=True)
-class _Distance:
-    """Points in B against an object at a pose.
-
-    Attributes
-    ----------
-    signed_m : (k,) array
-        Positive outside.
-    gradient, normal, place : (k, 3) array
-        Of the distance, of the surface at the closest place, and that place, in B.
-    over : (k,) bool array
-        Over a face, not beside it.
-    """
-
-    signed_m: np.ndarray
-    gradient: np.ndarray
-    normal: np.ndarray
-    place: np.ndarray
-    over: np.ndarray
-
-    def of(self, some: slice) -> _Distance:
-        """Of some of the points."""
-        return _Distance(*(getattr(self, field.name)[some] for field in fields(self)))
-
-
 class Registration:
     """Fits one object to contact points.
 
@@ -297,33 +266,14 @@ class Registration:
 
     def _distances(
         self, contact: ContactPoints, T: np.ndarray, *, around: bool
-    ) -> tuple[_Distance, _Distance]:
+    ) -> tuple[ObjectDistance, ObjectDistance]:
         """Of the contact points and, with those around them, of the free ones."""
         points = np.concatenate([contact.points, contact.free]) if around else contact.points
-        every, count = self._distance(points, T), len(contact.points)
+        every, count = object_distance(self.model, points, T), len(contact.points)
         return every.of(slice(count)), every.of(slice(count, None))
 
-    def _distance(self, points: np.ndarray, T: np.ndarray) -> _Distance:
-        R = T[:3, :3]
-        found = self.model.closest((points - T[:3, 3]) @ R)
-        place, normal = found.place @ R.T + T[:3, 3], found.normal @ R.T
-        way = points - place
-        length = np.linalg.norm(way, axis=1)
-        along = np.einsum("ij,ij->i", way, normal)
-        outside = along > -0.5 * length  # at an edge the normal is that of one of its faces
-        over = (length < _NEAR_M) | (np.abs(along) > _OVER * length)
-        sign = np.where(outside, 1.0, -1.0)
-        straight = way * (sign / np.maximum(length, 1e-12))[:, None]
-        return _Distance(
-            signed_m=np.where(over, along, sign * length),
-            gradient=np.where(over[:, None], normal, straight),
-            normal=normal,
-            place=place,
-            over=over,
-        )
-
     def _surface(
-        self, contact: ContactPoints, share_m2: np.ndarray, distance: _Distance, scale: float
+        self, contact: ContactPoints, share_m2: np.ndarray, distance: ObjectDistance, scale: float
     ) -> _Term:
         """Contact points over a face lie on it."""
         facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
@@ -336,7 +286,7 @@ class Registration:
         return _Term(term.H, term.g, term.cost + missed)
 
     def _beside(
-        self, contact: ContactPoints, share_m2: np.ndarray, distance: _Distance, scale: float
+        self, contact: ContactPoints, share_m2: np.ndarray, distance: ObjectDistance, scale: float
     ) -> _Term:
         """Contact points beside the object, or at its sides, draw it over themselves."""
         facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
@@ -346,7 +296,7 @@ class Registration:
         weight = self.precision.beside * share_m2[used]
         return _Term.of(J, distance.signed_m[used], weight, 2.0 * scale)
 
-    def _free(self, contact: ContactPoints, distance: _Distance) -> _Term:
+    def _free(self, contact: ContactPoints, distance: ObjectDistance) -> _Term:
         """The free membrane is not inside the object."""
         depth = np.minimum(distance.signed_m + _SLACK_M, 0.0)
         used = depth < 0.0
@@ -355,7 +305,7 @@ class Registration:
         return _Term.of(J, depth[used], weight, 2.0 * _NARROWEST_M)
 
 
-def _agreement(contact: ContactPoints, distance: _Distance) -> tuple[float, float, int]:
+def _agreement(contact: ContactPoints, distance: ObjectDistance) -> tuple[float, float, int]:
     """Fitness, rmse in m and number of the contact points that agree with the object."""
     agree = np.abs(distance.signed_m) < INLIER_M
     agree &= np.einsum("ij,ij->i", distance.normal, contact.normals) < _AWAY

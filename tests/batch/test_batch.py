@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from bubbleviz.errors import InputError
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
+Eventually = Callable[[Callable[[], object]], None]
 FILES = {"result.npz", "result.csv", "summary.json"}
 
 
@@ -54,13 +54,6 @@ def table_of(out: Path) -> dict[str, dict[str, str]]:
 def hidden_in(out: Path) -> list[str]:
     """Temporary files."""
     return [path.name for path in out.rglob(".*") if path.name != ".batch.lock"]
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 240.0
-    while not condition():
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.02)
 
 
 def lives(process: psutil.Process) -> bool:
@@ -196,18 +189,18 @@ def test_a_folder_that_is_not_a_result_is_not_replaced(
 
 
 def test_killed_in_the_middle_then_resumed(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "2"]
     running = start(*words)
     # The others are done, the long one has begun.
-    wait_for(lambda: all((out / name).is_dir() for name in NAMES) and bool(hidden_in(out)))
+    eventually(lambda: all((out / name).is_dir() for name in NAMES) and bool(hidden_in(out)))
     workers = psutil.Process(running.pid).children(recursive=True)
     assert workers
     running.kill()
     running.communicate()
-    wait_for(
+    eventually(
         lambda: not any(worker.is_running() and worker.status() != "zombie" for worker in workers)
     )
     assert not (out / long_recording.name).exists()
@@ -224,11 +217,11 @@ def test_killed_in_the_middle_then_resumed(
 
 
 def test_interrupted_leaves_whole_files(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
     out = tmp_path / "out"
     running = start(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
-    wait_for(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
+    eventually(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
     os.killpg(running.pid, signal.SIGINT)  # as ^C does: everybody gets it
     _, said = running.communicate(timeout=240)
     assert running.returncode == 130
@@ -241,12 +234,12 @@ def test_interrupted_leaves_whole_files(
 
 
 def test_two_batches_do_not_write_into_one_folder(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out]
     running = start(*words)
-    wait_for(lambda: bool(hidden_in(out)))
+    eventually(lambda: bool(hidden_in(out)))
     done = batch(*words, "--resume")
     running.terminate()
     running.communicate()
@@ -255,7 +248,7 @@ def test_two_batches_do_not_write_into_one_folder(
 
 
 def test_a_process_that_dies_costs_its_own_recording_only(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path
+    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
     settings = Settings(str(sensor))
     jobs = [
@@ -266,7 +259,7 @@ def test_a_process_that_dies_costs_its_own_recording_only(
     me = psutil.Process()
 
     def kill_when_it_works() -> None:
-        wait_for(lambda: bool(hidden_in(tmp_path)))
+        eventually(lambda: bool(hidden_in(tmp_path)))
         for child in me.children():
             if "--multiprocessing-fork" in child.cmdline():
                 child.kill()

@@ -155,14 +155,15 @@ def test_reading_one_frame_does_not_decompress_the_others(
         bag.image(START + k * PERIOD, noise)
     path = bag.write(tmp_path)
     inflated = [0]
-    original = chunks.LazyChunk._fill
+    original = chunks.LazyChunk.slice
 
-    def counting(self: chunks.LazyChunk, stop: int, short: bool) -> None:
+    def counting(self: chunks.LazyChunk, start: int, stop: int, *, short: bool = False) -> bytes:
         before = self.memory
-        original(self, stop, short)
+        part = original(self, start, stop, short=short)
         inflated[0] += self.memory - before
+        return part
 
-    monkeypatch.setattr(chunks.LazyChunk, "_fill", counting)
+    monkeypatch.setattr(chunks.LazyChunk, "slice", counting)
     image = 640 * 480 * 4
     with Recording(path) as recording:
         assert inflated[0] < 2 * image  # 20 headers and the first image
@@ -174,7 +175,7 @@ def test_reading_one_frame_does_not_decompress_the_others(
 def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bubbleviz.frames.recording._SAMPLED_ABOVE", 100)
+    monkeypatch.setattr("bubbleviz.frames.recording.SAMPLED_ABOVE", 100)
     reads = []
     bag, jittered = BagMaker("mcap file"), BagMaker("mcap file")
     for k in range(300):

@@ -69,7 +69,7 @@ def test_an_interior_point_certifies_the_active_set(sphere):
 def test_landmarks_change_the_way_and_not_the_answer(sphere, monkeypatch):
     """A fine mesh has a model Hessian of few columns; the KKT conditions are the same."""
     whole = estimator(900)
-    monkeypatch.setattr(active_set, "_DENSE_LIMIT", 10)
+    monkeypatch.setattr(active_set, "DENSE_LIMIT", 10)
     landmarks = estimator(900)
     for seed in range(2):
         depth = sphere.depth(0.01, seed)

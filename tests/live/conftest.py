@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -39,16 +37,3 @@ def small_sensor_file(small_sensor: Sensor, tmp_path_factory: pytest.TempPathFac
     path = tmp_path_factory.mktemp("sensor") / "small.toml"
     path.write_text(sensor_to_toml(small_sensor))
     return path
-
-
-@pytest.fixture
-def eventually() -> Callable[[Callable[[], object]], None]:
-    """Wait for something to come true; the limit is for broken code only."""
-
-    def wait(condition: Callable[[], object], limit_s: float = 240.0) -> None:
-        deadline = time.monotonic() + limit_s
-        while not condition():
-            assert time.monotonic() < deadline, "it never came true"
-            time.sleep(0.02)
-
-    return wait

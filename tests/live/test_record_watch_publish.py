@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,6 +19,7 @@ from bubbleviz.commands.info import recording_info
 from bubbleviz.frames.recording import Recording
 from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
+Eventually = Callable[[Callable[[], object]], None]
 ENTRY = "from bubbleviz.cli.command_line import main; main()"
 
 
@@ -35,11 +36,9 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def wait_for_growth(path: Path) -> None:
-    deadline = time.monotonic() + 240.0
-    while not (path.exists() and path.stat().st_size > 20_000):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+def large(path: Path) -> bool:
+    """Whether a recording has some frames."""
+    return path.exists() and path.stat().st_size > 20_000
 
 
 def test_record_for_a_while(tmp_path: Path, small_sensor_file: Path) -> None:
@@ -73,7 +72,9 @@ def test_record_for_a_while(tmp_path: Path, small_sensor_file: Path) -> None:
     assert (tmp_path / "again" / "metadata.yaml").exists()
 
 
-def test_stopping_record_leaves_a_whole_file(tmp_path: Path, small_sensor_file: Path) -> None:
+def test_stopping_record_leaves_a_whole_file(
+    tmp_path: Path, small_sensor_file: Path, eventually: Eventually
+) -> None:
     out = tmp_path / "rec.mcap"
     process = start(
         "record",
@@ -84,7 +85,7 @@ def test_stopping_record_leaves_a_whole_file(tmp_path: Path, small_sensor_file: 
         "--out",
         str(out),
     )
-    wait_for_growth(out)
+    eventually(lambda: large(out))
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=240)
     assert (process.returncode, stderr) == (0, "")
@@ -95,7 +96,9 @@ def test_stopping_record_leaves_a_whole_file(tmp_path: Path, small_sensor_file: 
         assert recording.bag.note == ""
 
 
-def test_record_killed_opens(tmp_path: Path, small_sensor_file: Path) -> None:
+def test_record_killed_opens(
+    tmp_path: Path, small_sensor_file: Path, eventually: Eventually
+) -> None:
     out = tmp_path / "rec.mcap"
     process = start(
         "record",
@@ -106,7 +109,7 @@ def test_record_killed_opens(tmp_path: Path, small_sensor_file: Path) -> None:
         "--out",
         str(out),
     )
-    wait_for_growth(out)
+    eventually(lambda: large(out))
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
     done = run("info", str(out), "--json")

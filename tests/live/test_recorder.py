@@ -205,12 +205,11 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(
     code = STREAM.format(tests=str(Path(__file__).parent), path=str(path))
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    process.stdout.readline()
-    time.sleep(random.Random(seed).uniform(1.1, 1.9))
+    for _ in range(random.Random(seed).randint(250, 450)):  # more than a second
+        process.stdout.readline()
     os.kill(process.pid, signal.SIGKILL)
     killed_ns = time.time_ns()
-    pushed = len(process.communicate()[0].splitlines())
-    assert pushed > 100
+    process.communicate()
     with Recording(path) as recording:
         numbers = [
             round(1e3 * float(recording[k].depth_m[0, 0])) - 100 for k in range(len(recording))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from wire import (
     CLOUD,
     HEIGHT,
@@ -17,7 +18,9 @@ from wire import (
     INFO,
     NOW,
     PERIOD,
+    PRESSURE,
     SECOND,
+    STORE,
     WIDTH,
     arrived,
     camera_info,
@@ -221,6 +224,13 @@ def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
     np.testing.assert_allclose(forces[0], -forces[1], atol=0.05 * np.linalg.norm(forces[0]))
 
 
+def sent_pressures(path: Path, topic: str) -> list[float]:
+    """Gas pressures of a recording as the `mcap` library and rosbags read them."""
+    with path.open("rb") as file:
+        messages = list(make_reader(file).iter_messages(topics=[topic]))
+    return [STORE.deserialize_cdr(m.data, PRESSURE).fluid_pressure for _, _, m in messages]
+
+
 def test_two_sensors_are_recorded_into_one_file_and_told_apart(
     small_sensor_file: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
@@ -240,13 +250,15 @@ def test_two_sensors_are_recorded_into_one_file_and_told_apart(
             assert frame is not None
         eventually(lambda: all(s.stream.counters().frames > 12 for s in session.sensors))
     sent = {s.place.name: s.stream.counters() for s in session.sensors}
+    pressures = {}
     for side, counters in sent.items():
         assert (counters.undecodable, counters.duplicate) == (0, 0)
         with Recording(path, depth_topic=f"/{side}/depth/image_raw") as recording:
             assert len(recording) >= counters.frames
             assert recording.intrinsics is not None
-            used = {series._messages.topic.name for series in (recording._pressure,) if series}
-        assert used == {f"/{side}/pressure"}
+            pressures[side] = recording.gas_pressures_pa()
+        np.testing.assert_array_equal(pressures[side], sent_pressures(path, f"/{side}/pressure"))
+    assert not np.array_equal(pressures["left"], pressures["right"])
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,8 @@ def test_the_robot_is_killed_and_comes_back(
                 stream.take()
                 assert stream.take(30.0) is not None
                 assert stream.status().state == "live"
-                time.sleep(rng.uniform(0.02, 0.4))
+                seen, more = len(arrived), rng.randint(2, 40)
+                eventually(lambda seen=seen, more=more: len(arrived) >= seen + more)
                 os.kill(process.pid, signal.SIGKILL)
                 process.wait()
             eventually(lambda: stream.status().state in ("stale", "reconnecting"))
@@ -166,14 +167,19 @@ def test_another_type_under_the_same_name_is_counted(
     small_sensor: Sensor, eventually: Eventually
 ) -> None:
     port = free_port()
-    with robot(port, "rmw"), stream_of(port, small_sensor) as stream:
-        assert stream.take(30.0) is not None
-        other = f"0/cam/depth/std_msgs::msg::dds_::String_/{'RIHS01_' + '0' * 64}"
-        stream.source._session.put(other, b"\0\1\0\0\4\0\0\0abc\0")  # type: ignore[attr-defined]
+    depth = KEYS["rmw"]["/cam/depth"]
+    other = f"0/cam/depth/std_msgs::msg::dds_::String_/{'RIHS01_' + '0' * 64}"
+    with (
+        open_session(str(port)) as node,
+        stream_of(port, small_sensor, "?depth=/cam/depth") as stream,
+    ):
+        eventually(lambda: (node.put(depth, image(time.time_ns())), stream.take(0.05))[1])
+        assert stream.counters().wrong_type == 0
+        node.put(other, b"\0\1\0\0\4\0\0\0abc\0")
         eventually(lambda: stream.counters().wrong_type == 1)
 
 
-def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor) -> None:
+def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor, eventually: Eventually) -> None:
     """Nodes are peers that gossip through a router; we are its client, here and on other hosts."""
     port = free_port()
     with open_session(str(port), "router"), open_session(str(port), "node") as node:
@@ -191,9 +197,7 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor) -> None:
             )
             endpoint = f"tcp/127.0.0.1:{port}"
             with ZenohPublisher(SessionOptions("us", connect=endpoint)) as out:
-                while not got:
-                    out.put("/bubbleviz/depth", IMAGE, b"result")
-                    time.sleep(0.05)
+                eventually(lambda: (out.put("/bubbleviz/depth", IMAGE, b"result"), got)[1])
             assert got[0] == b"result"
             subscriber.undeclare()
         for token in tokens:

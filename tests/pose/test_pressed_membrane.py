@@ -131,10 +131,10 @@ def test_what_holds_close_by_is_not_looked_at_again(pipeline, monkeypatch):
     unit = np.eye(6)
     unit[3:, 3:] /= contact.radius_m
     open_ = Directions(unit, np.zeros(6), np.array([False, False, True, True, True, False]))
-    sliding = Sliding(pipeline.estimator.observer, pressed_of(pipeline, "cross"))
-    looks = []
-    looked = Sliding._looked
-    monkeypatch.setattr(Sliding, "_looked", lambda *a: looks.append(a) or looked(*a))
+    pressed, looks = pressed_of(pipeline, "cross"), []
+    press = pressed.press
+    monkeypatch.setattr(pressed, "press", lambda *a: looks.append(a) or press(*a))
+    sliding = Sliding(pipeline.estimator.observer, pressed)
     for shift in (0.0, 1e-4, 4e-3):
         at = moved(T, np.array([shift, 0.0, 0.0, 0.0, 0.0, 0.0]), contact.center)
         sliding.step(depth, contact, at, open_, 1e2 * np.eye(6), np.zeros(6))

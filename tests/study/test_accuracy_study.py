@@ -21,7 +21,7 @@ from bubbleviz.study.accuracy.accuracy_study import (
     run_accuracy,
     strided,
 )
-from bubbleviz.study.accuracy.threshold_baseline import THRESHOLDS_M, _iou_by_threshold
+from bubbleviz.study.accuracy.threshold_baseline import THRESHOLDS_M, iou_by_threshold
 from bubbleviz.study.error_metrics import Judge, iou
 from bubbleviz.study.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press, made, presses
 from bubbleviz.study.truth_bank import TruthBank
@@ -150,7 +150,7 @@ def test_the_oracle_is_the_best_threshold_and_no_better_than_1(study, bank):
     assert len(study.baselines) == 2 * 2 * 3
     assert all(0.0 < base.iou <= 1.0 for base in study.baselines)
     sighting = bank.sighting(Press("sphere", 0.012, False))
-    scores = _iou_by_threshold(bank, sighting, 0.01, 0.0, 0)
+    scores = iou_by_threshold(bank, sighting, 0.01, 0.0, 0)
     frame = bank.frame(sighting, 0.01, 0)
     change = np.abs(np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m))
     for k in (0, 60, 100):

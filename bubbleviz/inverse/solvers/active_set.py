@@ -23,7 +23,7 @@ _SUPPORT_CHANGE = 0.05
 _FIRST_NODES, _FIRST_SHARE = 100, 0.05
 """Nodes with which a frame without contact before it starts; on a fine mesh a share of all."""
 
-_DENSE_LIMIT = 3_000
+DENSE_LIMIT = 3_000
 """Nodes up to which the whole Hessian is faster than landmarks."""
 
 _SELECTIONS = 8
@@ -57,7 +57,7 @@ class ActiveSetSolver:
         self._equilibrium = equilibrium
         self._diagonal = reference_Q.diagonal()
         self._tolerance, self._corrections = tolerance, corrections
-        kind = ReducedHessian if len(equilibrium.A) <= _DENSE_LIMIT else LandmarkHessian
+        kind = ReducedHessian if len(equilibrium.A) <= DENSE_LIMIT else LandmarkHessian
         self._hessian = kind(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
         self._scaled_for, self._scale = reference_Q, 1.0

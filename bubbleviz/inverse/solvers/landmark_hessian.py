@@ -36,6 +36,11 @@ class LandmarkHessian:
     lambda_ : float
     within : float, optional
         Largest distance from a node to a landmark, in resolution lengths; exact with 0.
+
+    Attributes
+    ----------
+    landmarks : (m,) int array
+        Indices of the nodes whose columns stand for all.
     """
 
     def __init__(
@@ -49,13 +54,13 @@ class LandmarkHessian:
         # Lengths in units of a and pressures in γ0/a make γ0 = 1.
         resolution = resolution_m(lambda_, 1.0, information_density(Q, equilibrium.A))
         nodes = equilibrium.nodes
-        self._landmarks = farthest_points(nodes, within * resolution)
-        self._owner = np.asarray(cKDTree(nodes[self._landmarks]).query(nodes)[1])
+        self.landmarks = farthest_points(nodes, within * resolution)
+        self._owner = np.asarray(cKDTree(nodes[self.landmarks]).query(nodes)[1])
         self._columns = {known: _Columns(equilibrium, Q, known) for known in (True, False)}
 
     def block(self, nodes: np.ndarray, gas_measured: bool, scale: float = 1.0) -> LowRankQuadratic:
         """`scale` times the rows and columns of the given nodes (k,)."""
-        near = self._landmarks[np.unique(self._owner[nodes])]
+        near = self.landmarks[np.unique(self._owner[nodes])]
         C = self._columns[gas_measured].of(near)
         return LowRankQuadratic(C[nodes], C[near], self._H1[nodes][:, nodes], scale)
 

@@ -39,7 +39,7 @@ def oracle_baseline(
 ) -> Baseline:
     """Baseline on presses of one object, with the threshold that an oracle picks for them."""
     scores = np.mean(
-        [_iou_by_threshold(bank, s, noise_relative, blur_px, index) for s in sightings], axis=0
+        [iou_by_threshold(bank, s, noise_relative, blur_px, index) for s in sightings], axis=0
     )
     best = int(np.argmax(scores))
     return Baseline(
@@ -51,7 +51,7 @@ def oracle_baseline(
     )
 
 
-def _iou_by_threshold(
+def iou_by_threshold(
     bank: TruthBank, sighting: Sighting, noise_relative: float, blur_px: float, index: int
 ) -> np.ndarray:
     """IoU for each of the thresholds (t,)."""
