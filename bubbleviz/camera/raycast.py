@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.lazy_imports import import_without
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import cross, triangles_across
 
 _WALK = 4
@@ -87,17 +87,13 @@ class RayCaster:
     """
 
     def __init__(self, origin: np.ndarray, directions: np.ndarray, triangles: np.ndarray) -> None:
-        import_without("open3d", "visualization")
-        from open3d import core
-
         self.origin = np.asarray(origin, float)
         self.directions = np.ascontiguousarray(directions, float)
         self.triangles = triangles
-        self._indices = core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32))
+        self._indices = np.ascontiguousarray(triangles, np.uint32)
         # Nodes are moved by −origin before single precision sees them: all rays start at zero.
-        rays = np.zeros((len(directions), 6), np.float32)
-        rays[:, 3:] = directions
-        self._rays = core.Tensor.from_numpy(rays)
+        self._rays = np.zeros((len(directions), 6), np.float32)
+        self._rays[:, 3:] = directions
 
     def cast(self, nodes: np.ndarray, normals: np.ndarray, rays: np.ndarray | None = None) -> Hits:
         """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`.
@@ -110,19 +106,13 @@ class RayCaster:
             Reference node normals, the directions in which nodes move.
         rays : (j,) int array, optional
         """
-        from open3d import core
-        from open3d.t.geometry import RaycastingScene
-
         local = nodes - self.origin
-        scene = RaycastingScene()
-        scene.add_triangles(core.Tensor.from_numpy(local.astype(np.float32)), self._indices)
-        bundle = self._rays if rays is None else core.Tensor.from_numpy(self._rays.numpy()[rays])
-        found = scene.cast_rays(bundle)["primitive_ids"].numpy()
-        ray = np.flatnonzero(found != RaycastingScene.INVALID_ID)
-        triangle = found[ray].astype(np.int64)
-        return self._refine(
-            local, normals, ray if rays is None else np.asarray(rays)[ray], triangle
-        )
+        scene = TriangleScene(local, self._indices)
+        found = scene.cast(self._rays if rays is None else self._rays[rays])
+        hit = np.flatnonzero(np.isfinite(found.distance))
+        ray = hit if rays is None else np.asarray(rays)[hit]
+        # in double precision, on the triangle that single precision found
+        return self._meet(self._facets(local, normals), ray, found.triangle[hit])
 
     @cached_property
     def _across(self) -> np.ndarray:
@@ -146,12 +136,6 @@ class RayCaster:
             moved = self._meet(facets, hits.ray[leaving], following)
             found = found.with_others(leaving, moved)
         return found
-
-    def _refine(
-        self, local: np.ndarray, normals: np.ndarray, ray: np.ndarray, triangle: np.ndarray
-    ) -> Hits:
-        """Hit in double precision on the triangle that single precision found."""
-        return self._meet(self._facets(local, normals), ray, triangle)
 
     def _facets(self, local: np.ndarray, normals: np.ndarray) -> _Facets:
         corners = local[self.triangles]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
-from bubbleviz.lazy_imports import import_without
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
 
@@ -32,7 +30,7 @@ class GapFinder:
         self.mesh = mesh
         self._reach: np.ndarray | None = None
         self._object: RigidObject | None = None
-        self._scene: Any = None
+        self._scene: TriangleScene | None = None
         self._solid = False
 
     def gaps(self, obj: RigidObject, T_B_O: np.ndarray) -> np.ndarray:
@@ -46,7 +44,7 @@ class GapFinder:
         return self._lowest_entry(ray, where, entering)
 
     def _load(self, obj: RigidObject) -> None:
-        scene = raycasting_scene(obj.vertices, obj.triangles)
+        scene = TriangleScene(obj.vertices, obj.triangles)
         a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
         vectors = np.cross(b - a, c - a)
         self._solid = is_watertight(obj.triangles)
@@ -69,9 +67,9 @@ class GapFinder:
             return near, np.zeros(0), np.zeros(0, dtype=bool)
         start = middle[near] - 1.01 * self._radius
         origins = nodes[near] + start[:, None] * normals[near]
-        hits = self._scene.list_intersections(_rays(origins, normals[near]))
-        ray = near[hits["ray_ids"].numpy().astype(np.int64)]
-        facet = hits["primitive_ids"].numpy().astype(np.int64)
+        assert self._scene is not None
+        hit, facet = self._scene.crossings(np.hstack([origins, normals[near]]))
+        ray = near[hit]
         # The place again in double precision, from the plane of the facet that was hit.
         vectors = self._vectors[facet]
         slope = np.einsum("ij,ij->i", vectors, normals[ray])
@@ -98,9 +96,8 @@ class GapFinder:
         if self._reach is None:
             mesh = self.mesh
             step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
-            rays = _rays(mesh.nodes - step * mesh.normals, -mesh.normals)
-            distance = raycasting_scene(mesh.nodes, mesh.triangles).cast_rays(rays)["t_hit"].numpy()
-            across = 0.5 * (distance.astype(np.float64) + step)
+            rays = np.hstack([mesh.nodes - step * mesh.normals, -mesh.normals])
+            across = 0.5 * (TriangleScene(mesh.nodes, mesh.triangles).cast(rays).distance + step)
             self._reach = np.minimum(across, _way_through_chamber(mesh))
         return self._reach
 
@@ -132,26 +129,6 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
             f"pose T_B_O: {np.abs(pose[:3, 3]).max():.4g} m away; is it in millimetres? use metres"
         )
     return pose
-
-
-def raycasting_scene(vertices: np.ndarray, triangles: np.ndarray) -> Any:
-    """Open3D's scene of one mesh."""
-    import_without("open3d", "visualization")
-    from open3d import core
-    from open3d.t.geometry import RaycastingScene
-
-    scene = RaycastingScene()
-    scene.add_triangles(
-        core.Tensor.from_numpy(vertices.astype(np.float32)),
-        core.Tensor.from_numpy(triangles.astype(np.uint32)),
-    )
-    return scene
-
-
-def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
-    from open3d import core
-
-    return core.Tensor.from_numpy(np.hstack([origins, directions]).astype(np.float32))
 
 
 def is_watertight(triangles: np.ndarray) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
@@ -78,9 +79,6 @@ class ObjectModel:
     """
 
     def __init__(self, obj: RigidObject) -> None:
-        from open3d import core
-        from open3d.t.geometry import RaycastingScene
-
         self.obj = obj
         self.size_m = float(np.ptp(obj.vertices, axis=0).max())
         corners = obj.vertices[obj.triangles]
@@ -94,23 +92,12 @@ class ObjectModel:
         self.area_m2 = float(areas.sum())
         self._corner_normals = _smooth_normals(self)
         self.creases = _creases(self)
-        self._scene = RaycastingScene()
-        self._scene.add_triangles(
-            core.Tensor.from_numpy(obj.vertices.astype(np.float32)),
-            core.Tensor.from_numpy(np.ascontiguousarray(self.triangles, np.uint32)),
-        )
+        self._scene = TriangleScene(obj.vertices, self.triangles)
 
     def closest(self, points: np.ndarray) -> Closest:
         """Closest places to points (k, 3) in O."""
-        from open3d import core
-
-        query = core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
-        found = self._scene.compute_closest_points(query)
-        place = found["points"].numpy().astype(np.float64)
-        uv = found["primitive_uvs"].numpy().astype(np.float64)
-        corners = self._corner_normals[found["primitive_ids"].numpy()]
-        weights = np.column_stack([1.0 - uv.sum(axis=1), uv])
-        normal = np.einsum("ij,ijk->ik", weights, corners)
+        place, triangle, weights = self._scene.closest(points)
+        normal = np.einsum("ij,ijk->ik", weights, self._corner_normals[triangle])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return Closest(place, normal)
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.inverse.problem import Equilibrium
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
@@ -165,17 +166,10 @@ class PressedMembrane:
     """
 
     def __init__(self, mesh: MembraneMesh, gas: Gas, scales: Scales, model: ObjectModel) -> None:
-        from open3d import core
-        from open3d.t.geometry import RaycastingScene
-
         self.mesh = mesh
         self._equilibrium = Equilibrium(mesh, gas, scales)
         self._points, self._normals = contact_samples(model, mesh.edge_length)
-        self._scene = RaycastingScene()
-        self._scene.add_triangles(
-            core.Tensor.from_numpy(mesh.nodes.astype(np.float32)),
-            core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, np.uint32)),
-        )
+        self._scene = TriangleScene(mesh.nodes, mesh.triangles)
         self._neighbours = triangles_across(mesh.triangles)
         self._row = np.full(len(mesh.nodes), -1)
         self._compliance = np.zeros((0, len(mesh.nodes)), np.float32)
@@ -298,13 +292,7 @@ class PressedMembrane:
 
     def _closest(self, points: np.ndarray) -> np.ndarray:
         """Triangle (k,) of the membrane at rest that is closest to each point (k, 3)."""
-        from open3d import core
-
-        if not len(points):
-            return np.zeros(0, np.int64)
-        query = core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
-        found = self._scene.compute_closest_points(query)["primitive_ids"]
-        return found.numpy().astype(np.int64)
+        return self._scene.closest(points).triangle if len(points) else np.zeros(0, np.int64)
 
     def _unknown(self, triangle: np.ndarray) -> _Projection:
         """A first guess above the middle of triangles (c,)."""

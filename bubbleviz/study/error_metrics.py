@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
@@ -54,7 +55,8 @@ class Judge:
 
     def __init__(self, pipeline: Pipeline, truth_mesh: MembraneMesh) -> None:
         self._view = MembraneView(pipeline.camera, pipeline.mesh)
-        triangle, self._barycentric = _closest(pipeline.mesh.nodes, truth_mesh)
+        scene = TriangleScene(truth_mesh.nodes, truth_mesh.triangles)
+        _, triangle, self._barycentric = scene.closest(pipeline.mesh.nodes)
         self._corners = truth_mesh.triangles[triangle]
 
     def displacement_m(self, truth: Truth) -> np.ndarray:
@@ -95,19 +97,3 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     """Intersection over union of two masks; 1 where both are empty."""
     union = np.count_nonzero(a | b)
     return np.count_nonzero(a & b) / union if union else 1.0
-
-
-def _closest(points: np.ndarray, mesh: MembraneMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle and barycentric coordinates of the place on a mesh closest to each point."""
-    from open3d import core
-    from open3d.t.geometry import RaycastingScene
-
-    scene = RaycastingScene()
-    scene.add_triangles(
-        core.Tensor.from_numpy(mesh.nodes.astype(np.float32)),
-        core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, np.uint32)),
-    )
-    found = scene.compute_closest_points(core.Tensor.from_numpy(points.astype(np.float32)))
-    triangle = found["primitive_ids"].numpy().astype(np.int64)
-    uv = found["primitive_uvs"].numpy().astype(np.float64)
-    return triangle, np.column_stack([1.0 - uv.sum(axis=1), uv])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.study import object_shapes
@@ -71,19 +72,10 @@ def _vertical_distance(
     points: np.ndarray, up: float, vertices: np.ndarray, triangles: np.ndarray
 ) -> np.ndarray:
     """Signed way in m from points (k, 3) along ±z to the first of a mesh; inf beside it."""
-    from open3d import core
-    from open3d.t.geometry import RaycastingScene
-
-    scene = RaycastingScene()
-    scene.add_triangles(
-        core.Tensor.from_numpy(vertices.astype(np.float32)),
-        core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
-    )
-    rays = np.zeros((len(points), 6), np.float32)
+    rays = np.zeros((len(points), 6))
     rays[:, :3], rays[:, 5] = points, up
     rays[:, 2] -= up  # start 1 m away, so that overlapping bodies count too
-    way = scene.cast_rays(core.Tensor.from_numpy(rays))["t_hit"].numpy()
-    return way.astype(np.float64) - 1.0
+    return TriangleScene(vertices, triangles).cast(rays).distance - 1.0
 
 
 def presses(names: tuple[str, ...], depths_m: tuple[float, ...]) -> list[Press]:

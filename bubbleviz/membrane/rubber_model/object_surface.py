@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.membrane.gap import is_watertight, raycasting_scene
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.membrane.gap import is_watertight
 from bubbleviz.membrane.mesh import cross
 from bubbleviz.rigid_object import RigidObject
 
@@ -56,7 +57,7 @@ class ObjectSurface:
             vectors = -vectors  # normals pointed inward: the signed volume was negative
         self._facet_normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         self._corner_normals = self._smoothed(vectors)
-        self._scene: Any = raycasting_scene(obj.vertices, obj.triangles)
+        self._scene = TriangleScene(obj.vertices, obj.triangles)
         self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
         self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
 
@@ -83,13 +84,7 @@ class ObjectSurface:
         return Planes(gap, normal @ R.T)
 
     def _near(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from open3d import core
-
-        query = core.Tensor.from_numpy(x.astype(np.float32))
-        found = self._scene.compute_closest_points(query)
-        facet = found["primitive_ids"].numpy().astype(np.int64)
-        u, v = found["primitive_uvs"].numpy().astype(float).T
-        weights = np.stack([1.0 - u - v, u, v], axis=1)
+        _, facet, weights = self._scene.closest(x)
         away = x - np.einsum("ki,kij->kj", weights, self._corners[facet])
         normal = self._corner_normals[facet]
         normal = np.einsum("ki,kij->kj", weights, normal)
@@ -103,8 +98,9 @@ class ObjectSurface:
             sign = np.where(behind, -1.0, 1.0)
             return np.where(edge, np.inf, sign * gap), sign[:, None] * normal
         if edge.any():
-            within = self._scene.compute_occupancy(query[np.flatnonzero(edge)]).numpy() > 0.5
-            gap[edge] = np.where(within, -1.0, 1.0) * np.linalg.norm(away[edge], axis=1)
+            gap[edge] = np.where(self._scene.contains(x[edge]), -1.0, 1.0) * np.linalg.norm(
+                away[edge], axis=1
+            )
             normal[edge] = away[edge] / gap[edge, None]
         wrong = (gap < 0.0) & (np.einsum("ij,ij->i", normal, out) > 0.0)
         if wrong.any():
@@ -113,12 +109,8 @@ class ObjectSurface:
 
     def _way_back(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Conditions of points nearest to the far side of a thin object: back the way they came."""
-        from open3d import core
-
-        rays = core.Tensor.from_numpy(np.hstack([x, -out]).astype(np.float32))
-        hits = self._scene.cast_rays(rays)
-        facet = hits["primitive_ids"].numpy().astype(np.int64)
-        met = np.isfinite(hits["t_hit"].numpy())
+        facet, distance = self._scene.cast(np.hstack([x, -out]))
+        met = np.isfinite(distance)
         facet[~met] = 0
         normal = self._facet_normals[facet]
         gap = np.einsum("ij,ij->i", x - self._corners[facet, 0], normal)
