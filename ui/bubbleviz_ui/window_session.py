@@ -214,6 +214,7 @@ class WindowSession:
 
         if isValid(self.window):
             self.window.close()
+        self.controller.worker.wait(PATIENCE_S)  # for a long step that closing did not wait for
         self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
         self.application.processEvents()
         self.interrupt.close()

@@ -112,3 +112,26 @@ def test_frames_asked_for_meanwhile_are_dropped(qtbot: QtBot, held: tuple[Worker
     qtbot.waitUntil(lambda: len(answers) == 2, timeout=240_000)
     assert [r.id for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
     assert worker.dropped == 3
+
+
+def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(sensor: Sensor) -> None:
+    begun, release, ended = Event(), Event(), Event()
+
+    class Slow(Server):
+        def serve(self, request: Request) -> Answer | None:
+            begun.set()
+            release.wait(240.0)
+            return super().serve(request)
+
+        def close(self) -> None:
+            super().close()
+            ended.set()
+
+    worker = Worker(Slow())
+    worker.ask(opening(sensor))
+    assert begun.wait(240.0)
+    worker.close(timeout_s=0.0)
+    assert not ended.is_set()
+    release.set()
+    worker.wait(240.0)
+    assert ended.is_set()

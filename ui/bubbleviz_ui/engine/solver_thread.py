@@ -31,7 +31,8 @@ class Worker(QObject):
         self._slots = RequestSlots()
         self._server = server or Server()
         self._ready.connect(self._hand_over, Qt.ConnectionType.QueuedConnection)
-        self._thread: Thread | None = Thread(target=self._run, name="solver", daemon=True)
+        self._closed = False
+        self._thread = Thread(target=self._run, name="solver", daemon=True)
         self._thread.start()
 
     @property
@@ -46,18 +47,25 @@ class Worker(QObject):
 
     def close(self, timeout_s: float = 10.0) -> None:
         """Stop the thread once it is through with what it is doing."""
+        self._closed = True
         self._slots.close()
-        if self._thread is not None:
-            self._thread.join(timeout_s)
-            self._thread = None
+        self.wait(timeout_s)
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for the thread to end after `close`.
+
+        A process that ends before its threads frees what they work with: SciPy's factorisations
+        then fail, and the exit code is lost.
+        """
+        self._thread.join(timeout_s)
 
     def _run(self) -> None:
         while (request := self._slots.take()) is not None:
             answer = self._server.serve(request)
-            if answer is not None and self._thread is not None:
+            if answer is not None and not self._closed:
                 self._ready.emit(answer)
         self._server.close()
 
     def _hand_over(self, answer: Answer) -> None:
-        if self._thread is not None:
+        if not self._closed:
             self.answered.emit(answer)
