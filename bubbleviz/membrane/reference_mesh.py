@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, shear_stiffness
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.sensor import Sensor
 
@@ -62,13 +63,30 @@ def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
 
 
 def build_rubber(
-    sensor: Sensor, mesh: MembraneMesh, tension_n_per_m: float, rim_slack_m: float | None = None
+    sensor: Sensor,
+    mesh: MembraneMesh,
+    tension_n_per_m: float,
+    rim_slack_m: float | None = None,
+    stress: Prestress | None = None,
 ) -> RubberMembrane:
-    """Exact membrane of uniform tension and the sensor's pre-stretch on a mesh of its surface."""
-    return RubberMembrane.uniform(
-        mesh,
-        sensor.pneumatics.gauge_pressure_pa,
-        tension_n_per_m,
-        sensor.membrane.prestretch,
-        rim_slack_m,
-    )
+    """Exact membrane of a sensor on a mesh of its reference surface.
+
+    Its stiffness is μh = γ0 / (1 − λ⁻⁶), its stress at rest what holds the gauge pressure. A sensor
+    without pre-stretch has constant tension.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    mesh : MembraneMesh
+    tension_n_per_m : float
+        γ0, the mean tension, N/m.
+    rim_slack_m : float, optional
+        As of `RubberMembrane`.
+    stress : Prestress, optional
+        Found from the mesh where not given; that of a coarser mesh of the surface saves time.
+    """
+    gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
+    if prestretch is None:
+        return RubberMembrane.uniform(mesh, gauge, tension_n_per_m, None, rim_slack_m)
+    mu_h = shear_stiffness(tension_n_per_m, prestretch)
+    return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)

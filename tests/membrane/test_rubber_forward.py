@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plate import plate
 
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
-from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.rigid_object import load_object
 from bubbleviz.study.accuracy.exact_bubble import Bubble, axial_contact
+from bubbleviz.study.axial_mesh import swept_mesh
 from bubbleviz.study.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
@@ -33,21 +34,9 @@ def dome(nodes, prestretch, slack=None):
 
 def sheet(nodes, truth):
     """The mesh of a sheet that was flat before it was bulged, from its exact meridian."""
-    cap = mesh_cap(spherical_cap(A, H), nodes)
-    R = (A**2 + H**2) / (2 * H)
-    rest = truth.rest
-    angle = np.arctan2(np.hypot(*cap.nodes[:, :2].T), cap.nodes[:, 2] + R - H)
-    along = angle / angle.max() * A  # a material circle of the flat sheet for every node
-    azimuth = np.arctan2(cap.nodes[:, 1], cap.nodes[:, 0])
-    around = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-    s = np.concatenate([[0.0], rest.s_m])
-    r, z = (
-        np.interp(along, s, np.concatenate([[v], w]))
-        for v, w in ((0.0, rest.r_m), (rest.z_m[0], rest.z_m))
-    )
-    z[cap.rim] = 0.0
-    mesh = MembraneMesh(np.column_stack([r[:, None] * around, z]), cap.triangles, cap.rim)
-    flat = replace(mesh, nodes=np.column_stack([along[:, None] * around / truth.prestretch, 0 * z]))
+    mesh = swept_mesh(truth.rest, nodes)
+    free = truth.rest.s_m / truth.prestretch
+    flat = swept_mesh(replace(truth.rest, r_m=free, z_m=0.0 * free), nodes)
     gauge = truth.gauge_pressure_pa
     membrane = RubberMembrane(mesh, gauge, inverse_metric(flat), truth.mu_h_n_per_m)
     return RubberForward(membrane, gas_of(mesh, gauge))
@@ -57,16 +46,6 @@ def at(x=0.0, y=0.0, z=H):
     T = np.eye(4)
     T[:3, 3] = x, y, z
     return T
-
-
-def plate(half=0.2, thickness=0.01):
-    x = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    corners = np.vstack([np.c_[x, np.zeros(4)], np.c_[x, np.full(4, thickness)]])
-    sides = [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]
-    for i in range(4):
-        j = (i + 1) % 4
-        sides += [[i, j, j + 4], [i, j + 4, i + 4]]
-    return RigidObject("plate", corners, np.array(sides))
 
 
 def force(contact):

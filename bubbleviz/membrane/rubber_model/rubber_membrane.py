@@ -191,12 +191,8 @@ class RubberMembrane:
         InputError
             λ is not above 1, or γ0 not above 0.
         """
-        if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
-            raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
         prestretch = FAR_STRETCHED if prestretch is None else prestretch
-        if not (np.isfinite(prestretch) and prestretch > 1.0):
-            raise InputError(f"prestretch {prestretch}: give a number above 1, or leave it out")
-        mu_h = tension_n_per_m / (1.0 - prestretch**-6)
+        mu_h = shear_stiffness(tension_n_per_m, prestretch)
         stress_free = prestretch**2 * inverse_metric(mesh)
         return cls(mesh, gauge_pressure_pa, stress_free, mu_h, rim_slack_m)
 
@@ -381,6 +377,21 @@ class RubberMembrane:
         flat, count = self._corners.ravel(), len(self.mesh.nodes)
         sums = [np.bincount(flat, parts[:, i].ravel(), minlength=count) for i in range(3)]
         return np.stack(sums, axis=1)
+
+
+def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
+    """μh = γ0 / (1 − λ⁻⁶) of rubber stretched by λ both ways under a tension γ0, N/m.
+
+    Raises
+    ------
+    InputError
+        λ is not above 1, or γ0 not above 0.
+    """
+    if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
+        raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
+    if not (np.isfinite(prestretch) and prestretch > 1.0):
+        raise InputError(f"prestretch {prestretch}: give a number above 1, or leave it out")
+    return tension_n_per_m / (1.0 - prestretch**-6)
 
 
 def inverse_metric(mesh: MembraneMesh) -> np.ndarray:
