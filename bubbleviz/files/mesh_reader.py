@@ -30,7 +30,9 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{path}: not a mesh format this reads; give {', '.join(SUFFIXES)}")
     try:
         vertices, triangles = _read(path)
-    except (RuntimeError, OSError, UnicodeDecodeError, ValueError, AttributeError) as error:
+    except ModuleNotFoundError:
+        raise  # the command line says what to install
+    except Exception as error:  # trimesh raises whatever a damaged file leads to
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again") from error
     if not len(triangles):
@@ -45,6 +47,8 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Polygons of the file, triangulated."""
+    if path.suffix.lower() in (".obj", ".stl"):
+        return _read_trimesh(path)
     if path.suffix.lower() != ".ply":
         return _read_vtk(path)
     vertices, polygons = read_ply(path)
@@ -56,8 +60,16 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate(fans) if fans else np.zeros((0, 3), dtype=np.int64)
 
 
+def _read_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """OBJ and STL through trimesh, which needs a quarter of a second to load."""
+    from trimesh import load_mesh
+
+    mesh = load_mesh(path, process=False, maintain_order=True)
+    return np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+
+
 def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """OBJ, STL and VTK through VTK."""
+    """VTK's own formats through VTK, which is there where the window is."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkTriangleFilter
 
@@ -85,15 +97,6 @@ def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _vtk_reader(path: Path) -> Any:
-    suffix = path.suffix.lower()
-    if suffix == ".obj":
-        from vtkmodules.vtkIOGeometry import vtkOBJReader
-
-        return vtkOBJReader()
-    if suffix == ".stl":
-        from vtkmodules.vtkIOGeometry import vtkSTLReader
-
-        return vtkSTLReader()
     with path.open("rb") as file:
         is_xml = file.read(64).lstrip().startswith(b"<")
     if is_xml:
