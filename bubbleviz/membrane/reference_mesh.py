@@ -6,7 +6,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, shear_stiffness
-from bubbleviz.membrane.stiffness import mean_curvature
+from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import Sensor
 
 
@@ -53,13 +53,10 @@ def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
     given = sensor.pneumatics.tension_n_per_m
     if given is not None:
         return given
-    curvature = mean_curvature(mesh)
-    if not curvature > 0.0:
-        raise InputError(
-            f"{sensor.name}: the reference surface is flat or hollow, so that no tension holds its "
-            "gauge pressure; give pneumatics.tension_n_per_m"
-        )
-    return sensor.pneumatics.gauge_pressure_pa / curvature
+    try:
+        return balance_tension(mesh, sensor.pneumatics.gauge_pressure_pa)
+    except InputError as error:
+        raise InputError(f"{sensor.name}: {error}, or give pneumatics.tension_n_per_m") from error
 
 
 def build_rubber(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
 
@@ -55,15 +56,19 @@ def area_shares(mesh: MembraneMesh) -> np.ndarray:
     return total / mesh.areas * mesh.areas.sum() / total.sum()
 
 
-def young_laplace_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
-    """Tension γ0 in N/m that holds the reference surface in equilibrium (Eq. 2).
+def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
+    """Tension γ0 in N/m from the balance over the whole surface: P ΣA = γ0 Σ (L x)·n̂ (Eq. 2).
 
-    Area-weighted least squares of γ0 (L x)·n̂ against A P over the free nodes; for a spherical
-    cap this is γ0 = P R / 2.
+    Young–Laplace summed over the free nodes, each with its share of its neighbours' area on the
+    rim, where L x holds the housing's pull besides the curvature. It is linear in the curvature,
+    whose errors on a measured surface cancel in the sum. For a spherical cap it is P R / 2.
+
+    Raises
+    ------
+    InputError
+        The surface is flat or hollow, so that no tension holds it.
     """
-    laplacian = cotangent_laplacian(mesh)
-    free = mesh.free
-    curvature = np.einsum("ij,ij->i", laplacian @ mesh.nodes, mesh.normals)[free]
-    areas = mesh.areas[free]
-    mean_curvature = curvature / areas  # κ1 + κ2 at each node
-    return float(gauge_pressure_pa * np.sum(areas * mean_curvature) / np.sum(curvature**2 / areas))
+    area, bending = area_and_bending(mesh)
+    if not bending > 0.0:
+        raise InputError("reference surface: flat or hollow, so no tension holds it; inflate it")
+    return gauge_pressure_pa * area / bending

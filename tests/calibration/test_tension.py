@@ -9,12 +9,12 @@ from bubbleviz.calibration.surface.cap_fit import Ellipsoid
 from bubbleviz.calibration.tension.bootstrap import ScoreTable, draw_errors, tile_numbers, tile_side
 from bubbleviz.calibration.tension.young_laplace import (
     balance_gradient,
-    balance_tension,
     cap_tension,
     ellipsoid_curvature,
 )
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.simulation.depth_noise import DepthNoise
 
 from .domes import GAUGE, oval, sphere

@@ -27,11 +27,11 @@ from bubbleviz.calibration.tension.bootstrap import (
 )
 from bubbleviz.calibration.tension.young_laplace import (
     balance_gradient,
-    balance_tension,
     cap_tension,
+    least_squares_tension,
 )
 from bubbleviz.membrane.cap_mesh import mesh_cap
-from bubbleviz.membrane.stiffness import young_laplace_tension
+from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.progress import Progress, quiet
 
 _CLIP = 3.0  # as the mean of a pixel is clipped
@@ -140,7 +140,7 @@ def estimate_tension(
         dimensions=quantities,
         parts={name: float(part.std()) for name, part in parts.items()},
         by_surface=by_surface,
-        least_squares_n_per_m=young_laplace_tension(surfaces.mesh, gauge_pressure_pa),
+        least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
         gauge_pressure_pa=gauge_pressure_pa,
         tiles=table.static.shape[0],
         block=block,

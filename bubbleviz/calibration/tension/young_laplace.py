@@ -6,25 +6,19 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.calibration.surface.cap_fit import Ellipsoid
-from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import area_and_bending, area_shares, cotangent_laplacian
 
 
-def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
-    """Tension γ0 in N/m from the balance over the whole surface: P ΣA = γ0 Σ (L x)·n̂.
+def least_squares_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
+    """γ0 in N/m by least squares of γ0 (L x)·n̂ against A P over the free nodes: for comparison.
 
-    Young–Laplace summed over the free nodes, each with its share of its neighbours' area on the
-    rim, where L x holds the housing's pull besides the curvature. It is linear in the curvature,
-    whose errors on a measured surface cancel in the sum; the least squares of γ0 (L x)·n̂ against
-    A P (`young_laplace_tension`) divides by the sum of squares, which every bump makes larger: on
-    the Punyo sensor it falls from 130 to 112 N/m as the mesh is refined, this stays within 1 %.
-    For a spherical cap both are P R / 2.
+    It divides by the sum of squares of the curvature, which every bump makes larger: on the Punyo
+    sensor it falls from 130 to 112 N/m as the mesh is refined, `balance_tension` stays within 1 %.
     """
-    area, bending = area_and_bending(mesh)
-    if not bending > 0.0:
-        raise InputError("reference surface: flat or hollow, so no tension holds it; inflate it")
-    return gauge_pressure_pa * area / bending
+    free = mesh.free
+    curvature = np.einsum("ij,ij->i", cotangent_laplacian(mesh) @ mesh.nodes, mesh.normals)[free]
+    return float(gauge_pressure_pa * np.sum(curvature) / np.sum(curvature**2 / mesh.areas[free]))
 
 
 def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndarray) -> np.ndarray:
