@@ -4,133 +4,110 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.inverse.estimator import Estimator, EstimatorOptions, WarmStart
 from bubbleviz.patch.components import without_small
 from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
     from bubbleviz.pose.tracker import PoseTracker
+
+_T = TypeVar("_T")
 
 Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual", "pose"]
 
 MAX_BLOCK = 32
 """Largest side of a block in pixels: beyond it averaging saves no more time."""
 
-_NEEDS: dict[str, tuple[Product, ...]] = {
-    "estimate": ("estimate", "patch", "pixel_mask", "residual", "pose"),
-    "patch": ("patch", "pixel_mask", "pose"),
-    "pixel_mask": ("pixel_mask",),
-    "cloud": ("cloud", "residual"),
-    "residual": ("residual",),
-    "pose": ("pose",),
-}
-"""Products that need each stage."""
 
+@dataclass(frozen=True)
+class FrameOptions:
+    """Choices that may differ from frame to frame; those of the estimator are fixed with it.
 
-def stages(products: frozenset[Product]) -> frozenset[str]:
-    """Names of the stages that run for these products."""
-    return frozenset(name for name, needing in _NEEDS.items() if not products.isdisjoint(needing))
+    Attributes
+    ----------
+    kappa : float or None
+        Patch threshold as a multiple of the mean contact pressure (V-C); None for the physical
+        one of `PatchFinder`.
+    least_area_m2 : float
+        Parts of the patch smaller than this are left out.
+    cloud_points : int or None
+        Most points of the cloud, spread evenly over the image; None for all.
+    """
+
+    kappa: float | None = None
+    least_area_m2: float = 0.0
+    cloud_points: int | None = None
 
 
 class Pipeline:
-    """Frame in, the products asked for out.
+    """Frame in, the products asked for out; each frame is started where the last one ended.
 
     Parameters
     ----------
-    sensor : Sensor
-    intrinsics : Intrinsics, optional
-        Of the recording; they win over the sensor file's.
-    kappa : float, optional
-        Patch threshold as a multiple of the mean contact pressure (V-C); None for the physical
-        one of `PatchFinder`.
+    model : SensorModel
+    options : EstimatorOptions, optional
 
     Attributes
     ----------
     mesh : MembraneMesh
         Reference surface.
-    tension_n_per_m : float
-        γ0, from the sensor file or Young–Laplace.
-    least_area_m2 : float
-        Parts of the patch smaller than this are left out.
-    cloud_points : int or None
-        Most points of the cloud, spread evenly over the image; None for all.
+    camera : DepthCamera
     counts : Counter
         How often each stage ran, by stage name.
     tracker : PoseTracker or None
         Of the object to look for, see `follow`.
-
-    Raises
-    ------
-    InputError
-        The recording's intrinsics are for another image size than the sensor file's camera.
     """
 
-    def __init__(
-        self,
-        sensor: Sensor,
-        *,
-        intrinsics: Intrinsics | None = None,
-        kappa: float | None = None,
-        options: EstimatorOptions | None = None,
-    ) -> None:
-        self.sensor = sensor
-        self.kappa = kappa
+    def __init__(self, model: SensorModel, options: EstimatorOptions | None = None) -> None:
+        self.model, self.mesh, self.camera = model, model.mesh, model.camera
         self.options = options or EstimatorOptions()
-        self.least_area_m2 = 0.0
-        self.cloud_points: int | None = None
-        _check_size(sensor, intrinsics)
-        self.camera = DepthCamera.of(sensor.camera, intrinsics)
-        self.mesh = build_mesh(sensor, self.options.nodes)
-        self.tension_n_per_m = reference_tension(sensor, self.mesh)
         self.counts: Counter[str] = Counter()
         self.tracker: PoseTracker | None = None
+        self._start: WarmStart | None = None
+
+    @classmethod
+    def of(
+        cls,
+        sensor: Sensor,
+        intrinsics: Intrinsics | None = None,
+        options: EstimatorOptions | None = None,
+    ) -> Pipeline:
+        """Pipeline of a sensor file; parameters and errors as of `SensorModel.of`."""
+        nodes = None if options is None else options.nodes
+        return cls(SensorModel.of(sensor, intrinsics, nodes), options)
 
     @cached_property
     def estimator(self) -> Estimator:
         """The inverse solver; built when the first frame needs it."""
+        model = self.model
         observer = RangeObserver(
             self.camera,
             self.mesh,
-            self.sensor.camera.noise_relative,
-            self.pixels,
+            model.sensor.camera.noise_relative,
+            model.pixels,
             self.options.block or self._block_size(),
         )
-        gas = Gas.of(self.sensor.pneumatics, self.mesh)
-        return Estimator(observer, gas, self.tension_n_per_m, self.options)
+        return Estimator(observer, model.gas, model.tension_n_per_m, self.options)
 
-    @cached_property
-    def pixels(self) -> PixelModel | None:
-        """Calibration of each pixel, where the sensor file names one."""
-        if self.sensor.calibration is None:
-            return None
-        path = self.sensor.resolve(self.sensor.calibration.pixels_file)
-        return PixelModel.load(path, self._view.shape)
-
-    @cached_property
-    def _view(self) -> MembraneView:
-        return MembraneView(self.camera, self.mesh)
-
-    def process(self, frame: Frame, products: frozenset[Product]) -> Result:
+    def process(
+        self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None
+    ) -> Result:
         """Run the stages that `products` need on one frame.
 
         Raises
@@ -139,39 +116,38 @@ class Pipeline:
             The image is not of the camera's size.
         """
         self._check_size(frame)
+        options, needed = options or FrameOptions(), stages(products)
         times: dict[str, float] = {}
         result = Result(frame)
         with self._timed("total", times):
-            if self._wanted("estimate", products):
-                with self._timed("estimate", times):
-                    estimate = self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa)
-                result = replace(result, estimate=estimate)
-            if self._wanted("patch", products) and result.estimate is not None:
-                with self._timed("patch", times):
-                    patch = self.patch(result.estimate)
-                if self._wanted("pixel_mask", products):
-                    with self._timed("pixel_mask", times):
-                        patch = self._with_pixels(result.estimate, patch)
-                result = replace(result, patch=patch)
-            if self._wanted("pose", products) and self.tracker is not None:
-                result = self._with_pose(result, self.tracker, times)
-            if self._wanted("cloud", products):
-                with self._timed("cloud", times):
-                    pixels = self._cloud_pixels(frame)
-                    cloud = self.camera.points(frame.depth_m, pixels)
-                result = replace(result, cloud_m=cloud, cloud_pixels=pixels)
-            if self._wanted("residual", products) and result.estimate is not None:
-                with self._timed("residual", times):
-                    residual = self._residual(frame, result.estimate, result.cloud_pixels)
-                result = replace(result, cloud_residual_m=residual)
+            for name, stage in _STAGES.items():
+                if name in needed and (name != "pose" or self.tracker is not None):
+                    with self._timed(name, times):
+                        result = stage.run(self, result, options)
         return replace(result, times_ms=times)
+
+    def restart(self) -> None:
+        """Start the next frame from rest, as the first one was."""
+        self._start = None
+
+    def estimate_aside(self, frame: Frame) -> Estimate:
+        """Estimate of a frame that the next one is not started from.
+
+        Raises
+        ------
+        InputError
+            The image is not of the camera's size.
+        """
+        self._check_size(frame)
+        return self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa, self._start)[0]
 
     def prepare(self, products: frozenset[Product]) -> None:
         """Build now what the first frame would otherwise wait for."""
-        if self._wanted("estimate", products):
+        needed = stages(products)
+        if "estimate" in needed:
             _ = self.estimator
-        if self._wanted("patch", products):
-            _ = self._finder, self._view
+        if "patch" in needed:
+            _ = self._finder, self.model.view
 
     def follow(self, obj: RigidObject | None, start: np.ndarray | None = None) -> None:
         """Look for an object in frames to come, or for none.
@@ -190,59 +166,67 @@ class Pipeline:
         if obj is None:
             self.tracker = None
             return
-        from bubbleviz.pose.tracker import PoseTracker
+        from bubbleviz.pose.tracker import PoseTracker  # open3d takes long to load
 
         self.tracker = PoseTracker(self.estimator, obj, start)
 
-    def patch(self, estimate: Estimate, *, pixel_mask: bool = False) -> Patch:
-        """Patch of an estimate at the present κ, without solving again."""
-        patch = self.whole_patch(estimate)
-        if self.least_area_m2 > 0.0:
-            patch = without_small(self.mesh, estimate, patch, self.least_area_m2)
+    def patch(
+        self, estimate: Estimate, options: FrameOptions | None = None, *, pixel_mask: bool = False
+    ) -> Patch:
+        """Patch of an estimate, without solving again."""
+        options = options or FrameOptions()
+        patch = self.whole_patch(estimate, options.kappa)
+        if options.least_area_m2 > 0.0:
+            patch = without_small(self.mesh, estimate, patch, options.least_area_m2)
         return self._with_pixels(estimate, patch) if pixel_mask else patch
 
-    def whole_patch(self, estimate: Estimate) -> Patch:
+    def whole_patch(self, estimate: Estimate, kappa: float | None = None) -> Patch:
         """Patch of an estimate with all its parts, however small."""
-        return self._finder.find(estimate, self.kappa)
+        return self._finder.find(estimate, kappa)
 
     @cached_property
     def _finder(self) -> PatchFinder:
         return PatchFinder(self.mesh, self.estimator.held_pressure_pa, self.estimator.resolution_m)
 
-    def _with_pose(self, result: Result, tracker: PoseTracker, times: dict[str, float]) -> Result:
-        if result.estimate is None or result.patch is None:
-            return result
-        with self._timed("pose", times):
-            pose = tracker.update(result.frame, result.estimate, result.patch)
+    def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
+        frame = result.frame
+        estimate, self._start = self.estimator.estimate(
+            frame.depth_m, frame.gas_pressure_pa, self._start
+        )
+        return replace(result, estimate=estimate)
+
+    def _patch_stage(self, result: Result, options: FrameOptions) -> Result:
+        return replace(result, patch=self.patch(_made(result.estimate), options))
+
+    def _pixel_mask_stage(self, result: Result, options: FrameOptions) -> Result:
+        patch = self._with_pixels(_made(result.estimate), _made(result.patch))
+        return replace(result, patch=patch)
+
+    def _pose_stage(self, result: Result, options: FrameOptions) -> Result:
+        tracker = _made(self.tracker)
+        pose = tracker.update(result.frame, _made(result.estimate), _made(result.patch))
         return replace(result, pose=pose)
 
+    def _cloud_stage(self, result: Result, options: FrameOptions) -> Result:
+        """Points of the pixels with a return, evenly fewer where there are too many."""
+        depth_m, most = result.frame.depth_m, options.cloud_points
+        pixels = np.flatnonzero(np.isfinite(depth_m))
+        if most is not None:
+            pixels = pixels[:: max(1, -(-len(pixels) // most))]
+        return replace(result, cloud_m=self.camera.points(depth_m, pixels), cloud_pixels=pixels)
+
+    def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
+        """Measured minus modelled range of the cloud's pixels, m."""
+        pixels = _made(result.cloud_pixels)
+        modelled = np.full(len(pixels), np.nan)
+        hits = self.model.view.hits(_made(result.estimate).displacement_m, pixels)
+        modelled[np.searchsorted(pixels, hits.ray)] = hits.range_m
+        measured = self.model.range_image(result.frame.depth_m).ravel()[pixels]
+        return replace(result, cloud_residual_m=measured - modelled)
+
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
-        mask = self._view.above(estimate.displacement_m, patch.level, 0.0)
+        mask = self.model.view.above(estimate.displacement_m, patch.level, 0.0)
         return replace(patch, pixel_mask=mask)
-
-    def _cloud_pixels(self, frame: Frame) -> np.ndarray:
-        """Flat indices of the pixels of the cloud."""
-        pixels = np.flatnonzero(np.isfinite(frame.depth_m))
-        if self.cloud_points is None:
-            return pixels
-        return pixels[:: max(1, -(-len(pixels) // self.cloud_points))]
-
-    def _residual(self, frame: Frame, estimate: Estimate, pixels: np.ndarray | None) -> np.ndarray:
-        """Measured minus modelled range of some pixels, m; the bias is part of the model."""
-        if pixels is None:
-            pixels = self._cloud_pixels(frame)
-        model = np.full(len(pixels), np.nan)
-        hits = self._view.hits(estimate.displacement_m, pixels)
-        model[np.searchsorted(pixels, hits.ray)] = hits.range_m
-        measured = self.camera.range_image(frame.depth_m)
-        if self.pixels is not None:
-            model += np.where(self.pixels.mask, self.pixels.bias_m, np.nan).ravel()[pixels]
-            measured = self.pixels.straightened(measured)
-        return measured.ravel()[pixels] - model
-
-    @staticmethod
-    def _wanted(stage: str, products: frozenset[Product]) -> bool:
-        return not products.isdisjoint(_NEEDS[stage])
 
     @contextmanager
     def _timed(self, stage: str, times: dict[str, float]) -> Iterator[None]:
@@ -269,10 +253,32 @@ class Pipeline:
             )
 
 
-def _check_size(sensor: Sensor, intrinsics: Intrinsics | None) -> None:
-    own = sensor.camera
-    if intrinsics is not None and (intrinsics.width, intrinsics.height) != (own.width, own.height):
-        raise InputError(
-            f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, the "
-            f"recording's {intrinsics.width}×{intrinsics.height}; choose the sensor of this camera"
-        )
+@dataclass(frozen=True)
+class _Stage:
+    """What makes one product, from products that were made before."""
+
+    requires: tuple[Product, ...]
+    run: Callable[[Pipeline, Result, FrameOptions], Result]
+
+
+_STAGES: dict[Product, _Stage] = {
+    "estimate": _Stage((), Pipeline._estimate_stage),
+    "patch": _Stage(("estimate",), Pipeline._patch_stage),
+    "pixel_mask": _Stage(("patch",), Pipeline._pixel_mask_stage),
+    "pose": _Stage(("patch",), Pipeline._pose_stage),
+    "cloud": _Stage((), Pipeline._cloud_stage),
+    "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
+}
+"""The stage of each product, in the order in which they run."""
+
+
+def stages(products: frozenset[Product]) -> frozenset[Product]:
+    """The products that are made on the way to these, and these."""
+    required = (stages(frozenset(_STAGES[name].requires)) for name in products)
+    return products.union(*required)
+
+
+def _made(product: _T | None) -> _T:
+    if product is None:
+        raise AssertionError("stages run in the order of the table")
+    return product

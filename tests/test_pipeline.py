@@ -12,8 +12,8 @@ import pytest
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.solvers.active_set import ActiveSetSolver
-from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.result import Result
+from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.result import Estimate, Result
 
 sys.path.insert(0, str(Path(__file__).parent / "ui"))
 from fakes import FRAMES, DentSource, small_sensor
@@ -28,7 +28,7 @@ def source() -> DentSource:
 
 @pytest.fixture
 def pipeline() -> Pipeline:
-    return Pipeline(small_sensor())
+    return Pipeline.of(small_sensor())
 
 
 def made(result: Result) -> set[str]:
@@ -86,8 +86,7 @@ def test_kappa_thresholds_again_without_solving(pipeline: Pipeline, source: Dent
     assert estimate is not None
     areas = []
     for kappa in (0.5, 5.0, 20.0):
-        pipeline.kappa = kappa
-        areas.append(pipeline.patch(estimate).area_m2)
+        areas.append(pipeline.patch(estimate, FrameOptions(kappa)).area_m2)
     assert areas[0] > areas[1] > areas[2]
     assert pipeline.counts["estimate"] == 1
 
@@ -131,6 +130,29 @@ def test_an_empty_frame_between_presses(pipeline: Pipeline, source: DentSource) 
     assert first.patch is not None
     assert again.patch is not None
     np.testing.assert_allclose(again.patch.force_n, first.patch.force_n, rtol=0.02, atol=0.02)
+
+
+def test_a_frame_estimated_aside_leaves_the_next_one_alone(
+    pipeline: Pipeline, source: DentSource
+) -> None:
+    wanted: frozenset[Product] = frozenset({"estimate"})
+
+    def solved(index: int) -> Estimate:
+        estimate = pipeline.process(source[index], wanted).estimate
+        assert estimate is not None
+        return estimate
+
+    first, then = solved(PRESSED - 1), solved(PRESSED)
+    pipeline.restart()
+    again = solved(PRESSED - 1)
+    np.testing.assert_array_equal(again.displacement_m, first.displacement_m)
+    aside = pipeline.estimate_aside(source[FREE])
+    assert aside.status == "no_contact"
+    repeated = solved(PRESSED)
+    np.testing.assert_array_equal(repeated.displacement_m, then.displacement_m)
+    assert repeated.iterations == then.iterations
+    pipeline.restart()
+    assert np.any(solved(PRESSED).displacement_m != then.displacement_m)  # else it is not warm
 
 
 def test_another_image_size_is_refused(pipeline: Pipeline) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,6 +43,7 @@ from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor_model import SensorModel
 
 _PRESSED_FRAMES = 10  # for the chamber
 _SEEN_NODES = 2_000
@@ -110,10 +112,15 @@ class Identification:
         """Name of the recording."""
         return self.samples.source_name
 
+    @cached_property
+    def model(self) -> SensorModel:
+        """The identified sensor as it would be loaded from its files."""
+        return SensorModel(self.sensor, DepthCamera.of(self.sensor.camera), self.mesh, self.pixels)
+
     @property
     def camera(self) -> DepthCamera:
         """The camera in B."""
-        return DepthCamera.of(self.sensor.camera)
+        return self.model.camera
 
     @property
     def modelled_range_m(self) -> np.ndarray:

@@ -10,7 +10,6 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import Sensor
 
 ENOUGH = 15
 """Contact-free frames whose median is a zero: half a second at 30 Hz."""
@@ -87,16 +86,13 @@ class PressureZero:
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
 
 
-def rest_pressure_pa(sensor: Sensor) -> float:
-    """Absolute gas pressure of the untouched bubble by the sensor file, Pa."""
-    return sensor.pneumatics.atmospheric_pressure_pa + sensor.pneumatics.gauge_pressure_pa
-
-
 def untouched(frame: Frame, pipeline: Pipeline) -> bool:
-    """Whether a frame's depth image alone, without the gas pressure, says that nothing touches."""
+    """Whether a frame's depth image alone, without the gas pressure, says that nothing touches.
+
+    What the next frame starts from stays as it is.
+    """
     unmeasured = replace(frame, gas_pressure_pa=None)
-    estimate = pipeline.process(unmeasured, frozenset({"estimate"})).estimate
-    return estimate is not None and estimate.status == "no_contact"
+    return pipeline.estimate_aside(unmeasured).status == "no_contact"
 
 
 def zeroed(frame: Frame, zero: PressureZero, pipeline: Pipeline) -> Frame:
@@ -114,7 +110,7 @@ def zero_of(frames: Iterable[Frame], pipeline: Pipeline, name: str) -> PressureZ
     InputError
         It has no gas pressure, or no rest that is long enough.
     """
-    zero = PressureZero(rest_pressure_pa(pipeline.sensor))
+    zero = PressureZero(pipeline.model.gas.P0)
     for frame in frames:
         if frame.gas_pressure_pa is None:
             raise InputError(f"{name}: no gas pressure was recorded; leave --zero-gas out")

@@ -9,13 +9,7 @@ from typing import Any
 
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.reports.identification_report import summary, write_report
-from bubbleviz.calibration.sensor_writer import (
-    Origin,
-    file_hash,
-    output_files,
-    write_sensor,
-    written,
-)
+from bubbleviz.calibration.sensor_writer import Origin, file_hash, output_files, write_sensor
 from bubbleviz.calibration.tension.wrench_tension import (
     WrenchTension,
     press_halves,
@@ -104,5 +98,5 @@ def _by_wrench(
     halves = press_halves(source, found.samples.frames)
     if halves is None:
         return None
-    with written(found) as sensor:
-        return tension_by_wrench(source, sensor, found.samples.frames, *halves, progress=progress)
+    free = found.samples.frames
+    return tension_by_wrench(source, found.model, free, *halves, progress=progress)

@@ -8,14 +8,11 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
 from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
 
 Kind = Literal["tension", "pressure", "length", "fine length", "volume", "area", "count"]
 
@@ -74,9 +71,9 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     intrinsics, mask = new.camera.intrinsics, new.pixels.mask
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
         raise InputError(f"{old.name}: of another camera; nothing to compare by pixel")
-    mesh, pixels = build_mesh(old), _pixels(old)
-    view = MembraneView(DepthCamera.of(old.camera, intrinsics), mesh)
-    before = _expected(view.range_image(np.zeros(len(mesh.nodes))), pixels)
+    model = SensorModel.of(old, intrinsics)
+    pixels = model.pixels
+    before = _expected(model.view.range_image(np.zeros(len(model.mesh.nodes))), pixels)
     after = _expected(new.modelled_range_m, new.pixels)
     measured = np.where(mask, new.statistics.range_m, np.nan)
     misfits = [
@@ -88,7 +85,7 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))
     used = None if pixels is None else float(pixels.mask.sum())
     rows = (
-        *_numbers(old, mesh, new),
+        *_numbers(model, new),
         *misfits,
         Row("noise of a pixel", "fine length", noise, float(np.median(new.pixels.noise_m[mask]))),
         Row("pixels used", "count", used, float(mask.sum())),
@@ -96,23 +93,22 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     return Comparison(rows, after[1] - before[1])
 
 
-def _expected(
-    surface_m: np.ndarray, pixels: PixelModel | PixelStatistics | None
-) -> tuple[np.ndarray, np.ndarray]:
+def _expected(surface_m: np.ndarray, pixels: PixelModel | None) -> tuple[np.ndarray, np.ndarray]:
     """Range (H, W) of the surface alone, and with the bias in the pixels used, m."""
     if pixels is None:
         return surface_m, surface_m
     return surface_m, np.where(pixels.mask, surface_m + pixels.bias_m, np.nan)
 
 
-def _numbers(old: Sensor, mesh: MembraneMesh, new: Identification) -> list[Row]:
+def _numbers(old: SensorModel, new: Identification) -> list[Row]:
     """Rows that need no images."""
-    tension, was, now = new.tension, old.pneumatics, new.sensor.pneumatics
+    mesh, tension = old.mesh, new.tension
+    was, now = old.sensor.pneumatics, new.sensor.pneumatics
     own = tension.tension
     height = tension.dimensions["height_m"].half_width
     sizes = _sizes(mesh)
     return [
-        Row("γ0", "tension", reference_tension(old, mesh), own.value, own.half_width),
+        Row("γ0", "tension", old.tension_n_per_m, own.value, own.half_width),
         Row("gauge pressure", "pressure", was.gauge_pressure_pa, now.gauge_pressure_pa),
         *(
             Row(name, "length", sizes[name], size, height if name == "height" else None)
@@ -122,13 +118,6 @@ def _numbers(old: Sensor, mesh: MembraneMesh, new: Identification) -> list[Row]:
         Row("volume under the cap", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
         Row("chamber volume", "volume", was.chamber_volume_m3, now.chamber_volume_m3),
     ]
-
-
-def _pixels(sensor: Sensor) -> PixelModel | None:
-    if sensor.calibration is None:
-        return None
-    shape = (sensor.camera.height, sensor.camera.width)
-    return PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)
 
 
 def _sizes(mesh: MembraneMesh) -> dict[str, float]:

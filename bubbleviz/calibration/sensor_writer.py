@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from bubbleviz.calibration.identification import Identification
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.sensor import Calibration, Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
 
 
 @dataclass(frozen=True)
@@ -91,15 +89,6 @@ def write_sensor(
         identification.pixels.save(files.enter_context(whole_file(pixels_path)))
         toml.write_text(_comment(identification) + sensor_to_toml(sensor), encoding="utf-8")
     return sensor
-
-
-@contextmanager
-def written(identification: Identification) -> Iterator[Sensor]:
-    """The identified sensor as loaded from files that are gone afterwards."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "sensor.toml"
-        write_sensor(identification, file)
-        yield load_sensor(file)
 
 
 def _described(identification: Identification, path: Path, origin: Origin | None) -> Sensor:

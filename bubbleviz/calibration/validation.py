@@ -17,7 +17,7 @@ from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import RigidObject, load_object
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 
 
@@ -85,7 +85,7 @@ class KnownPress:
     first: int
     stop: int
 
-    def validate(self, sensor: Sensor, source: FrameSource) -> Validation:
+    def validate(self, model: SensorModel, source: FrameSource) -> Validation:
         """Predict this press and compare it with its frames in a recording.
 
         Raises
@@ -100,18 +100,18 @@ class KnownPress:
                 f" {len(source)} frames; name others"
             )
         frames = [source[k] for k in range(self.first, self.stop)]
-        return validate(sensor, frames, obj, T_B_O)
+        return validate(model, frames, obj, T_B_O)
 
 
 def validate(
-    sensor: Sensor, frames: Sequence[Frame], obj: RigidObject, T_B_O: np.ndarray
+    model: SensorModel, frames: Sequence[Frame], obj: RigidObject, T_B_O: np.ndarray
 ) -> Validation:
     """Predict the press of an object at a pose and compare it with frames of it.
 
     Parameters
     ----------
-    sensor : Sensor
-        As calibrated.
+    model : SensorModel
+        As calibrated, with the camera of the frames.
     frames : sequence of Frame
         Of the object held still; their mean is compared.
     obj : RigidObject
@@ -128,25 +128,20 @@ def validate(
     if not frames:
         raise InputError("validation: no frames; give at least one of the object held still")
     frame = mean_frame(frames)
-    pipeline = Pipeline(sensor, intrinsics=frame.intrinsics)
-    mesh, camera = simulation_mesh(sensor), pipeline.camera  # the estimator's is too coarse
-    model = ForwardModel(mesh, pipeline.tension_n_per_m, Gas.of(sensor.pneumatics, mesh))
-    contact = model.press(obj, T_B_O)
+    mesh, camera = simulation_mesh(model), model.camera  # the estimator's mesh is too coarse
+    gas = Gas.of(model.sensor.pneumatics, mesh)
+    contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
     if not contact.converged:
         raise SolveError(f"validation: no equilibrium of {obj.name} at this pose")
     view = MembraneView(camera, mesh)
-    measured = camera.range_image(frame.depth_m).astype(float)
-    pixels = pipeline.pixels
-    if pixels is not None:
-        measured = measured if pixels.line is None else pixels.line.straighten(measured)
-        measured = np.where(pixels.mask, measured - pixels.bias_m, np.nan)
+    measured = model.range_image(frame.depth_m).astype(float)
     distance, seen_by = _distance(view, measured, contact.displacement_m)
     untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
     if not len(distance):
         raise InputError("validation: no measured point meets the membrane; check the sensor file")
     touching = (contact.contact_pressure_pa > 0.0).astype(float)
     predicted = view.above(contact.displacement_m, touching, 0.5)
-    result = pipeline.process(frame, frozenset({"patch", "pixel_mask"}))
+    result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
     seen = np.zeros_like(predicted)
     force = np.zeros(3)
     if result.patch is not None and result.patch.pixel_mask is not None:

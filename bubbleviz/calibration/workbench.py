@@ -29,7 +29,6 @@ from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.frame_ranges import Ranges, as_ranges, numbers, tidy
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
 from bubbleviz.calibration.rest.rest_frames import Samples, collect
-from bubbleviz.calibration.sensor_writer import written
 from bubbleviz.calibration.surface.reference_surface import (
     Name,
     Surfaces,
@@ -244,8 +243,7 @@ class Workbench:
 
         def validate() -> Validation:
             progress("predicting the known press", 0.0)
-            with written(found) as sensor:
-                return press.validate(sensor, self.source)
+            return press.validate(found.model, self.source)
 
         return self._once("validation", settings, validate)
 

@@ -101,9 +101,10 @@ class PixelModel:
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
         return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated, line)
 
-    def straightened(self, range_m: np.ndarray) -> np.ndarray:
-        """Measured range (H, W) with true changes from rest, m; as it is where there is no line."""
-        return range_m if self.line is None else self.line.straighten(range_m)
+    def corrected(self, range_m: np.ndarray) -> np.ndarray:
+        """Measured range (H, W) straightened and less the bias, m; NaN in pixels not to be used."""
+        straight = range_m if self.line is None else self.line.straighten(range_m)
+        return np.where(self.mask, straight - self.bias_m, np.nan)
 
 
 def _line(data: Mapping[str, np.ndarray]) -> RangeLine | None:

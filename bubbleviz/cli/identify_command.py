@@ -56,7 +56,6 @@ def identify(
     from bubbleviz.calibration.identification import identify as run
     from bubbleviz.calibration.rectification import Level, rectify
     from bubbleviz.calibration.save_identification import check_outputs, save
-    from bubbleviz.calibration.sensor_writer import written
     from bubbleviz.frames.recording import Recording
     from bubbleviz.sensor import load_sensor
 
@@ -73,8 +72,7 @@ def identify(
         found, validation = rectify(found, measured), None
         if press is not None:
             bar("predicting the known press", 0.0)
-            with written(found) as new:
-                validation = press.validate(new, source)
+            validation = press.validate(found.model, source)
         numbers = save(found, source, sensor, out, report, bar, validation)
     if as_json:
         click.echo(json.dumps(numbers, indent=2, ensure_ascii=False))

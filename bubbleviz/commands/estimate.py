@@ -21,7 +21,7 @@ from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import check_fits
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
@@ -127,12 +127,7 @@ def estimate_recording(
     with Recording(recording) as source:
         check_fits(source, sensor, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
-        pipeline = Pipeline(
-            sensor,
-            intrinsics=source.intrinsics,
-            kappa=kappa,
-            options=EstimatorOptions.named(solver),
-        )
+        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         made_by = {
             "sensor_toml": sensor_to_toml(sensor),
             "version": bubbleviz.__version__,
@@ -141,7 +136,7 @@ def estimate_recording(
         zero = _zero(source, pipeline) if zero_gas else None
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
-        rows = _solve(source, chosen, pipeline, out, csv, made_by, zero)
+        rows = _solve(source, chosen, pipeline, FrameOptions(kappa), out, csv, made_by, zero)
     return EstimateSummary(
         recording=str(recording),
         sensor=str(sensor_name),
@@ -202,6 +197,7 @@ def _solve(
     source: Recording,
     chosen: range,
     pipeline: Pipeline,
+    options: FrameOptions,
     out: Path,
     csv: Path | None,
     made_by: dict[str, str],
@@ -221,7 +217,7 @@ def _solve(
         for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
             frame = source[index] if zero is None else zero.applied(source[index])
             seen = seen or has_returns(frame.depth_m)
-            row = writer.add(pipeline.process(frame, PRODUCTS))
+            row = writer.add(pipeline.process(frame, PRODUCTS, options))
             if lines:
                 lines.add(row)
         _check_any_data(writer.rows, source.path, seen)

@@ -16,7 +16,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import check_fits
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import Pipeline
+from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.sensor import load_sensor
 from bubbleviz.wording import count_of
@@ -78,15 +78,15 @@ def export_recording(
     with Recording(recording) as source:
         check_fits(source, sensor, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
-        options = EstimatorOptions.named(solver)
-        pipeline = Pipeline(sensor, intrinsics=source.intrinsics, kappa=kappa, options=options)
-        return export_frames(source, chosen, pipeline, plan, progress)
+        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
+        return export_frames(source, chosen, pipeline, FrameOptions(kappa), plan, progress)
 
 
 def export_frames(
     source: FrameSource,
     chosen: range,
     pipeline: Pipeline,
+    options: FrameOptions,
     plan: ExportPlan,
     progress: Progress = quiet,
 ) -> ExportSummary:
@@ -99,6 +99,7 @@ def export_frames(
         Indices of the frames.
     pipeline : Pipeline
         For this export alone: it warm-starts from frame to frame.
+    options : FrameOptions
     plan : ExportPlan
     progress : Progress
         Told after each frame.
@@ -117,7 +118,7 @@ def export_frames(
         products = frozenset().union(*(each.products for each in exporters))
         pipeline.prepare(products)  # set-up is not part of the first frame's time
         for done, index in enumerate(chosen, 1):
-            result = pipeline.process(source[index], products)
+            result = pipeline.process(source[index], products, options)
             for each in exporters:
                 each.add(result)
             progress("exporting", done / len(chosen))

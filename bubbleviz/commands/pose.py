@@ -112,9 +112,7 @@ def pose_recording(
     with Recording(recording) as source:
         check_fits(source, sensor, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
-        pipeline = Pipeline(
-            sensor, intrinsics=source.intrinsics, options=EstimatorOptions.named(solver)
-        )
+        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         pipeline.follow(obj, start)
         rows = _follow(source, chosen, pipeline, out)
     return PoseSummary(

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bubbleviz.calibration.pressure_zero import PressureZero, rest_pressure_pa, zeroed
+from bubbleviz.calibration.pressure_zero import PressureZero, zeroed
 from bubbleviz.commands.stop_signals import stopped_by_signals
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import RESULTS
@@ -163,10 +163,10 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
         if first is None:
             raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
         named = EstimatorOptions.named(options.solver)
-        pipeline = Pipeline(sensor, intrinsics=first.intrinsics, options=named)
+        pipeline = Pipeline.of(sensor, first.intrinsics, named)
         pipeline.prepare(PRODUCTS)
         pipeline.follow(obj)
-        zero = PressureZero(rest_pressure_pa(sensor)) if options.zero else None
+        zero = PressureZero(pipeline.model.gas.P0) if options.zero else None
         watcher = Watcher(stream, pipeline, zero)
         out = _Out(ResultMessages(pipeline.mesh, RESULTS), publisher, recorder)
         return _watch(watcher, out, stop, options.duration_s)

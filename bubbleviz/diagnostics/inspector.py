@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.diagnostics.frame_images import FrameImages
 from bubbleviz.diagnostics.kappa_curve import KappaCurve, kappa_curve
 from bubbleviz.patch.components import Component, components
@@ -67,7 +66,11 @@ class Inspector:
         self._pipeline = pipeline
 
     def look(
-        self, result: Result, looks: frozenset[Look], truth: np.ndarray | None = None
+        self,
+        result: Result,
+        looks: frozenset[Look],
+        kappa: float | None = None,
+        truth: np.ndarray | None = None,
     ) -> Inspection:
         """Make what is asked for of a result; what the result lacks products for is left out.
 
@@ -75,6 +78,8 @@ class Inspector:
         ----------
         result : Result
         looks : frozenset of Look
+        kappa : float, optional
+            Of the result's patch.
         truth : (H, W) bool array, optional
             True pixels of the patch, in a simulation.
         """
@@ -84,11 +89,11 @@ class Inspector:
             self._pipeline.counts[f"look {name}"] += 1
             if name == "kappa_curve":
                 if result.estimate is not None:
-                    view = self._view if truth is not None else None
+                    view = self._pipeline.model.view if truth is not None else None
                     curve = kappa_curve(self._pipeline.mesh, result.estimate, truth, view)
                 continue
             if name == "components":
-                parts = self._components(result)
+                parts = self._components(result, kappa)
                 continue
             image = self._image(name, result)
             if image is not None:
@@ -97,10 +102,10 @@ class Inspector:
             images, {name: _ends(image) for name, image in images.items()}, curve, parts
         )
 
-    def _components(self, result: Result) -> tuple[Component, ...]:
+    def _components(self, result: Result, kappa: float | None) -> tuple[Component, ...]:
         if result.estimate is None:
             return ()
-        whole = self._pipeline.whole_patch(result.estimate)
+        whole = self._pipeline.whole_patch(result.estimate, kappa)
         return components(self._pipeline.mesh, result.estimate, whole)
 
     def _image(self, name: Look, result: Result) -> np.ndarray | None:
@@ -119,12 +124,7 @@ class Inspector:
 
     @cached_property
     def _images(self) -> FrameImages:
-        pipeline = self._pipeline
-        return FrameImages(self._view, pipeline.sensor.camera.noise_relative, pipeline.pixels)
-
-    @cached_property
-    def _view(self) -> MembraneView:
-        return MembraneView(self._pipeline.camera, self._pipeline.mesh)
+        return FrameImages(self._pipeline.model)
 
 
 def _ends(image: np.ndarray) -> tuple[float, float]:

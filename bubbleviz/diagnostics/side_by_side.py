@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.study.error_metrics import iou
@@ -84,8 +84,7 @@ class SideBySide:
             The setting is impossible.
         """
         pipeline = self._pipeline(options, frame)
-        pipeline.kappa = kappa
-        result = pipeline.process(frame, PRODUCTS)
+        result = pipeline.process(frame, PRODUCTS, FrameOptions(kappa))
         estimate, patch = result.estimate, result.patch
         if estimate is None or patch is None or patch.pixel_mask is None:
             raise AssertionError("asked for all of them")
@@ -111,7 +110,7 @@ class SideBySide:
     def _pipeline(self, options: EstimatorOptions, frame: Frame) -> Pipeline:
         pipeline = self._built.get(options)
         if pipeline is None:
-            pipeline = Pipeline(self._sensor, intrinsics=self._intrinsics, options=options)
+            pipeline = Pipeline.of(self._sensor, self._intrinsics, options)
             for _ in range(SETTLING):
                 pipeline.process(frame, PRODUCTS)
             self._built[options] = pipeline

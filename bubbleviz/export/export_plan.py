@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.export.exporter import Exporter
 from bubbleviz.export.plot_files import write_plots
@@ -127,10 +126,11 @@ def _series(kind: str, folder: Path, name: str, pipeline: Pipeline) -> Exporter:
         return MembranePlyExporter(folder, name, mesh)
     if kind == "depth":
         return DepthPngExporter(folder, name, pipeline.camera, mesh)
-    view = MembraneView(pipeline.camera, mesh)
+    model = pipeline.model
     if kind == "patch":
-        return PatchPlyExporter(folder, name, view)
-    return PressurePngExporter(folder, name, view, pipeline.sensor.pneumatics.gauge_pressure_pa)
+        return PatchPlyExporter(folder, name, model.view)
+    gauge_pressure_pa = model.sensor.pneumatics.gauge_pressure_pa
+    return PressurePngExporter(folder, name, model.view, gauge_pressure_pa)
 
 
 def _kinds(what: Sequence[str]) -> tuple[str, ...]:

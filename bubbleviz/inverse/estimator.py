@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,10 +95,44 @@ class _Answer:
     status: Status
     kkt_residual: float
     contradicts_gas: bool = False
+    solve_ms: float = 0.0
+
+
+@dataclass(frozen=True)
+class _LocalModel:
+    """Linearised ranges, and where the linearisation holds.
+
+    Attributes
+    ----------
+    linear : Linearisation
+    cast_at_m : (n,) array
+        Displacement at which all rays were cast.
+    linear_at_m : (n,) array
+        Displacement of each node when the rays around it were cast last.
+    """
+
+    linear: Linearisation
+    cast_at_m: np.ndarray
+    linear_at_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class WarmStart:
+    """What `Estimator.estimate` hands from one frame to the next.
+
+    Attributes
+    ----------
+    model : _LocalModel
+    answer : _Answer or None
+        None: the frame had no contact, or nothing is known of it.
+    """
+
+    model: _LocalModel
+    answer: _Answer | None = None
 
 
 class Estimator:
-    """Solves the inverse problem frame by frame, each started from the last.
+    """Solves the inverse problem of a frame, started where the last one ended.
 
     A first solve with an L1 term finds where there is contact, a second one on that support alone
     takes the bias of the L1 term out again. A pressure that nowhere reaches what the membrane's
@@ -163,13 +197,16 @@ class Estimator:
             information_density(Q, self.mesh.areas[self.mesh.free]),
         )
         self._near_m, self._far_m = (k * self.mesh.edge_length for k in (_NEAR, _FAR))
-        self._last: _Answer | None = None
-        self._solve_ms = 0.0
-        self._linear = observer.linearise()
-        self._cast_at = self._linear_at = np.zeros(len(self.mesh.nodes))
+        rest = np.zeros(len(self.mesh.nodes))
+        self._cold = WarmStart(_LocalModel(observer.linearise(), rest, rest))
 
-    def estimate(self, depth_m: np.ndarray, gas_pressure_pa: float | None = None) -> Estimate:
-        """Solve one frame.
+    def estimate(
+        self,
+        depth_m: np.ndarray,
+        gas_pressure_pa: float | None = None,
+        start: WarmStart | None = None,
+    ) -> tuple[Estimate, WarmStart]:
+        """Solve one frame; also what the next one starts from.
 
         Parameters
         ----------
@@ -177,67 +214,71 @@ class Estimator:
             z-depth, NaN where there is no return.
         gas_pressure_pa : float, optional
             Measured absolute gas pressure.
+        start : WarmStart, optional
+            Of the frame before; from rest when None.
         """
+        start = start or self._cold
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             change = gas_pressure_pa - self.gas.P0
             if not self.gas.lowest_change_pa <= change <= self.gas.highest_change_pa:
-                self._last = None
-                return self._nothing("implausible")
+                return self._nothing("implausible"), WarmStart(start.model)
             gas = change / self.scales.pressure_pa
-        self._solve_ms = 0.0
-        observation, linear, answer = self._solve(depth_m, gas)
+        observation, model, answer = self._solve(depth_m, gas, start)
         if answer is None or answer.status == "implausible":
-            self._last = None
-            return self._nothing("no_data" if answer is None else answer.status)
-        misfit = self.observer.misfit(observation, linear, answer.displacement_m)
-        self._last = answer if answer.pressure.any() else None
-        return self._report(misfit, answer)
+            status: Status = "no_data" if answer is None else answer.status
+            return self._nothing(status), WarmStart(model)
+        misfit = self.observer.misfit(observation, model.linear, answer.displacement_m)
+        if answer.contradicts_gas or not explains(misfit, self.observer.white):
+            return self._nothing("implausible", misfit.rms_m), WarmStart(model)
+        touching = answer if answer.pressure.any() else None
+        return self._report(misfit, answer), WarmStart(model, touching)
 
     def _solve(
-        self, depth_m: np.ndarray, gas: float | None
-    ) -> tuple[Observation, Linearisation, _Answer | None]:
+        self, depth_m: np.ndarray, gas: float | None, start: WarmStart
+    ) -> tuple[Observation, _LocalModel, _Answer | None]:
         """Linearise where the last frame ended, and again where this one does.
 
         A second pass is also due where the first took for outliers what was a new dent.
         """
         recast = self.options.relinearisations > 0
-        answer = self._last
+        model, answer, solve_ms = start.model, start.answer, 0.0
         here = answer.displacement_m if answer else np.zeros(len(self.mesh.nodes))
         # From rest a dent is reached in steps; a seek ends where playing the recording would.
         casts, settled_m = (1, self._far_m) if answer else (_COLD, self._near_m)
         measured = self.observer.measure(depth_m)
         for _ in range(1 + casts * self.options.relinearisations if recast else 2):
-            linear = self._linearise(here if recast else np.zeros_like(here))
-            expected = self.observer.predict(linear, here)
+            model = self._around(here if recast else np.zeros_like(here), model)
+            expected = self.observer.predict(model.linear, here)
             observation = self.observer.weigh(measured, expected)
             seen = observation.weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
-                return observation, linear, None
+                return observation, model, None
             if np.median(np.abs(observation.residual_m[seen])) > self.scales.length_m:
-                return observation, linear, self._out_of_reach
-            answer = self._solve_linear(observation, linear, gas, answer)
+                return observation, model, self._out_of_reach
+            answer = self._solve_linear(observation, model.linear, gas, answer)
+            solve_ms += answer.solve_ms
             moved = np.max(np.abs(answer.displacement_m - here))
             here = answer.displacement_m
             settled = moved <= settled_m or (not recast and observation.trusted == 1.0)
             if settled or answer.status == "implausible":
                 break
-        return observation, linear, answer
+        return observation, model, replace(answer, solve_ms=solve_ms) if answer else None
 
-    def _linearise(self, displacement_m: np.ndarray) -> Linearisation:
-        """Model around a displacement, nowhere older than it has to be for this one."""
-        if np.max(np.abs(displacement_m - self._cast_at)) > self._far_m:
-            self._linear = self.observer.linearise(displacement_m)
-            self._cast_at = self._linear_at = displacement_m
-            return self._linear
-        moved = np.abs(displacement_m - self._linear_at) > self._near_m
-        if moved.any():
-            around = moved[self.mesh.triangles].any(axis=1)
-            self._linear = self.observer.relinearise(self._linear, displacement_m, around)
-            nodes = self.mesh.triangles[around]
-            self._linear_at = self._linear_at.copy()
-            self._linear_at[nodes] = displacement_m[nodes]
-        return self._linear
+    def _around(self, displacement_m: np.ndarray, model: _LocalModel) -> _LocalModel:
+        """The model made valid around a displacement; rays that still meet it are not cast anew."""
+        if np.max(np.abs(displacement_m - model.cast_at_m)) > self._far_m:
+            linear = self.observer.linearise(displacement_m)
+            return _LocalModel(linear, displacement_m, displacement_m)
+        moved = np.abs(displacement_m - model.linear_at_m) > self._near_m
+        if not moved.any():
+            return model
+        around = moved[self.mesh.triangles].any(axis=1)
+        nodes = self.mesh.triangles[around]
+        linear_at_m = model.linear_at_m.copy()
+        linear_at_m[nodes] = displacement_m[nodes]
+        linear = self.observer.relinearise(model.linear, displacement_m, around)
+        return _LocalModel(linear, model.cast_at_m, linear_at_m)
 
     @property
     def _out_of_reach(self) -> _Answer:
@@ -262,10 +303,10 @@ class Estimator:
         selected = self._solver.select(problem, first)
         free = problem.debiased(selected.values > 0.0)
         refined = self._solver.refine(free, selected)
-        self._solve_ms += 1e3 * (time.perf_counter() - began)
+        solve_ms = 1e3 * (time.perf_counter() - began)
         if np.max(refined.values, initial=0.0) < self._held + (problem.measured_gas or 0.0):
-            return self._answer(problem, selected, nothing)
-        return self._answer(free, selected, refined)
+            return self._answer(problem, selected, nothing, solve_ms)
+        return self._answer(free, selected, refined, solve_ms)
 
     def _problem(
         self, observation: Observation, linear: Linearisation, gas: float | None
@@ -279,7 +320,9 @@ class Estimator:
         at_zero = self._equilibrium.gradient_at_zero(Q, g, gas)
         return FrameProblem(Q, g, self._lambda, tau, at_zero, np.ones(len(g), bool), gas)
 
-    def _answer(self, problem: FrameProblem, selected: Pressure, refined: Pressure) -> _Answer:
+    def _answer(
+        self, problem: FrameProblem, selected: Pressure, refined: Pressure, solve_ms: float = 0.0
+    ) -> _Answer:
         eq = self._equilibrium
         displacement, gas = eq.displacement(refined.values, problem.measured_gas)
         converged = selected.converged and refined.converged
@@ -304,6 +347,7 @@ class Estimator:
             residual,
             bool(refined.values.any())
             and contradicts_gas(problem, eq.bulge, displacement, self._gas_noise),
+            solve_ms,
         )
 
     def _on_nodes(self, values: np.ndarray) -> np.ndarray:
@@ -312,9 +356,6 @@ class Estimator:
         return field
 
     def _report(self, misfit: Misfit, answer: _Answer) -> Estimate:
-        if answer.contradicts_gas or not explains(misfit, self.observer.white):
-            self._last = None
-            return self._nothing("implausible", misfit.rms_m)
         return Estimate(
             status=answer.status,
             displacement_m=answer.displacement_m,
@@ -323,7 +364,7 @@ class Estimator:
             residual_rms_m=misfit.rms_m,
             kkt_residual=answer.kkt_residual,
             iterations=answer.iterations,
-            solve_ms=self._solve_ms,
+            solve_ms=answer.solve_ms,
         )
 
     def _nothing(self, status: Status, misfit_m: float = np.nan) -> Estimate:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bubbleviz.calibration.pressure_zero import PressureZero, rest_pressure_pa
+from bubbleviz.calibration.pressure_zero import PressureZero
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.live.sinks.recorder import Recorder
@@ -80,5 +80,5 @@ class LiveSession:
 
 def _open(place: SensorPlace) -> LiveSensor:
     sensor = load_sensor(place.sensor)
-    zero = PressureZero(rest_pressure_pa(sensor))
+    zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     return LiveSensor(place, sensor, open_stream(place.source, sensor), zero)

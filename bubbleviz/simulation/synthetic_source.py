@@ -8,7 +8,6 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
@@ -16,12 +15,13 @@ from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import GapFinder
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
+from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
 from bubbleviz.membrane.refine import refine
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 
 Model = Literal["rubber", "linear"]
@@ -131,11 +131,12 @@ class SyntheticSource:
         self.noise, self.seed = noise or DepthNoise(), seed
         self.name = f"{obj.name} on {sensor.name}"
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
-        mesh = simulation_mesh(sensor, nodes)
+        own = SensorModel.of(sensor)
+        mesh = simulation_mesh(own, nodes)
         self.mesh = sharpened(mesh, obj, self.poses) if sharp else mesh
-        self.camera = DepthCamera.of(sensor.camera)
+        self.camera = own.camera
         # γ0 of the sensor's own mesh: a refined polyhedron has its curvature in the old edges.
-        tension = reference_tension(sensor, build_mesh(sensor))
+        tension = own.tension_n_per_m
         gas = Gas.of(sensor.pneumatics, self.mesh)
         self._model: ForwardModel | RubberForward = (
             RubberForward(build_rubber(sensor, self.mesh, tension), gas)
@@ -205,11 +206,12 @@ class SyntheticSource:
         return contact
 
 
-def simulation_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
+def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMesh:
     """Mesh to simulate on: of the analytic surface anew, of a mesh file its facets cut in four."""
-    if sensor.membrane.shape == "mesh":
-        return refine(build_mesh(sensor))
-    return build_mesh(sensor, FINER * sensor.membrane.nodes if nodes is None else nodes)
+    membrane = model.sensor.membrane
+    if membrane.shape == "mesh":
+        return refine(model.mesh)
+    return build_mesh(model.sensor, FINER * membrane.nodes if nodes is None else nodes)
 
 
 def sharpened(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> MembraneMesh:

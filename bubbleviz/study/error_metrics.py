@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import Pipeline
@@ -54,7 +53,7 @@ class Judge:
     """
 
     def __init__(self, pipeline: Pipeline, truth_mesh: MembraneMesh) -> None:
-        self._view = MembraneView(pipeline.camera, pipeline.mesh)
+        self._view = pipeline.model.view
         scene = TriangleScene(truth_mesh.nodes, truth_mesh.triangles)
         _, triangle, self._barycentric = scene.closest(pipeline.mesh.nodes)
         self._corners = truth_mesh.triangles[triangle]

@@ -67,7 +67,7 @@ def test_sensor_file_says_what_made_it(made):
 def test_pipeline_finds_nothing_on_frames_of_the_untouched_sensor(made):
     folder, _ = made
     sensor = load_sensor(folder / "mine.toml")
-    pipeline = Pipeline(sensor)
+    pipeline = Pipeline.of(sensor)
     dome = sphere(77, frames=31)
     forces = [
         np.linalg.norm(pipeline.process(dome[k], frozenset({"patch"})).patch.force_n)

@@ -8,14 +8,15 @@ from click.testing import CliRunner
 
 from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.rectification import Level, rectify
-from bubbleviz.calibration.sensor_writer import written
+from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.camera.pixel_model import PixelModel, RangeLine
 from bubbleviz.cli.identify_command import identify as command
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 
@@ -87,7 +88,7 @@ def test_no_line_is_extrapolated():
     assert abs(at_end[0, 0]) == pytest.approx(0.02 * 0.01)
 
 
-def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found):
+def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found, tmp_path):
     plain, rectified = found
     dome = stretched(0.05)
     frame = dome[0]
@@ -95,15 +96,18 @@ def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found):
     pressed = type(frame)(1, 0.0, pushed.astype(np.float32), frame.intrinsics)
     changes = []
     for each in (plain, rectified):
-        with written(each) as sensor:
-            pipeline = Pipeline(sensor, intrinsics=frame.intrinsics)
-            saved = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file))
-            assert (saved.line is None) == (each is plain)
-            wanted = frozenset({"patch"})
-            assert np.linalg.norm(pipeline.process(frame, wanted).patch.force_n) < 0.05
-            shown = dome.camera.range_image(pressed.depth_m)
-            changes.append(saved.straightened(shown) - shown)
-    assert not np.nan_to_num(changes[0]).any()
+        write_sensor(each, tmp_path / f"{each is plain}.toml")
+        model = SensorModel.of(load_sensor(tmp_path / f"{each is plain}.toml"), frame.intrinsics)
+        assert (model.pixels.line is None) == (each is plain)
+        for made in (model, each.model):  # from the files, and without them
+            patch = Pipeline(made).process(frame, frozenset({"patch"})).patch
+            assert np.linalg.norm(patch.force_n) < 0.05
+        shown = dome.camera.range_image(pressed.depth_m)
+        changes.append(model.range_image(pressed.depth_m) + model.pixels.bias_m - shown)
+        np.testing.assert_allclose(
+            model.range_image(pressed.depth_m), each.model.range_image(pressed.depth_m), atol=2e-6
+        )
+    assert np.nanmax(np.abs(changes[0])) < 1e-7
     mask = rectified.pixels.mask
     moved = changes[1][mask] / -4e-3
     wanted = (1.0 / dome.scale - 1.0)[mask]

@@ -51,7 +51,7 @@ def test_no_force_on_frames_not_used(press, tmp_path):
     assert found.surfaces.chosen == "free-form"
     assert found.tension.tension.half_width < 0.05 * found.tension_n_per_m
     write_sensor(found, tmp_path / "half.toml")
-    pipeline = Pipeline(load_sensor(tmp_path / "half.toml"), intrinsics=press[0].intrinsics)
+    pipeline = Pipeline.of(load_sensor(tmp_path / "half.toml"), intrinsics=press[0].intrinsics)
     forces = [
         np.linalg.norm(pipeline.process(press[k], frozenset({"patch"})).patch.force_n)
         for k in range(42, 60, 3)

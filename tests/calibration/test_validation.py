@@ -8,6 +8,7 @@ from bubbleviz.calibration.validation import validate
 from bubbleviz.errors import InputError
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 
@@ -39,7 +40,13 @@ class WithWrench:
 def sensor():
     sensor = load_sensor("pico_flexx_75mm")
     membrane = sensor.membrane.model_copy(update={"nodes": 400})
-    return with_tension(sensor.model_copy(update={"membrane": membrane}), TENSION)
+    pneumatics = sensor.pneumatics.model_copy(update={"tension_n_per_m": TENSION})
+    return sensor.model_copy(update={"membrane": membrane, "pneumatics": pneumatics})
+
+
+@pytest.fixture(scope="module")
+def model(sensor):
+    return SensorModel.of(sensor)
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +60,8 @@ def press(sensor):
     return SyntheticSource(sensor, obj, poses, DepthNoise(absolute_m=1e-4), nodes=1000)
 
 
-def with_tension(sensor, tension):
-    update = {"tension_n_per_m": tension}
-    return sensor.model_copy(update={"pneumatics": sensor.pneumatics.model_copy(update=update)})
-
-
-def test_prediction_meets_the_cloud(sensor, press):
-    found = validate(sensor, [press[11]], press.obj, press.poses[11])
+def test_prediction_meets_the_cloud(model, press):
+    found = validate(model, [press[11]], press.obj, press.poses[11])
     assert found.rms_m < 0.3e-3
     assert found.rms_m < 0.1 * found.untouched_rms_m
     assert found.rms_m < found.p95_m < 3.0 * found.rms_m
@@ -70,24 +72,24 @@ def test_prediction_meets_the_cloud(sensor, press):
     assert len(found.points_m) == len(found.distance_m) == len(found.pixels)
 
 
-def test_a_wrong_pose_shows(sensor, press):
+def test_a_wrong_pose_shows(model, press):
     shifted = press.poses[11].copy()
     shifted[:3, 3] += (0.006, 0.0, 0.002)
-    right = validate(sensor, [press[11]], press.obj, press.poses[11])
-    wrong = validate(sensor, [press[11]], press.obj, shifted)
+    right = validate(model, [press[11]], press.obj, press.poses[11])
+    wrong = validate(model, [press[11]], press.obj, shifted)
     assert wrong.rms_m > 2.0 * right.rms_m
     assert wrong.patch_overlap < right.patch_overlap
 
 
-def test_several_frames_average_their_noise(sensor, press):
+def test_several_frames_average_their_noise(model, press):
     frames = [press[11]] * 2
-    assert validate(sensor, frames, press.obj, press.poses[11]).rms_m < 0.3e-3
+    assert validate(model, frames, press.obj, press.poses[11]).rms_m < 0.3e-3
     with pytest.raises(InputError, match="no frames"):
-        validate(sensor, [], press.obj, press.poses[11])
+        validate(model, [], press.obj, press.poses[11])
 
 
-def test_wrench_finds_the_tension_it_was_not_told(sensor, press):
-    start = with_tension(sensor, 130.0)
+def test_wrench_finds_the_tension_it_was_not_told(model, press):
+    start = model.with_tension(130.0)
     found = tension_by_wrench(WithWrench(press), start, range(4), (5, 7, 9, 11), (6, 8, 10))
     assert found.tension_n_per_m == pytest.approx(TENSION, rel=0.12)
     assert not found.at_limit
@@ -95,8 +97,8 @@ def test_wrench_finds_the_tension_it_was_not_told(sensor, press):
     assert found.tested_rms_n < 0.1 * found.measured_n.mean()
 
 
-def test_wrench_needs_a_wrench_and_two_parts(sensor, press):
+def test_wrench_needs_a_wrench_and_two_parts(model, press):
     with pytest.raises(InputError, match="no wrench"):
-        tension_by_wrench(press, sensor, range(2), (5,), (6,))
+        tension_by_wrench(press, model, range(2), (5,), (6,))
     with pytest.raises(InputError, match="others to test"):
-        tension_by_wrench(WithWrench(press), sensor, range(2), (5, 6), (6,))
+        tension_by_wrench(WithWrench(press), model, range(2), (5, 6), (6,))

@@ -15,6 +15,7 @@ from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 
@@ -66,3 +67,8 @@ def estimator(nodes: int = 500, solver: str | None = None, relinearisations: int
     observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
     options = EstimatorOptions(solver, relinearisations)
     return Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, options)
+
+
+def first(solver: Estimator, depth_m: np.ndarray, gas_pressure_pa: float | None = None) -> Estimate:
+    """Estimate of a first frame."""
+    return solver.estimate(depth_m, gas_pressure_pa)[0]

@@ -15,7 +15,7 @@ from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource
-from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, press
+from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first, press
 
 MESH = build_mesh(SENSOR, 2000)
 
@@ -34,7 +34,7 @@ def seen_patch(truth) -> np.ndarray:
 def test_the_patch_overlaps_the_true_contact(name):
     truth = press(name, 0.015)
     solver = estimator(2000)
-    estimate = solver.estimate(truth.depth(0.01, seed=5))
+    estimate = first(solver, truth.depth(0.01, seed=5))
     finder = PatchFinder(solver.mesh, GAUGE, solver.resolution_m)
     view = MembraneView(CAMERA, solver.mesh)
     masks = [
@@ -109,10 +109,10 @@ def test_no_pressure_and_pressure_everywhere_are_patches_too():
 
 @pytest.mark.parametrize("name", ["cylinder", "frustum"])
 def test_a_flat_face_has_no_holes_where_the_camera_is_better_than_the_mesh(name):
-    pipeline = Pipeline(load_sensor("punyo_oval_d405"))
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"))
     T = np.eye(4)
     T[:3, 3] = [0.006, 0.0, 0.022]
-    source = SyntheticSource(pipeline.sensor, load_object(name), T[None])
+    source = SyntheticSource(pipeline.model.sensor, load_object(name), T[None])
     truth = source.truth(0)
     patch = pipeline.process(source[0], frozenset({"patch", "pixel_mask"})).patch
     assert overlap(patch.pixel_mask, truth.patch_mask) > 0.8

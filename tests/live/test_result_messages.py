@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from wire import CLOUD, STORE, WRENCH
 
-from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero, rest_pressure_pa
+from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero
 from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.commands.watch import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
@@ -46,7 +46,7 @@ def press(sensor: Sensor, frames: int = 30) -> SyntheticSource:
 
 @pytest.fixture(scope="module")
 def pipeline(small_sensor: Sensor) -> Pipeline:
-    return Pipeline(small_sensor)
+    return Pipeline.of(small_sensor)
 
 
 @pytest.fixture(scope="module")
@@ -256,10 +256,10 @@ def test_weather_is_not_contact(small_sensor: Sensor) -> None:
     """Solved live on another day, with the zero and without."""
     worst = {}
     for zeroed in (False, True):
-        zero = PressureZero(rest_pressure_pa(small_sensor)) if zeroed else None
+        zero = PressureZero(small_sensor.pneumatics.reference_pressure_pa) if zeroed else None
         source = _Weather(press(small_sensor, 60))
         with LiveStream(source) as stream:
-            watcher = Watcher(stream, Pipeline(small_sensor), zero)
+            watcher = Watcher(stream, Pipeline.of(small_sensor), zero)
             statuses = []
             for _ in range(140):
                 source.send()

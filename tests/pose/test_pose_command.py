@@ -114,5 +114,5 @@ def test_tum_has_the_good_poses_only(tmp_path):
 def test_a_pose_that_nobody_asked_for_is_no_row():
     with pytest.raises(ValueError, match="not asked for"):
         PoseRow.of(Result(Frame(0, 0.0, np.zeros((2, 2), np.float32))))
-    pipeline = Pipeline(load_sensor(PRESET))
+    pipeline = Pipeline.of(load_sensor(PRESET))
     assert pipeline.tracker is None

@@ -5,9 +5,7 @@ import pytest
 
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import triangles_across
-from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
 from bubbleviz.membrane.refine import refine
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.contact_points import contact_points
@@ -23,12 +21,12 @@ from bubbleviz.study.presses import made
 
 @pytest.fixture(scope="module")
 def pipeline():
-    return Pipeline(load_sensor("pico_flexx_75mm"))
+    return Pipeline.of(load_sensor("pico_flexx_75mm"))
 
 
 def seen(pipeline, name, T):
     """Contact and estimate of a noise-free image, and the image."""
-    source = SyntheticSource(pipeline.sensor, made(name), T[None], sharp=True)
+    source = SyntheticSource(pipeline.model.sensor, made(name), T[None], sharp=True)
     frame = source[0]
     result = pipeline.process(frame, frozenset({"estimate", "patch"}))
     contact = contact_points(pipeline.mesh, result.estimate, result.patch)
@@ -49,9 +47,8 @@ def pose(x=0.003, z=0.038):
 def test_it_is_the_forward_model_in_other_words(pipeline):
     T = pose()
     contact, _, _ = seen(pipeline, "cylinder", T)
-    mesh = build_mesh(pipeline.sensor)
-    gas = Gas.of(pipeline.sensor.pneumatics, mesh)
-    tension = reference_tension(pipeline.sensor, mesh)
+    model = pipeline.model
+    mesh, gas, tension = model.mesh, model.gas, model.tension_n_per_m
     expected = ForwardModel(mesh, tension, gas).press(made("cylinder"), T).displacement_m
     membrane = PressedMembrane(mesh, gas, Scales.of(mesh, tension), ObjectModel(made("cylinder")))
     found = membrane.press(T, contact).displacement_m

@@ -48,7 +48,7 @@ def source(sensor):
 
 @pytest.fixture
 def pipeline(sensor):
-    return Pipeline(sensor)
+    return Pipeline.of(sensor)
 
 
 def close(pose: Pose, truth: np.ndarray) -> bool:
@@ -148,7 +148,7 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Calibration, load_sensor
-pipeline = Pipeline(load_sensor("pico_flexx_75mm"))
+pipeline = Pipeline.of(load_sensor("pico_flexx_75mm"))
 pipeline.process(Frame(0, 0.0, np.full((171, 224), 0.13, np.float32)), frozenset({"patch"}))
 print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
 """
@@ -180,7 +180,7 @@ def test_rectified_ranges_slide_flat_faces_as_true_ones_do(sensor, tmp_path):
             farthest_m=np.ones_like(rest), levels=3,
         )  # fmt: skip
         calibration = Calibration(pixels_file=f"{name}.npz")
-        pipeline = Pipeline(
+        pipeline = Pipeline.of(
             sensor.model_copy(update={"calibration": calibration, "folder": tmp_path})
         )
         pipeline.follow(source.obj, off)

@@ -8,6 +8,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import (
     SyntheticSource,
@@ -152,7 +153,7 @@ def test_object_on_the_rim_is_refused(sensor):
 
 
 def test_the_mesh_is_finer_only_where_edges_press(sensor):
-    mesh, T = simulation_mesh(sensor), poses(0.012)
+    mesh, T = simulation_mesh(SensorModel.of(sensor)), poses(0.012)
     sharp = sharpened(mesh, load_object("cylinder"), T)
     assert len(mesh.nodes) < len(sharp.nodes) < 3 * len(mesh.nodes)
     small = sharp.facet_areas < 0.1 * mesh.facet_areas.min()

@@ -91,7 +91,7 @@ def test_held_out_objects_are_marked():
 
 def test_the_truth_itself_has_no_errors(sensor, bank):
     sighting = bank.sighting(Press("sphere", 0.012, False))
-    pipeline = Pipeline(
+    pipeline = Pipeline.of(
         sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update={"nodes": 3_000})})
     )
     assert np.array_equal(pipeline.mesh.nodes, bank.mesh.nodes)

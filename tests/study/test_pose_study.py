@@ -34,7 +34,7 @@ def study(sensor):
 
 
 def test_judge_of_a_flat_face(sensor):
-    pipeline = Pipeline(sensor)
+    pipeline = Pipeline.of(sensor)
     true_pose = Press("frustum", 0.012, False).pose(pipeline.mesh, 5)
     source = SyntheticSource(sensor, made("frustum"), true_pose[None], nodes=3_000)
     judge = PoseJudge(ObjectModel(made("frustum")), precision_of(pipeline.estimator))

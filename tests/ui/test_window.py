@@ -102,7 +102,7 @@ def test_kappa_thresholds_anew_without_solving(drive: Drive) -> None:
     kappa = driver.state.choices.kappa
     assert kappa == pytest.approx(panel.box.value())
     driver.wait(lambda: panel.area.text() != area)
-    driver.wait(lambda: driver.pipeline.kappa == driver.state.choices.kappa)
+    driver.wait(driver.thresholded)
     patch = driver.window.controller.result.patch
     assert panel.threshold.text() == f"{patch.threshold_pa / 1e3:.2f} kPa"
     assert driver.pipeline.counts["estimate"] == solved
@@ -219,7 +219,7 @@ def test_new_data_keeps_the_camera_and_the_choices(drive: Drive) -> None:
     driver.wait(lambda: driver.state.facts.sensor_name == "another")
     driver.settle()
     assert tuple(view.camera.position) == pytest.approx(moved)
-    assert driver.state.choices.kappa == 2.5 and driver.pipeline.kappa == 2.5
+    assert driver.state.choices.kappa == 2.5 and driver.thresholded()
     assert driver.state.choices.membrane_opacity == 0.5
 
 

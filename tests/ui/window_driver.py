@@ -10,6 +10,7 @@ import numpy as np
 from PySide6.QtCore import QPoint
 from pytestqt.qtbot import QtBot
 
+from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.pipeline import Pipeline
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
@@ -34,6 +35,14 @@ class Driver:
         session = self.window.controller.worker._server._session
         assert session is not None
         return session.pipeline
+
+    def thresholded(self) -> bool:
+        """Whether the patch that is shown is that of the chosen κ."""
+        kappa, result = self.state.choices.kappa, self.window.controller.result
+        if kappa is None or result is None or result.patch is None or result.estimate is None:
+            return False
+        mean = mean_pressure(self.pipeline.mesh, result.estimate.contact_pressure_pa)
+        return bool(np.isclose(result.patch.threshold_pa, kappa * mean))
 
     def wait(self, done: Callable[[], Any]) -> None:
         self.bot.waitUntil(done, timeout=PATIENCE_MS)

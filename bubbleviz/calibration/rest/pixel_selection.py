@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from bubbleviz.calibration.rest.depth_statistics import DepthStatistics
 from bubbleviz.calibration.robust_statistics import robust_sigma, upper_fence
 from bubbleviz.calibration.surface.segmentation import away_from_edges
-from bubbleviz.camera.pixel_model import RangeLine
+from bubbleviz.camera.pixel_model import PixelModel
 
 _MICROMETRE = 1e-6
 """Step of the stored images: far below the noise, and it makes them compress to a third."""
@@ -20,36 +20,21 @@ _SAMPLE_SCALE = 3.0  # robust standard deviations: 1 in 370 of a normal populati
 
 
 @dataclass(frozen=True)
-class PixelStatistics:
-    """What contact-free frames taught about each pixel of an H×W image.
+class PixelStatistics(PixelModel):
+    """What contact-free frames taught about each pixel; bias 0 and noise inf outside the mask.
 
     Attributes
     ----------
-    mask : (H, W) bool array
-        Pixels to use.
-    bias_m : (H, W) float32 array
-        Measured minus modelled range along the ray, m; 0 outside the mask.
-    noise_m : (H, W) float32 array
-        Standard deviation of one frame's range, m; inf outside the mask.
     removed : dict of str to int
         Pixels that each reason removed; the first that applies counts.
-    correlated_pixels : float
-        Pixels that are worth one independent sample.
-    line : RangeLine or None
-        From several inflation levels, where there are (`rectification.rectify`).
     """
 
-    mask: np.ndarray
-    bias_m: np.ndarray
-    noise_m: np.ndarray
-    removed: dict[str, int]
-    correlated_pixels: float = 1.0
-    line: RangeLine | None = None
+    removed: dict[str, int] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> None:
         """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images.
 
-        `bubbleviz.camera.pixel_model.PixelModel` reads it.
+        `PixelModel.load` reads it.
         """
         with Path(path).open("wb") as file:
             np.savez_compressed(

@@ -106,11 +106,8 @@ class MembraneTracker:
         gas_pressure_change_pa : float
             Measured p_v, Pa.
         """
-        ranges, line = self.camera.range_image(depth_m), self.pixels.line
-        if line is not None:
-            ranges = line.straighten(ranges)
-        measured = (ranges - self.pixels.bias_m).ravel()
-        pixels = np.flatnonzero(self.pixels.mask.ravel() & np.isfinite(measured))
+        measured = self.pixels.corrected(self.camera.range_image(depth_m)).ravel()
+        pixels = np.flatnonzero(np.isfinite(measured))
         mesh, u = self.mesh, np.zeros(len(self.mesh.nodes))
         weights = np.ones(measured.size)  # the first round must follow the dent, false or not
         for _ in range(_RELINEARISATIONS):

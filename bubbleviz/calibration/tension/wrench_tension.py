@@ -16,9 +16,9 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
 
-_FACTORS = (0.5, 0.75, 1.0, 1.4, 2.0)  # of the sensor file's γ0
+_FACTORS = (0.5, 0.75, 1.0, 1.4, 2.0)  # of the sensor's γ0
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class WrenchTension:
 
 def tension_by_wrench(
     source: FrameSource,
-    sensor: Sensor,
+    model: SensorModel,
     contact_free: Sequence[int],
     fit: Sequence[int],
     test: Sequence[int],
@@ -62,7 +62,7 @@ def tension_by_wrench(
     ----------
     source : FrameSource
         With wrenches.
-    sensor : Sensor
+    model : SensorModel
         As calibrated; its γ0 is the start.
     contact_free : sequence of int
         Frames whose mean wrench is the bias.
@@ -80,11 +80,11 @@ def tension_by_wrench(
     bias = np.mean([_force(source, source[k]) for k in contact_free], axis=0)
     frames = [source[k] for k in (*fit, *test)]
     measured = np.array([np.linalg.norm(_force(source, f) - bias) for f in frames])
-    start = Pipeline(sensor, intrinsics=frames[0].intrinsics).tension_n_per_m
+    start = model.tension_n_per_m
     tensions = start * np.array(_FACTORS)
     predicted = np.empty((len(tensions), len(frames)))
     for k, tension in enumerate(tensions):
-        predicted[k] = _predicted(sensor, frames, float(tension))
+        predicted[k] = _predicted(model.with_tension(float(tension)), frames)
         progress("γ0 by wrench", (k + 1) / len(tensions))
     # A γ0 at which the picture contradicts the measured gas pressure is ruled out already.
     possible = np.all(np.isfinite(predicted), axis=1)
@@ -148,11 +148,9 @@ def _force(source: FrameSource, frame: Frame) -> np.ndarray:
     return frame.wrench[:3]
 
 
-def _predicted(sensor: Sensor, frames: list[Frame], tension_n_per_m: float) -> np.ndarray:
-    """|F| of every frame, N, with one γ0; 0 without contact, NaN where the frame is refused."""
-    pneumatics = sensor.pneumatics.model_copy(update={"tension_n_per_m": tension_n_per_m})
-    changed = sensor.model_copy(update={"pneumatics": pneumatics})
-    pipeline = Pipeline(changed, intrinsics=frames[0].intrinsics)
+def _predicted(model: SensorModel, frames: list[Frame]) -> np.ndarray:
+    """|F| of every frame, N; 0 without contact, NaN where the frame is refused."""
+    pipeline = Pipeline(model)
     forces = []
     for frame in frames:
         # With a measured gas pressure the force is mostly that pressure times the membrane's area,

@@ -14,7 +14,6 @@ import numpy as np
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.tables import write_json
-from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
@@ -65,7 +64,8 @@ class Setup:
         options = EstimatorOptions(solver=self.solver, tolerance=self.tolerance)
         if self.relinearisations is not None:
             options = replace(options, relinearisations=self.relinearisations)
-        return Pipeline(strided(with_nodes(sensor, self.nodes), self.stride), options=options)
+        varied = strided(with_nodes(sensor, self.nodes), self.stride)
+        return Pipeline.of(varied, options=options)
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ def _row(
     repeats: int,
 ) -> Row:
     frames = [bank.frame(sighting, noise, k, setup.stride) for k in range(repeats + 1)]
-    _forget(pipeline, frames[0])
+    pipeline.restart()
     cold, *warm = (pipeline.process(frame, PRODUCTS) for frame in frames)
     errors = [judge.errors(result, sighting.truth, setup.stride) for result in warm]
     means: dict[str, Any] = {
@@ -306,12 +306,6 @@ def patch_width_m(sighting: Sighting, focal_px: float) -> float:
 
 def _median_ms(results: list[Result]) -> float:
     return float(np.median([result.times_ms["total"] for result in results]))
-
-
-def _forget(pipeline: Pipeline, frame: Frame) -> None:
-    """Make the next frame the first one: nothing carries over an image without returns."""
-    blank = replace(frame, depth_m=np.full_like(frame.depth_m, np.nan))
-    pipeline.process(blank, PRODUCTS)
 
 
 def _kept(parts: Path | None, grid: Grid, setup: Setup, run: Callable[[], list[Row]]) -> list[Row]:

@@ -80,7 +80,7 @@ def sweep(
 def _strength(bank: TruthBank, sightings: list[Sighting], factor: float) -> Strength:
     # λ is the inverse square of the pressure that the prior expects.
     options = EstimatorOptions(pressure_scale=PRESSURE_SCALE / np.sqrt(factor))
-    pipeline = Pipeline(bank.sensor, options=options)
+    pipeline = Pipeline.of(bank.sensor, options=options)
     judge = Judge(pipeline, bank.mesh)
     L = cotangent_laplacian(pipeline.mesh)
     noise = bank.sensor.camera.noise_relative

@@ -117,7 +117,8 @@ def run_pose_study(
     sensor: Sensor, grid: PoseGrid, tick: Callable[[str], None] = lambda _: None
 ) -> PoseStudy:
     """Run a grid; `tick` is called with an object's name for each of its presses."""
-    mesh, pipeline = simulation_mesh(sensor, grid.truth_nodes), Pipeline(sensor)
+    pipeline = Pipeline.of(sensor)
+    mesh = simulation_mesh(pipeline.model, grid.truth_nodes)
     trials: list[PoseTrial] = []
     omitted: list[str] = []
     for name in grid.objects:
@@ -155,9 +156,8 @@ class _Bench:
         self, source: SyntheticSource, base: PoseTrial, random: np.random.Generator
     ) -> list[PoseTrial]:
         """Every method from the same start, on the last frame of a held press."""
-        blank, *frames = (source[k] for k in range(len(source)))
-        self._pipeline.process(replace(blank, depth_m=blank.depth_m * np.nan), _PRODUCTS)
-        results = [self._pipeline.process(frame, _PRODUCTS) for frame in frames]
+        self._pipeline.restart()
+        results = [self._pipeline.process(source[k], _PRODUCTS) for k in range(1, len(source))]
         result = results[-1]
         true = self._judge.contact(source)
         off = _random_motion(random)

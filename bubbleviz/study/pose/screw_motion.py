@@ -99,7 +99,7 @@ def run_screws(
 def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bool) -> Screw:
     """Follow the nut from its true first pose."""
     source.seed = seed  # what was solved is kept
-    pipeline = Pipeline(sensor)
+    pipeline = Pipeline.of(sensor)
     pipeline.follow(source.obj, source.poses[0])
     status, rotation, translation, times = [], [], [], []
     for k in range(len(source)):

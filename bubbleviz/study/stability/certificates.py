@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.membrane.forward_model import Contact
-from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Result
@@ -43,7 +42,7 @@ class Band:
 
     def width_n(self, truth: Truth, pipeline: Pipeline) -> float:
         """Width of the band on either side of the true force, N."""
-        floor = FORCE_PER_NOISE * pipeline.tension_n_per_m * max(self.noise_m, 3e-4)
+        floor = FORCE_PER_NOISE * pipeline.model.tension_n_per_m * max(self.noise_m, 3e-4)
         edge = 1.5 * np.sqrt(np.median(pipeline.mesh.facet_areas))
         relative = max(FORCE_RELATIVE, FORCE_PER_EDGE * edge)
         return float(relative * np.linalg.norm(truth.force_n) + floor)
@@ -125,7 +124,7 @@ def _equations(pipeline: Pipeline, result: Result, measured_gas: bool) -> list[s
     if estimate is None:
         return []
     u, p_v = estimate.displacement_m, estimate.gas_pressure_change_pa
-    elastic = pipeline.tension_n_per_m * (cotangent_laplacian(mesh) @ u)[mesh.free]
+    elastic = pipeline.model.tension_n_per_m * (cotangent_laplacian(mesh) @ u)[mesh.free]
     gas = p_v * mesh.areas[mesh.free]
     contact = (mesh.areas * estimate.contact_pressure_pa)[mesh.free]
     largest = max(float(np.abs(x).max(initial=0.0)) for x in (elastic, gas, contact))
@@ -134,7 +133,7 @@ def _equations(pipeline: Pipeline, result: Result, measured_gas: bool) -> list[s
     if off > BALANCE * max(largest, 1e-300):
         faults.append(f"balance off by {off / largest:.2g} of its largest term")
     if not measured_gas:
-        beta = Gas.of(pipeline.sensor.pneumatics, mesh).beta
+        beta = pipeline.model.gas.beta
         law, size = -float(beta @ u), float(np.abs(beta) @ np.abs(u))
         if abs(law - p_v) > BALANCE * max(size, 1e-9):
             faults.append(f"gas law: p_v {p_v:.4g} Pa instead of {law:.4g} Pa")

@@ -246,7 +246,7 @@ def _bad_input() -> Iterator[Case]:
 
 def _unknown_solver() -> str:
     sensor = load_sensor("pico_flexx_75mm")
-    pipeline = Pipeline(sensor, options=EstimatorOptions(solver="magic"))
+    pipeline = Pipeline.of(sensor, options=EstimatorOptions(solver="magic"))
     return type(pipeline.estimator).__name__
 
 

@@ -33,7 +33,7 @@ Alter = Callable[[np.ndarray], np.ndarray]
 
 def shipped_pipeline(sensor: Sensor, options: EstimatorOptions) -> Pipeline:
     """Make the pipeline under test."""
-    return Pipeline(sensor, options=options)
+    return Pipeline.of(sensor, options=options)
 
 
 def ordinary_noise() -> DepthNoise:

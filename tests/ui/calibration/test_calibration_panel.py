@@ -272,7 +272,7 @@ def test_use_it_opens_the_new_sensor_and_undo_the_old_one(bench: Bench, sensor: 
     bench.click(panel.report.use_it)
     bench.driver.wait(lambda: controller.sensor is not sensor)
     assert controller.sensor.calibration is not None
-    assert bench.driver.pipeline.pixels is not None
+    assert bench.driver.pipeline.model.pixels is not None
     assert panel.calibration.answer is answer  # the same source: nothing is lost
     bench.undo()
     bench.driver.wait(lambda: controller.sensor is sensor)
@@ -305,7 +305,7 @@ def test_the_new_sensor_is_sent_with_the_session(
     other.settle()
     theirs = other.window.controller.sensor
     assert theirs.pneumatics == used.pneumatics and theirs.calibration == used.calibration
-    assert other.pipeline.pixels is not None and not other.window.message.isVisible()
+    assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
 def test_saved_preset_loads_and_is_never_overwritten(

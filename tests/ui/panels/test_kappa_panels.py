@@ -15,7 +15,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.patch.components import components, without_small
 from bubbleviz.patch.patch_finder import mean_pressure
-from bubbleviz.pipeline import Pipeline
+from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import truth_of
 from bubbleviz.study.error_metrics import iou
@@ -100,7 +100,7 @@ def test_in_a_simulation_the_curve_has_the_iou(drive: Drive, press: FrameSource)
     driver.window.images_dock.show()
     patch = lambda: driver.window.controller.result.patch  # noqa: E731
     driver.wait(lambda: patch().pixel_mask is not None and patch().threshold_pa > 0)
-    driver.wait(lambda: driver.pipeline.kappa == driver.state.choices.kappa)
+    driver.wait(driver.thresholded)
     driver.settle()
     truth, curve = truth_of(press, CONTACT), driver.window.controller.inspection.kappa_curve
     assert curve.iou[30] == pytest.approx(iou(patch().pixel_mask, truth.patch_mask), abs=0.02)
@@ -137,8 +137,9 @@ def test_small_parts_are_listed_and_left_out(drive: Drive) -> None:
 
 
 def test_without_small_parts_alone(sensor: Sensor, press: FrameSource) -> None:
-    pipeline = Pipeline(sensor, kappa=0.2)
-    result = pipeline.process(press[TWO_PARTS], frozenset({"estimate", "patch"}))
+    pipeline = Pipeline.of(sensor)
+    wanted = frozenset({"estimate", "patch"})
+    result = pipeline.process(press[TWO_PARTS], wanted, FrameOptions(kappa=0.2))
     whole = components(pipeline.mesh, result.estimate, result.patch)
     assert len(whole) > 1
     kept = without_small(pipeline.mesh, result.estimate, result.patch, 1.0)
@@ -160,7 +161,7 @@ def test_two_settings_are_measured_against_the_truth(
     driver.wait(lambda: panel.b.values["nodes"].text() not in ("–", panel.a.values["nodes"].text()))
     truth = truth_of(press, CONTACT)
     for setting in (panel.a, panel.b):
-        pipeline = Pipeline(sensor, options=setting.options())
+        pipeline = Pipeline.of(sensor, options=setting.options())
         needed = frozenset({"estimate", "patch", "pixel_mask"})
         for _ in range(4):
             pipeline.process(press[CONTACT], needed)

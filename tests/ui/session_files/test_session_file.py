@@ -86,7 +86,7 @@ def check(driver: Driver) -> None:
     assert choices.layers == {"membrane", "rim"} and choices.plots == {"force"}
     assert driver.window.plots_dock.isVisible() and driver.window.layers_dock.isHidden()
     assert driver.window.view.camera.position == pytest.approx((0.3, 0.2, 0.1))
-    assert driver.pipeline.kappa == 2.5
+    assert driver.thresholded()
     assert driver.window.controller.sensor.name == "small dome"
 
 

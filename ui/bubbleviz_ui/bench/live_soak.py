@@ -182,7 +182,7 @@ def _run(
             first = stream.take(_START_S)
             if first is None:
                 raise InputError(f"bench live: nothing arrived: {stream.status().text}")
-            pipeline = Pipeline(sensor, intrinsics=first.intrinsics)
+            pipeline = Pipeline.of(sensor, first.intrinsics)
             pipeline.prepare(PRODUCTS)
             watcher = Watcher(stream, pipeline, None)
             skipped_before = stream.counters().skipped

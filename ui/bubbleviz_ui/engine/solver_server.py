@@ -14,8 +14,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation.synthetic_source import truth_of
@@ -52,7 +51,6 @@ class _Session:
     number: int
     source: FrameSource
     pipeline: Pipeline
-    gas: Gas
     inspector: Inspector
     side_by_side: SideBySide
 
@@ -76,12 +74,10 @@ class Server:
             session = self._session
             if session is None or session.number != request.session:
                 return None
-            session.pipeline.kappa = request.kappa
             if isinstance(request, CompareRequest):
                 return self._compare(session, request)
             if isinstance(request, FollowRequest):
                 return self._follow(session, request)
-            session.pipeline.least_area_m2 = request.least_area_m2
             if isinstance(request, PatchRequest):
                 return self._threshold(session, request)
             if isinstance(request, AnalyseRequest):
@@ -113,12 +109,12 @@ class Server:
     def _solved(
         self, session: _Session, request: FrameRequest | NewestRequest, frame: Frame
     ) -> Solved:
-        session.pipeline.cloud_points = request.cloud_points
-        result = _process(session.source, session.pipeline, frame, request.products)
+        options = FrameOptions(request.kappa, request.least_area_m2, request.cloud_points)
+        result = _process(session.source, session.pipeline, frame, request.products, options)
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
-        inspection = _look(session, result, request.looks)
-        numbers, done_s = numbers_of(result, session.gas), time.perf_counter()
+        inspection = _look(session, result, request.looks, request.kappa)
+        numbers, done_s = numbers_of(result, session.pipeline.model.gas), time.perf_counter()
         return Solved(request, result, numbers, inspection, done_s)
 
     def _follow(self, session: _Session, request: FollowRequest) -> Followed:
@@ -133,19 +129,22 @@ class Server:
         estimate = request.result.estimate
         if estimate is None:
             raise ValueError("no estimate to threshold")
-        patch = session.pipeline.patch(estimate, pixel_mask=request.pixel_mask)
+        options = FrameOptions(request.kappa, request.least_area_m2)
+        patch = session.pipeline.patch(estimate, options, pixel_mask=request.pixel_mask)
         result = replace(request.result, patch=patch)
-        inspection = _look(session, result, request.looks)
-        return Thresholded(request, result, numbers_of(result, session.gas), inspection)
+        inspection = _look(session, result, request.looks, request.kappa)
+        numbers = numbers_of(result, session.pipeline.model.gas)
+        return Thresholded(request, result, numbers, inspection)
 
     def _analyse(self, session: _Session, request: AnalyseRequest) -> Analysed:
         """As many frames as there is time for, and one at least."""
         end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
+        pipeline, options = session.pipeline, FrameOptions(request.kappa, request.least_area_m2)
         for index in request.frames:
             try:
                 frame = session.source[index]
-                result = _process(session.source, session.pipeline, frame, request.products)
-                numbers.append(numbers_of(result, session.gas))
+                result = _process(session.source, pipeline, frame, request.products, options)
+                numbers.append(numbers_of(result, pipeline.model.gas))
             except InputError:
                 numbers.append(Numbers())  # it says so when somebody looks at it
             if time.perf_counter() > end:
@@ -176,15 +175,11 @@ class Server:
                 raise InputError(f"{source.name}: has no frames; choose another recording")
             index = min(max(request.frame, 0), len(source) - 1)
             frame = source[index]
-            pipeline = Pipeline(
-                sensor,
-                intrinsics=frame.intrinsics,
-                kappa=request.kappa,
-                options=EstimatorOptions.named(request.solver),
-            )
-            pipeline.cloud_points = request.cloud_points
+            solver = EstimatorOptions.named(request.solver)
+            pipeline = Pipeline.of(sensor, frame.intrinsics, solver)
             pipeline.prepare(request.products)  # apart: its time says nothing about a frame
-            result = _process(source, pipeline, frame, request.products)
+            options = FrameOptions(request.kappa, cloud_points=request.cloud_points)
+            result = _process(source, pipeline, frame, request.products, options)
         except BaseException:
             source.close()
             if request.cancelled.is_set():
@@ -194,35 +189,41 @@ class Server:
             source.close()
             return None
         self.close()
-        gas = Gas.of(sensor.pneumatics, pipeline.mesh)
         settings = SideBySide(sensor, pipeline.camera.intrinsics)
         inspector = Inspector(pipeline)
-        session = _Session(request.session, source, pipeline, gas, inspector, settings)
+        session = _Session(request.session, source, pipeline, inspector, settings)
         self._session = session
         grows = isinstance(source, LiveFrames)
         remark = str(getattr(source, "remark", ""))  # recordings have one
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows, remark)
-        numbers = numbers_of(result, gas)
-        inspection = _look(session, result, request.looks)
+        numbers = numbers_of(result, pipeline.model.gas)
+        inspection = _look(session, result, request.looks, request.kappa)
         camera, mesh = pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
 
 
-def _look(session: _Session, result: Result, looks: frozenset[Look]) -> Inspection:
+def _look(
+    session: _Session, result: Result, looks: frozenset[Look], kappa: float | None
+) -> Inspection:
     """A closer look at a result, beside the truth where the source knows it."""
     truth = None
     if "kappa_curve" in looks:
         truth = truth_of(session.source, result.frame.index)
-    return session.inspector.look(result, looks, truth.patch_mask if truth is not None else None)
+    mask = truth.patch_mask if truth is not None else None
+    return session.inspector.look(result, looks, kappa, mask)
 
 
 def _process(
-    source: FrameSource, pipeline: Pipeline, frame: Frame, products: frozenset[Product]
+    source: FrameSource,
+    pipeline: Pipeline,
+    frame: Frame,
+    products: frozenset[Product],
+    options: FrameOptions,
 ) -> Result:
     """Products of a frame; a live one's gas pressure is zeroed."""
     if isinstance(source, LiveFrames):
         frame = zeroed(frame, source.zero, pipeline)
-    return pipeline.process(frame, products)
+    return pipeline.process(frame, products, options)
 
 
 def _in_words(error: Exception) -> str:

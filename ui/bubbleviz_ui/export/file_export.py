@@ -56,20 +56,17 @@ class FileExport:
         from bubbleviz.commands.export import export_frames
         from bubbleviz.export.export_plan import ExportPlan
         from bubbleviz.inverse.estimator import EstimatorOptions
-        from bubbleviz.pipeline import Pipeline
+        from bubbleviz.pipeline import FrameOptions, Pipeline
 
         plan = ExportPlan.of(self.out, [self.what] if self.what else [], self.poses)
         progress("opening", 0.0)
         source = self.open_source(self.sensor)
         try:
-            pipeline = Pipeline(
-                self.sensor,
-                intrinsics=source[self.frames[0]].intrinsics,
-                kappa=self.kappa,
-                options=EstimatorOptions.named(self.solver),
-            )
-            pipeline.least_area_m2 = self.least_area_m2
-            done = export_frames(source, self.frames, pipeline, plan, progress)
+            intrinsics = source[self.frames[0]].intrinsics
+            solver = EstimatorOptions.named(self.solver)
+            pipeline = Pipeline.of(self.sensor, intrinsics, solver)
+            options = FrameOptions(self.kappa, self.least_area_m2)
+            done = export_frames(source, self.frames, pipeline, options, plan, progress)
         finally:
             source.close()
         files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"

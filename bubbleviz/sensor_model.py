@@ -1,0 +1,96 @@
+"""One sensor in memory: the mesh, camera and pixels that its file describes, built once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """What estimating, simulating and calibrating need of one sensor.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    camera : DepthCamera
+        In the bubble frame B.
+    mesh : MembraneMesh
+        Reference surface.
+    pixels : PixelModel or None
+        Calibration of each pixel, where there is one.
+    """
+
+    sensor: Sensor
+    camera: DepthCamera
+    mesh: MembraneMesh
+    pixels: PixelModel | None = None
+
+    @classmethod
+    def of(
+        cls, sensor: Sensor, intrinsics: Intrinsics | None = None, nodes: int | None = None
+    ) -> SensorModel:
+        """Build what a sensor file describes.
+
+        Parameters
+        ----------
+        sensor : Sensor
+        intrinsics : Intrinsics, optional
+            Of the recording; they win over the sensor file's.
+        nodes : int, optional
+            Size of the mesh of an analytic dome in place of the file's.
+
+        Raises
+        ------
+        InputError
+            The recording's intrinsics are for another image size than the sensor's camera, or
+            mesh or pixels cannot be read.
+        """
+        own, pixels = sensor.camera, None
+        shape = own.height, own.width
+        if intrinsics is not None and (intrinsics.height, intrinsics.width) != shape:
+            raise InputError(
+                f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, the "
+                f"recording's {intrinsics.width}×{intrinsics.height}; choose the sensor of this "
+                "camera"
+            )
+        if sensor.calibration is not None:
+            pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)
+        return cls(sensor, DepthCamera.of(own, intrinsics), build_mesh(sensor, nodes), pixels)
+
+    @cached_property
+    def tension_n_per_m(self) -> float:
+        """γ0 in N/m: the sensor file's, or by Young–Laplace."""
+        return reference_tension(self.sensor, self.mesh)
+
+    @cached_property
+    def gas(self) -> Gas:
+        """The gas behind the reference surface."""
+        return Gas.of(self.sensor.pneumatics, self.mesh)
+
+    @cached_property
+    def view(self) -> MembraneView:
+        """The membrane as the camera sees it."""
+        return MembraneView(self.camera, self.mesh)
+
+    def with_tension(self, tension_n_per_m: float) -> SensorModel:
+        """The same sensor under another γ0, N/m."""
+        pneumatics = self.sensor.pneumatics.model_copy(update={"tension_n_per_m": tension_n_per_m})
+        return replace(self, sensor=self.sensor.model_copy(update={"pneumatics": pneumatics}))
+
+    def range_image(self, depth_m: np.ndarray) -> np.ndarray:
+        """Range (H, W) of a z-depth image, m: calibrated, NaN in pixels not to be used."""
+        ranges = self.camera.range_image(depth_m)
+        return ranges if self.pixels is None else self.pixels.corrected(ranges)
