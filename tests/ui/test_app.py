@@ -149,6 +149,36 @@ def test_ctrl_c_while_something_opens_ends_in_order() -> None:
     assert done.stdout == "ended\n"
 
 
+IMPORTING = """
+import os, signal, sys
+sys.path.insert(0, {here!r})
+from fakes import small_sensor
+from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.window_session import window_session
+
+class InterruptedImport:
+    def find_spec(self, name, *_):
+        if name == "pyvistaqt":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, InterruptedImport())
+try:
+    with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None):
+        print("opened")
+except KeyboardInterrupt:
+    print("ended" if "pyvistaqt" in sys.modules else "cut off")
+"""
+
+
+def test_ctrl_c_while_libraries_are_imported_ends_in_order() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTING.format(here=str(HERE))], capture_output=True, text=True,
+        timeout=600, check=False, cwd=HERE.parents[1],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "ended\n"
+
+
 def test_without_a_display_and_without_xvfb_one_clear_line(tmp_path: Path) -> None:
     done = run("sys.exit(run_window(small_sensor()))", PATH=str(tmp_path))
     assert done.returncode == 1

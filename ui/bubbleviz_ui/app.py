@@ -67,7 +67,7 @@ def run_window(
         no window appears.
     """
     if has_display():
-        keep_in = None if fresh else _user_file()
+        keep_in = None if fresh else _user_file
         with window_session(
             sensor, recording, frame, scene, keep_in, live, saved, truth
         ) as session:
@@ -113,10 +113,8 @@ def screenshot(
 
 
 def _user_file() -> Path:
-    from bubbleviz_ui.session_files.session_saver import user_file
-    from bubbleviz_ui.window_session import application
+    from bubbleviz_ui.session_files.session_saver import user_file  # loads Qt
 
-    application()  # its name is part of the path
     return user_file()
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.interrupt import EXIT_CODE, Interrupt
 from bubbleviz_ui.startup_imports import import_the_window
 
 if TYPE_CHECKING:
@@ -34,15 +35,15 @@ class WindowSession:
     """The application, one window and its event loop; see `window_session`."""
 
     def __init__(self) -> None:
+        self.interrupt = Interrupt()
         import_the_window()
         from bubbleviz_ui.engine.controller import Controller
-        from bubbleviz_ui.engine.interrupt import Interrupt
         from bubbleviz_ui.engine.solver_thread import Worker
         from bubbleviz_ui.main_window import MainWindow
         from bubbleviz_ui.model.session_state import SessionState
 
         self.application = application()
-        self.interrupt = Interrupt()
+        self.interrupt.end(self.application)
         self.state = state = SessionState()
         self.controller = Controller(state, Worker())
         # The window first: VTK and Open3D share modules, and two threads that import them at the
@@ -203,8 +204,6 @@ class WindowSession:
 
     def run(self) -> int:
         """Run the event loop until the window is closed or ^C comes; exit code."""
-        from bubbleviz_ui.engine.interrupt import EXIT_CODE
-
         return EXIT_CODE if self.interrupt.came else self.application.exec()
 
     def close(self) -> None:
@@ -226,16 +225,16 @@ def window_session(
     recording: Path | None,
     frame: int | None,
     scene: ScenePreset | None = None,
-    keep_in: Path | None = None,
+    keep_in: Callable[[], Path] | None = None,
     live: SessionPreset | None = None,
     saved: Path | None = None,
     truth: Path | None = None,
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and gone at the end.
 
-    With `keep_in`, the user's last session is read from that file, and this one kept in it; with
-    `saved`, the session of that file is restored. `truth` is what is true of the recording, where
-    it is of a simulation and no file of its name beside it says so.
+    With `keep_in`, the user's last session is read from the file it returns, and this one kept in
+    it; with `saved`, the session of that file is restored. `truth` is what is true of the
+    recording, where it is of a simulation and no file of its name beside it says so.
 
     Raises
     ------
@@ -248,7 +247,9 @@ def window_session(
     given = None if saved is None else (saved, _read(saved))  # before there is a window
     session = WindowSession()
     try:
-        session.start(sensor, recording, frame, scene, keep_in, live, given, truth)
+        session.raise_if_interrupted()
+        file = None if keep_in is None else keep_in()
+        session.start(sensor, recording, frame, scene, file, live, given, truth)
         yield session
     finally:
         session.close()

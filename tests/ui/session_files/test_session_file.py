@@ -226,10 +226,8 @@ from bubbleviz_ui.session_files import session_saver
 from bubbleviz_ui.window_session import window_session
 from bubbleviz_ui.session_files.session_saver import user_file
 session_saver.EVERY_MS = 100
-from bubbleviz_ui.window_session import application
-application()
 with window_session(load_sensor({sensor!r}), Path({rec!r}) if {rec!r} else None, None, None,
-                    user_file()) as session:
+                    user_file) as session:
     state = session.state
     session.window.show()
     if {first}:

@@ -55,7 +55,8 @@ def files(tmp_path: Path, sensor: Sensor) -> Path:
 @contextmanager
 def start(keep_in: Path | None = None, saved: Path | None = None) -> Iterator[WindowSession]:
     """The program as `bubbleviz [open SAVED]` starts it, with a fast built-in press."""
-    with window_session(small_sensor(), None, None, None, keep_in, None, saved) as session:
+    file = None if keep_in is None else lambda: keep_in
+    with window_session(small_sensor(), None, None, None, file, None, saved) as session:
         session.window.show()
         yield session
 
@@ -212,7 +213,7 @@ def test_a_recording_that_is_gone_for_a_while_loses_nothing(
     qtbot: object, files: Path, tmp_path: Path
 ) -> None:
     config, rec = tmp_path / "session.json", files / "press.mcap"
-    with window_session(load_sensor(files / "dome.toml"), rec, 5, None, keep_in=config) as session:
+    with window_session(load_sensor(files / "dome.toml"), rec, 5, None, lambda: config) as session:
         session.state.choose_markers((2, 9))
     rec.rename(tmp_path / "away.mcap")
     with start(config) as session:

@@ -5,22 +5,24 @@ from __future__ import annotations
 import signal
 import socket
 import threading
+from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QCoreApplication, QObject, QSocketNotifier
+if TYPE_CHECKING:
+    from PySide6.QtCore import QCoreApplication
 
 EXIT_CODE = 130
 """What shells report of a program that ^C ended."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Interrupt(QObject):
+class Interrupt:
     """Ends the event loop after ^C or SIGTERM, between two events.
 
-    Python runs a signal handler wherever the main thread happens to be. A window that is closed
-    while VTK draws takes the OpenGL context away under it, and the process aborts. So the handler
-    does nothing; Python writes a byte to a socket, which the event loop reads when it comes to it.
-    Signals that are ignored (`nohup`) stay ignored. Does nothing outside the main thread, where
-    Python handles no signals.
+    Python runs a signal handler wherever the main thread happens to be. An exception in the middle
+    of an import of Qt or VTK, or a window that is closed while VTK draws, ends in a crash. So the
+    handler only remembers it, from before these are imported on; Python also writes a byte to a
+    socket, which wakes the event loop up. Signals that are ignored (`nohup`) stay ignored. Does
+    nothing outside the main thread, where Python handles no signals.
 
     Attributes
     ----------
@@ -29,7 +31,6 @@ class Interrupt(QObject):
     """
 
     def __init__(self) -> None:
-        super().__init__()
         self.came = False
         self._former: dict[signal.Signals, object] = {}
         handled = [k for k in _SIGNALS if signal.getsignal(k) is not signal.SIG_IGN]
@@ -39,9 +40,17 @@ class Interrupt(QObject):
         self._read.setblocking(False)
         self._write.setblocking(False)
         self._former_fd = signal.set_wakeup_fd(self._write.fileno(), warn_on_full_buffer=False)
-        self._former = {number: signal.signal(number, lambda *_: None) for number in handled}
-        self._notifier = QSocketNotifier(self._read.fileno(), QSocketNotifier.Type.Read, self)
-        self._notifier.activated.connect(self._end)
+        self._former = {number: signal.signal(number, self._remember) for number in handled}
+
+    def end(self, application: QCoreApplication) -> None:
+        """From now on, end this application's event loop."""
+        from PySide6.QtCore import QSocketNotifier  # the handlers are there before Qt is
+
+        if not self._former:
+            return
+        self._application = application
+        self._notifier = QSocketNotifier(self._read.fileno(), QSocketNotifier.Type.Read)
+        self._notifier.activated.connect(self._wake)
 
     def close(self) -> None:
         """Give the signals back to who had them."""
@@ -55,10 +64,10 @@ class Interrupt(QObject):
         self._read.close()
         self._write.close()
 
-    def _end(self) -> None:
-        if not set(self._read.recv(64)) & set(_SIGNALS):
-            return  # a signal that somebody else handles
+    def _remember(self, *_: object) -> None:
         self.came = True
-        application = QCoreApplication.instance()
-        if application is not None:
-            application.exit(EXIT_CODE)
+
+    def _wake(self) -> None:
+        self._read.recv(64)  # Python runs the handler before this line
+        if self.came:
+            self._application.exit(EXIT_CODE)
