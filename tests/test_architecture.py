@@ -1,4 +1,7 @@
-"""The packages as docs and names promise them: small rooms, one name for one thing, no cycles."""
+"""The packages as docs and names promise them: small rooms, one name for one thing, no cycles.
+
+And the tests: they look at what is public, and wait for conditions.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,10 @@ AT_A_ROOT = 10
 IN_A_FOLDER = 15
 SOLVERS = {"scipy", "osqp", "clarabel", "open3d"}
 """Numerics of the backend, which the window leaves to it."""
+BY_NAME = {"getattr", "setattr", "delattr", "hasattr", "attrgetter"}
+"""Functions that take the name of an attribute as text; pytest's `monkeypatch` has two of them."""
+PUBLIC_AFTER_ALL = {"_replace", "_asdict", "_fields", "_exit"}
+"""Documented, of named tuples and `os`."""
 WINDOW = {"bubbleviz_ui", "PySide6", "pyqtgraph", "pyvista", "pyvistaqt"}
 
 
@@ -92,3 +99,58 @@ def test_the_backend_knows_nothing_of_the_window() -> None:
 
 def test_the_window_leaves_numerics_to_the_backend() -> None:
     assert not importing("bubbleviz_ui", SOLVERS)
+
+
+def private(name: str) -> bool:
+    """Whether a dotted name goes through something private."""
+    return any(
+        part.startswith("_") and not part.endswith("__") and part not in PUBLIC_AFTER_ALL
+        for part in name.split(".")
+    )
+
+
+def private_names(node: ast.AST) -> list[str]:
+    """Private names of others that a piece of code uses, by attribute, import or text."""
+    if isinstance(node, ast.Attribute):
+        own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+        return [node.attr] if private(node.attr) and not own else []
+    if isinstance(node, ast.ImportFrom):
+        return [alias.name for alias in node.names if private(alias.name)]
+    if isinstance(node, ast.Call) and called(node) in BY_NAME:
+        texts = [a.value for a in node.args if isinstance(a, ast.Constant)]
+        return [text for text in texts if isinstance(text, str) and private(text)]
+    return []
+
+
+def called(node: ast.Call) -> str:
+    """Name of the function that is called, without what it belongs to."""
+    return ast.unparse(node.func).split(".")[-1]
+
+
+TESTS = sorted((REPOSITORY / "tests").rglob("*.py"))
+
+
+def test_tests_use_nothing_private() -> None:
+    found = [
+        f"{file.relative_to(REPOSITORY)}:{node.lineno}: {name}"
+        for file in TESTS
+        for node in ast.walk(ast.parse(file.read_text()))
+        for name in private_names(node)
+    ]
+    assert not found
+
+
+def test_tests_wait_for_conditions_and_never_for_a_time() -> None:
+    """Helpers may sleep: a slow source, a robot with a rate, what looks again and again."""
+    found = [
+        f"{file.relative_to(REPOSITORY)}:{node.lineno}"
+        for file in TESTS
+        if file.name.startswith("test_")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call)
+        and (
+            called(node) in ("sleep", "qWait", "qSleep")
+            or ast.unparse(node.func).endswith("bot.wait")
+        )
+    ]
+    assert not found

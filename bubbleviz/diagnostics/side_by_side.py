@@ -59,15 +59,20 @@ class SideBySide:
     sensor : Sensor
     intrinsics : Intrinsics or None
         Of the recording.
+
+    Attributes
+    ----------
+    pipelines : dict
+        Kept ready, by setting.
     """
 
     def __init__(self, sensor: Sensor, intrinsics: Intrinsics | None = None) -> None:
         self._sensor, self._intrinsics = sensor, intrinsics
-        self._built: dict[EstimatorOptions, Pipeline] = {}
+        self.pipelines: dict[EstimatorOptions, Pipeline] = {}
 
     def keep(self, settings: Collection[EstimatorOptions]) -> None:
         """Forget what was built for other settings: a large mesh's solver takes a lot of memory."""
-        self._built = {o: pipeline for o, pipeline in self._built.items() if o in settings}
+        self.pipelines = {o: pipeline for o, pipeline in self.pipelines.items() if o in settings}
 
     def measure(
         self,
@@ -108,10 +113,10 @@ class SideBySide:
         )
 
     def _pipeline(self, options: EstimatorOptions, frame: Frame) -> Pipeline:
-        pipeline = self._built.get(options)
+        pipeline = self.pipelines.get(options)
         if pipeline is None:
             pipeline = Pipeline.of(self._sensor, self._intrinsics, options)
             for _ in range(SETTLING):
                 pipeline.process(frame, PRODUCTS)
-            self._built[options] = pipeline
+            self.pipelines[options] = pipeline
         return pipeline

@@ -20,6 +20,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import default_press
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.engine.source_openers import CachedSource
 from bubbleviz_ui.main_window import MainWindow
@@ -52,14 +53,15 @@ def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable
         playing: bool = False,
         live: bool = False,
     ) -> Driver:
-        controller = Controller(SessionState(), Worker())
+        server = Server()
+        controller = Controller(SessionState(), Worker(server))
         window = MainWindow(controller.state, controller)
         windows.append(window)
         controller.opening.open(
             "press", open_source, lambda: sensor, frame=frame, playing=playing, live=live
         )
         window.show()
-        driver = Driver(qtbot, window)
+        driver = Driver(qtbot, window, server)
         driver.wait(lambda: controller.result is not None)
         driver.settle() if not playing else None
         return driver
@@ -78,11 +80,12 @@ def open_bench(qtbot: QtBot, tmp_path: Path) -> Iterator[Callable[[], Any]]:
     windows: list[MainWindow] = []
 
     def make() -> Bench:
-        controller = Controller(SessionState(), Worker())
+        server = Server()
+        controller = Controller(SessionState(), Worker(server))
         window = MainWindow(controller.state, controller)
         windows.append(window)
         window.show()
-        return Bench(qtbot, window, tmp_path)
+        return Bench(qtbot, window, server, tmp_path)
 
     yield make
     while windows:

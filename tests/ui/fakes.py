@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
@@ -31,12 +33,14 @@ def small_sensor(name: str = "small dome", nodes: int = 200) -> Sensor:
 class DentSource:
     """Dome with a dent beside its apex that grows frame by frame, after frames without one."""
 
-    def __init__(self, sensor: Sensor, *, broken_from: int | None = None) -> None:
+    def __init__(
+        self, sensor: Sensor, *, broken_from: int | None = None, slow_s: float = 0.0
+    ) -> None:
         self.name = "dent"
         self.times_s = np.arange(FRAMES) / 30.0
         self.closed = False
         self.reads = 0
-        self._broken_from = broken_from
+        self._broken_from, self._slow_s = broken_from, slow_s
         self._camera = DepthCamera.of(sensor.camera)
         mesh = build_mesh(sensor)
         self._view = MembraneView(self._camera, mesh)
@@ -50,6 +54,7 @@ class DentSource:
         if self._broken_from is not None and index >= self._broken_from:
             raise InputError(f"dent: frame {index} cannot be read; the recording is damaged")
         self.reads += 1
+        time.sleep(self._slow_s)
         depth = 2e-3 * max(index - FIRST_CONTACT + 1, 0)
         ranges = self._view.range_image(depth * self._dent)
         along = self._camera.directions.reshape(*ranges.shape, 3) @ self._camera.T_B_C[:3, 2]

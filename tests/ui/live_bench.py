@@ -112,6 +112,12 @@ class Bench(Driver):
         self.wait(lambda: self.state.facts is not None and self.state.facts.grows)
         self.wait(lambda: self.shown >= before + frames)
 
+    def messages_come(self, count: int, sensor: int = 0) -> None:
+        """Wait until so many more messages of a sensor have arrived."""
+        counters = self.run.session.sensors[sensor].stream.counters
+        enough = counters().received + count
+        self.wait(lambda: counters().received >= enough)
+
     def settle_picture(self) -> None:
         """Wait until the view is painted anew."""
         count = self.window.view.render_count

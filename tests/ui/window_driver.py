@@ -7,11 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QPoint
+from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
+from PySide6.QtGui import QMouseEvent
+from PySide6.QtWidgets import QApplication, QGraphicsView, QWidget
 from pytestqt.qtbot import QtBot
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.pipeline import Pipeline
+from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -25,6 +30,7 @@ class Driver:
 
     bot: QtBot
     window: MainWindow
+    server: Server
 
     @property
     def state(self) -> SessionState:
@@ -32,9 +38,8 @@ class Driver:
 
     @property
     def pipeline(self) -> Pipeline:
-        session = self.window.controller.worker._server._session
-        assert session is not None
-        return session.pipeline
+        assert self.server.session is not None
+        return self.server.session.pipeline
 
     def thresholded(self) -> bool:
         """Whether the patch that is shown is that of the chosen κ."""
@@ -78,11 +83,45 @@ def warm(pixels: np.ndarray) -> np.ndarray:
 
 def in_view(driver: Driver, point_m: np.ndarray) -> QPoint:
     """Where a point in B is drawn, in Qt's pixels."""
-    view = driver.window.view
-    view.renderer.SetWorldPoint(*point_m, 1.0)
-    view.renderer.WorldToDisplay()
-    x, y, _ = view.renderer.GetDisplayPoint()
-    return QPoint(round(x), round(view.height() - 1 - y))
+    return driver.window.view.place_of(point_m).toPoint()
+
+
+def props(driver: Driver) -> list[Any]:
+    """What VTK draws: actors and texts, the hidden ones too."""
+    found = driver.window.view.renderer.GetViewProps()
+    return [found.GetItemAsObject(k) for k in range(found.GetNumberOfItems())]
+
+
+def texts(driver: Driver) -> list[str]:
+    """Words in the 3-D view: those of the readout, and the titles of colour bars."""
+    seen = [prop for prop in props(driver) if prop.GetVisibility()]
+    found = [prop.GetInput() for prop in seen if isinstance(prop, vtkTextActor)]
+    return found + [prop.GetTitle() for prop in seen if isinstance(prop, vtkScalarBarActor)]
+
+
+def drawn_points(layer: Any) -> np.ndarray:
+    """Points of what a layer of the scene draws, (n, 3) in B, m."""
+    return np.asarray(layer.actor.mapper.dataset.points)
+
+
+def canvas(panel: QWidget) -> QGraphicsView:
+    """The widget in which a panel has its plots or images, once it has been shown."""
+    found = panel.findChild(QGraphicsView)
+    assert isinstance(found, QGraphicsView)
+    return found
+
+
+def hover(widget: QWidget, place: QPoint, held: Qt.MouseButton = Qt.MouseButton.NoButton) -> None:
+    """Move the mouse there, with no button held or with one."""
+    at, none = QPointF(place), Qt.MouseButton.NoButton
+    keys = Qt.KeyboardModifier.NoModifier
+    event = QMouseEvent(QEvent.Type.MouseMove, at, widget.mapToGlobal(at), none, held, keys)
+    QApplication.sendEvent(widget, event)
+
+
+def idle(thing: QObject) -> bool:
+    """Whether nothing of a panel, or of what serves it, is put off until later."""
+    return not any(timer.isActive() for timer in thing.findChildren(QTimer))
 
 
 def near(pixels: np.ndarray, place: QPoint, colour: str) -> bool:

@@ -35,8 +35,8 @@ class Bench:
 
     @property
     def dialog(self) -> ExportDialog:
-        dialog = self.driver.window._export
-        assert dialog is not None
+        dialog = self.driver.window.findChild(ExportDialog)
+        assert isinstance(dialog, ExportDialog)
         return dialog
 
     def choose(self, title: str) -> None:

@@ -10,10 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from live_bench import IMAGE, STRING, Bench, contents, robot, sensor_file
 from PySide6.QtCore import Qt
 from rosbags.highlevel import AnyReader
 
+from bubbleviz.calibration.pressure_zero import ENOUGH
 from bubbleviz.frames.recording import Recording
 from bubbleviz.live.source_status import STALE_AFTER_S
 from bubbleviz.live.sources.zenoh_session import SessionOptions
@@ -21,6 +23,7 @@ from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz_ui.bench.live_soak import free_port
 from bubbleviz_ui.engine.request_delay import RequestDelay
+from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
 
@@ -71,20 +74,19 @@ def test_standing_still_and_back_to_now(open_bench: Open) -> None:
     live.wait(lambda: live.shown == back)
     assert live.state.frozen
     frames = live.state.facts.frames
-    live.bot.wait(200)
+    live.messages_come(20)
     assert live.shown == back and live.state.facts.frames <= frames + 2
     live.window.playback.now.click()
     live.follow(2)
     assert not live.state.frozen and live.shown > back + 5
 
 
-def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(open_bench: Open) -> None:
+def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_frames, "KEPT_S", 0.05)
     live = connected(open_bench)
-    frames = live.run.frames[0]
     live.follow(5)
-    with frames._lock:
-        frames._kept.popleft()
-        frames._kept.popleft()
     live.state.seek(0)
     live.wait(live.window.message.isVisible)
     assert "record to keep all" in live.window.message.label.text()
@@ -177,8 +179,9 @@ def _listens(port: int) -> bool:
 def test_the_zero_of_the_gas_pressure_is_learned_again_on_request(open_bench: Open) -> None:
     live = connected(open_bench)
     zero = live.run.session.sensors[0].zero
-    zero._asked = False
-    zero.offset_pa = 250.0
+    zero.zero_now()
+    for _ in range(ENOUGH):
+        zero.learn(zero.reference_pa + 250.0, contact_free=True)
     live.window.live.show_now()
     assert "gas zero +250 Pa" in live.window.live.counts.toolTip()
     key(live, Qt.Key.Key_Z)

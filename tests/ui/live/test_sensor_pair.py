@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from live_bench import IMAGE, Bench, contents, robot_sensor, two
 from PySide6.QtCore import Qt
-
-from bubbleviz_ui.view3d.second_scene import SecondScene
+from vtkmodules.vtkRenderingCore import vtkAssembly
+from window_driver import props
 
 Open = Callable[[], Bench]
 
@@ -36,9 +36,15 @@ def world_camera(bench: Bench) -> np.ndarray:
     return np.vstack([points, T[:3, :3] @ camera.up])
 
 
-def drawn(drawing: SecondScene) -> np.ndarray:
-    """Ends of what the other sensor has in the view, (3, 2)."""
-    return np.array(drawing._assembly.GetBounds()).reshape(3, 2)
+def drawing(bench: Bench) -> vtkAssembly:
+    """What the other sensor has in the view."""
+    (found,) = (prop for prop in props(bench) if isinstance(prop, vtkAssembly))
+    return found
+
+
+def drawn(bench: Bench) -> np.ndarray:
+    """Its ends, (3, 2)."""
+    return np.array(drawing(bench).GetBounds()).reshape(3, 2)
 
 
 def of_the_other(bench: Bench) -> int:
@@ -59,13 +65,13 @@ def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(
     bench.wait(lambda: other(bench) > before + 3)
     # The other's dome points at ours from 120 mm away, along our own z. Its rim is the same in
     # every frame; the force arrow, for one, is longer or shorter.
-    drawing, dome = bench.window.pair.drawing, robot_sensor().membrane
+    dome = robot_sensor().membrane
     bench.state.choose(layers=frozenset({"rim"}))
     radius = dome.rim_radius_m
     expected = [[-radius, radius], [-radius, radius], [0.12, 0.12]]
-    np.testing.assert_allclose(drawn(drawing), expected, atol=3e-3)
+    np.testing.assert_allclose(drawn(bench), expected, atol=3e-3)
     bench.state.choose(layers=frozenset({"rim", "membrane"}))
-    bench.wait(lambda: drawn(drawing)[2, 0] < 0.12 - 0.5 * dome.height_m)
+    bench.wait(lambda: drawn(bench)[2, 0] < 0.12 - 0.5 * dome.height_m)
     bench.settle_picture()
     assert of_the_other(bench) > 50
     bench.window.pair.end()
@@ -116,7 +122,7 @@ def test_time_is_shared(open_bench: Open) -> None:
     frames = bench.run.frames[1]
     bench.wait(lambda: other(bench) == frames.at(now))
     shown, newest = other(bench), len(frames)
-    bench.bot.wait(200)
+    bench.messages_come(20, sensor=1)
     assert other(bench) == shown and len(frames) <= newest + 1
     bench.state.freeze(False)
     bench.wait(lambda: other(bench) > newest + 2)
@@ -138,6 +144,8 @@ def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: O
     bench.wait(lambda: bench.state.facts.title.startswith("synthetic:"))
     bench.follow(3)
     assert bench.window.pair.second_sensor is None and not bench.window.live.sensors
-    assert not bench.window.pair.drawing._assembly.GetVisibility()
+    assert not drawing(bench).GetVisibility()
     assert sum(t.name == "solver" for t in threading.enumerate()) == 1
-    assert tuple(bench.window.scene._beside_m.shape) == (0, 3)
+    bench.window.scene.reset_view()  # with nothing beside it in view
+    middle = [0.0, 0.0, 0.5 * robot_sensor().membrane.height_m]
+    np.testing.assert_allclose(bench.window.view.camera.focal_point, middle, atol=1e-3)

@@ -9,7 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
-from window_driver import Driver
+from window_driver import Driver, idle
 
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.rigid_object import load_object
@@ -212,7 +212,7 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
 
     def settled() -> list[object]:
         """Once the solver is built anew and the object is read; the pose panel writes at times."""
-        driver.wait(lambda: not window.pose.session.busy and not window.pose._due.isActive())
+        driver.wait(lambda: not window.pose.session.busy and idle(window.pose))
         driver.settle()
         return shown()
 

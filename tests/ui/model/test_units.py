@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from PySide6.QtWidgets import QApplication, QMenu
-from window_driver import Driver
+from window_driver import Driver, texts
 
 from bubbleviz_ui.model.units import SYSTEMS, Units
 from bubbleviz_ui.view3d.scale_ranges import rounded_up
@@ -99,12 +99,11 @@ def test_every_label_follows_the_units(drive: Drive) -> None:
     assert window.images.cells["depth"].text.endswith(" m")
     assert "mN" in window.plots.plots["force"].frame.text
     assert window.plots.plots["center"].frame.text.endswith(" m")
-    layers = window.scene.layers
-    assert layers["readout"]._head.GetInput().endswith("mN")
-    assert "psi" in layers["readout"]._rest.GetInput()
-    assert layers["membrane"]._bar._bar.GetTitle().endswith("(psi)")
-    assert layers["cloud"]._bar._bar.GetTitle().endswith("(m)")
-    drawn = window.scene._surface.poly.point_data["contact pressure"].max()
+    head, rest, *bars = texts(driver)
+    assert head.startswith("contact") and head.endswith("mN")
+    assert rest.startswith("peak") and "psi" in rest
+    assert sorted(bar.split()[-1] for bar in bars) == ["(m)", "(psi)"]
+    drawn = window.scene.layers["membrane"].actor.mapper.dataset["contact pressure"].max()
     peak = window.controller.result.estimate.contact_pressure_pa.max()
     assert drawn == pytest.approx(peak / 6894.757293168)
     assert driver.pipeline.counts["estimate"] == solved  # nothing is computed for it

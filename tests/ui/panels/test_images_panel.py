@@ -7,10 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
-from PySide6.QtGui import QMouseEvent
-from PySide6.QtWidgets import QApplication, QWidget
-from window_driver import Driver, in_view, near
+from PySide6.QtCore import QEvent, QPoint, QPointF
+from PySide6.QtWidgets import QApplication
+from window_driver import Driver, canvas, hover, idle, in_view, near
 
 from bubbleviz.diagnostics.probe import Probe
 from bubbleviz_ui.panels.images_panel import ImagesPanel, best_columns
@@ -24,26 +23,17 @@ def opened(driver: Driver, *images: str) -> ImagesPanel:
     driver.window.resize(1280, 800)
     driver.state.choose(images=frozenset(images))
     driver.window.images_dock.show()
-    driver.wait(lambda: driver.window.images._grid is not None)
+    driver.wait(lambda: bool(driver.window.images.cells))
     driver.wait(lambda: set(driver.window.controller.inspection.images) >= set(images) - {"patch"})
     QApplication.processEvents()
     driver.settle()
     return driver.window.images
 
 
-def hover(widget: QWidget, place: QPoint) -> None:
-    """Move the mouse there with no button held."""
-    at = QPointF(place)
-    everywhere = widget.mapToGlobal(at)
-    none, keys = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier
-    event = QMouseEvent(QEvent.Type.MouseMove, at, everywhere, none, none, keys)
-    QApplication.sendEvent(widget, event)
-
-
 def place_of(panel: ImagesPanel, name: str, row: int, column: int) -> QPoint:
     box = panel.cells[name].box
     scene = box.mapViewToScene(QPointF(column + 0.5, row + 0.5))
-    return panel._grid.mapFromScene(scene)
+    return canvas(panel).mapFromScene(scene)
 
 
 def test_a_pixel_lights_up_its_point_and_its_node(drive: Drive) -> None:
@@ -52,7 +42,7 @@ def test_a_pixel_lights_up_its_point_and_its_node(drive: Drive) -> None:
     result = driver.window.controller.result
     row, column = 24, 44
     before = driver.window.view.pixels()
-    hover(panel._grid.viewport(), place_of(panel, "change", row, column))
+    hover(canvas(panel).viewport(), place_of(panel, "change", row, column))
     found = driver.window.hover.place
     assert found is not None and found.pixel == (row, column)
     depth = float(result.frame.depth_m[row, column])
@@ -76,7 +66,7 @@ def test_a_pixel_lights_up_its_point_and_its_node(drive: Drive) -> None:
     for name in ("depth", "change"):
         marks = panel.cells[name].pixel.getData()
         assert (marks[0][0], marks[1][0]) == (column + 0.5, row + 0.5)
-    QApplication.sendEvent(panel._grid, QEvent(QEvent.Type.Leave))
+    QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
     driver.settle()
     assert driver.window.hover.place is None
     assert not near(driver.window.view.pixels(), place, NODE)
@@ -102,14 +92,13 @@ def test_a_place_in_3d_is_marked_in_the_images(drive: Drive) -> None:
 def test_nothing_is_picked_while_nobody_looks(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     hover(driver.window.view, driver.window.view.rect().center())
-    driver.bot.wait(80)
-    assert driver.window.hover.place is None and not driver.window.pointing._due.isActive()
+    assert driver.window.hover.place is None and idle(driver.window.pointing)
 
 
 def test_the_numbers_under_the_mouse_follow_the_frame(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     panel = opened(driver, "depth")
-    hover(panel._grid.viewport(), place_of(panel, "depth", 25, 44))
+    hover(canvas(panel).viewport(), place_of(panel, "depth", 25, 44))
     before = panel.lines[2].text()
     driver.seek(3)
     assert panel.lines[2].text() != before and "p_c 0.00 kPa" in panel.lines[2].text()
@@ -172,12 +161,12 @@ def test_images_show_the_press_and_leave_out_what_is_missing(drive: Drive) -> No
 def test_the_text_about_a_place_is_not_clipped(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.images.boxes)
-    hover(panel._grid.viewport(), place_of(panel, "change", 25, 44))
+    hover(canvas(panel).viewport(), place_of(panel, "change", 25, 44))
     QApplication.processEvents()
     for label in panel.lines:
         assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
     for cell in panel.cells.values():
-        assert cell._words.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
+        assert cell.words.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
     assert driver.window.width() == 1280
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QPointF, Qt
+from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtWidgets import QApplication, QLabel
-from window_driver import Driver
+from window_driver import Driver, canvas, hover
 
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
@@ -63,15 +64,17 @@ def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
     assert line.value() == pytest.approx(math.log10(automatic))
     solved, area = driver.pipeline.counts["estimate"], result.patch.area_m2
 
-    def place(log_kappa: float) -> object:
-        middle = sum(box.viewRange()[1]) / 2
-        return panel._grid.mapFromScene(box.mapViewToScene(QPointF(log_kappa, middle)))
+    def near(line: Any, log_kappa: float) -> bool:
+        return abs(line.value() - log_kappa) < 0.02
 
-    viewport = panel._grid.viewport()
+    def place(log_kappa: float) -> QPoint:
+        middle = sum(box.viewRange()[1]) / 2
+        return canvas(panel).mapFromScene(box.mapViewToScene(QPointF(log_kappa, middle)))
+
+    viewport = canvas(panel).viewport()
     driver.bot.mousePress(viewport, LEFT, pos=place(line.value()))
     for log_kappa in (0.8, 0.5, 0.3):
-        driver.bot.mouseMove(viewport, pos=place(log_kappa))
-        driver.bot.wait(20)
+        driver.wait(lambda to=log_kappa: (hover(viewport, place(to), LEFT), near(line, to))[1])
     driver.bot.mouseRelease(viewport, LEFT, pos=place(0.3))
     driver.wait(lambda: driver.state.choices.kappa is not None)
     assert driver.state.choices.kappa == pytest.approx(2.0, rel=0.15)
@@ -178,9 +181,9 @@ def test_two_settings_are_measured_against_the_truth(
 
 def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
-    bench = driver.window.controller.worker._server._session.side_by_side
+    bench = driver.server.session.side_by_side
     driver.seek(CONTACT + 1)
-    assert not bench._built
+    assert not bench.pipelines
     panel = compare(driver)
     own = driver.pipeline.counts["estimate"]
     driver.state.seek(2)
@@ -189,14 +192,14 @@ def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive)
     assert driver.pipeline.counts["estimate"] == own + 1
     driver.window.kappa_dock.raise_()  # behind a tab is hidden, too
     driver.wait(lambda: panel.a.values["status"].text() == "–")
-    driver.wait(lambda: not bench._built)
+    driver.wait(lambda: not bench.pipelines)
     driver.window.compare_dock.raise_()
     driver.wait(lambda: panel.a.values["status"].text() == "no_contact")
     driver.window.compare_dock.hide()
     assert panel.a.values["status"].text() == "–"
-    driver.wait(lambda: not bench._built)  # nor does it hold memory
+    driver.wait(lambda: not bench.pipelines)  # nor does it hold memory
     driver.seek(CONTACT)
-    assert not bench._built
+    assert not bench.pipelines
 
 
 def test_lambda_and_blocks_reach_the_estimator(drive: Drive) -> None:
@@ -208,9 +211,9 @@ def test_lambda_and_blocks_reach_the_estimator(drive: Drive) -> None:
     assert panel.b.options() == EstimatorOptions(
         "active-set", relinearisations=1, pressure_scale=0.5, block=3
     )
-    bench = driver.window.controller.worker._server._session.side_by_side
-    driver.wait(lambda: panel.b.options() in bench._built)
-    assert bench._built[panel.b.options()].estimator.observer.block == 3
+    bench = driver.server.session.side_by_side
+    driver.wait(lambda: panel.b.options() in bench.pipelines)
+    assert bench.pipelines[panel.b.options()].estimator.observer.block == 3
 
 
 def test_nothing_is_clipped(drive: Drive) -> None:
@@ -224,7 +227,7 @@ def test_nothing_is_clipped(drive: Drive) -> None:
     panel = threshold(driver)
     for plot in (panel.histogram, panel.curve):
         words = plot.frame.words
-        assert words.item.boundingRect().width() + words.pos().x() <= panel._grid.width() + 8
+        assert words.item.boundingRect().width() + words.pos().x() <= canvas(panel).width() + 8
     driver.window.tools_dock.show()
     driver.window.layers_dock.show()
     QApplication.processEvents()

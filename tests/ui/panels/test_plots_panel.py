@@ -12,7 +12,7 @@ from fakes import FIRST_CONTACT, DentSource
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QColor, QImage, QPalette
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver
+from window_driver import Driver, canvas
 
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.diagnostics.kappa_curve import KAPPAS, kappa_curve
@@ -33,7 +33,7 @@ def opened(driver: Driver, *plots: str) -> PlotsPanel:
     driver.state.choose(plots=frozenset(plots))
     driver.window.resize(1280, 800)
     driver.window.plots_dock.show()
-    driver.wait(lambda: driver.window.plots.isVisible() and driver.window.plots._grid is not None)
+    driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
     QApplication.processEvents()
     driver.settle()
     return driver.window.plots
@@ -43,7 +43,7 @@ def place(panel: PlotsPanel, name: str, time_s: float) -> QPoint:
     """Where a time lies in a plot, in the graphics widget."""
     box = panel.plots[name].box
     low, high = box.viewRange()[1]
-    return panel._grid.mapFromScene(box.mapViewToScene(QPointF(time_s, 0.5 * (low + high))))
+    return canvas(panel).mapFromScene(box.mapViewToScene(QPointF(time_s, 0.5 * (low + high))))
 
 
 def plain(panel: PlotsPanel, name: str) -> str:
@@ -109,7 +109,7 @@ def test_a_click_seeks_and_the_cursor_and_the_numbers_follow(drive: Drive) -> No
     panel = opened(driver, "force", "residual")
     frame = FIRST_CONTACT + 4
     time_s = float(driver.state.facts.times_s[frame])
-    driver.bot.mouseClick(panel._grid.viewport(), LEFT, pos=place(panel, "residual", time_s))
+    driver.bot.mouseClick(canvas(panel).viewport(), LEFT, pos=place(panel, "residual", time_s))
     assert driver.state.frame == frame
     driver.settle()
     driver.wait(lambda: driver.window.controller.result.patch is not None)
@@ -168,7 +168,7 @@ def test_the_plots_follow_the_theme(drive: Drive) -> None:
     palette = panel.palette()
     palette.setColor(QPalette.ColorRole.Base, QColor("#fdfdfd"))
     panel.setPalette(palette)
-    image = panel._grid.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    image = canvas(panel).grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     assert image.pixelColor(image.width() - 3, 3).lightness() > 240
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ from PySide6.QtGui import QImage
 from window_driver import Driver
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.frames.frame import Frame
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.events import FrameChanged, SourceFacts
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
@@ -36,14 +35,6 @@ class GappySource(DentSource):
     def __init__(self, sensor: Sensor) -> None:
         super().__init__(sensor)
         self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
-
-
-class SlowSource(DentSource):
-    """Takes as long for a frame as ten are to take at the fastest speed."""
-
-    def __getitem__(self, index: int) -> Frame:
-        time.sleep(0.04)
-        return super().__getitem__(index)
 
 
 def pixels(timeline: Timeline) -> np.ndarray:
@@ -178,7 +169,8 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
 
 
 def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
-    driver = drive(SlowSource)
+    slow = partial(DentSource, slow_s=0.04)  # as ten frames are to take at the fastest speed
+    driver = drive(slow)
     solved: list[int] = []
     driver.window.controller.shown.connect(lambda r: solved.append(r.frame.index))
     driver.state.choose(every_frame=True, speed=8.0, loop=False)

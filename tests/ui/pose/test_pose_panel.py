@@ -11,7 +11,7 @@ import pytest
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QFileDialog, QWidget
-from window_driver import Driver
+from window_driver import Driver, in_view
 
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
@@ -206,19 +206,14 @@ def test_the_object_is_moved_in_the_view(bench: Bench) -> None:
     assert start is not None
     assert bench.green() > 1_000  # drawn where it is to begin
     before = start.copy()
-    renderer = view.renderer
-    middle = before[:3, 3] + [0.0, 0.0, 0.02]  # of the frustum, which is 40 mm tall
-    renderer.SetWorldPoint(*middle, 1.0)
-    renderer.WorldToDisplay()
-    x, y, _ = renderer.GetDisplayPoint()
-    ratio = view.devicePixelRatioF()
-    at = QPoint(round(x / ratio), round(view.height() - y / ratio))
+    # the middle of the frustum, which is 40 mm tall
+    at = in_view(bench.driver, before[:3, 3] + [0.0, 0.0, 0.02])
     bot = bench.driver.bot
     bot.mouseMove(view, at)
     bot.mousePress(view, LEFT, pos=at)
     for step in range(1, 6):
         bot.mouseMove(view, at + QPoint(8 * step, 0))
-        bot.wait(20)
+        bench.driver.settle()
     bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
     bench.driver.settle()
     moved = bench.panel.session.start

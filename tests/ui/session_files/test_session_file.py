@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -93,11 +92,10 @@ def check(driver: Driver) -> None:
 @pytest.fixture(autouse=True)
 def dark_again() -> object:
     yield
-    from PySide6.QtWidgets import QApplication
-
     from bubbleviz_ui.shell import theme
+    from bubbleviz_ui.window_session import application
 
-    theme.apply(QApplication.instance(), theme.DARK)  # type: ignore[arg-type]
+    theme.apply(application(), theme.DARK)
 
 
 def test_a_session_is_sent_to_a_colleague(drive: Drive, files: Path, tmp_path: Path) -> None:
@@ -257,16 +255,16 @@ def run(files: Path, config: Path, *, first: bool, rec: str) -> subprocess.Popen
     )  # fmt: skip
 
 
-def test_after_a_kill_the_next_start_is_where_it_was(files: Path, tmp_path: Path) -> None:
+def test_after_a_kill_the_next_start_is_where_it_was(
+    files: Path, tmp_path: Path, eventually: Callable[[Callable[[], object]], None]
+) -> None:
     rec = tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", rec)
     process = run(files, tmp_path / "config", first=True, rec=str(rec))
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n", process.communicate()[1]
     file = tmp_path / "config" / "bubbleviz" / "session.json"
-    end = time.monotonic() + 240
-    while time.monotonic() < end and not (file.exists() and "1.75" in file.read_text()):
-        time.sleep(0.05)
+    eventually(lambda: file.exists() and "1.75" in file.read_text())
     process.send_signal(signal.SIGKILL)
     process.communicate()
     again = run(files, tmp_path / "config", first=False, rec="")

@@ -15,8 +15,6 @@ from window_driver import Driver
 Drive = Callable[..., Driver]
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""
-REST_MS = 400
-"""Until nothing more is drawn."""
 
 
 def on_screen(driver: Driver) -> np.ndarray:
@@ -31,23 +29,32 @@ def on_screen(driver: Driver) -> np.ndarray:
     return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
 
 
-def assert_shown(driver: Driver) -> None:
-    """The screen shows what the view would draw now."""
-    driver.bot.wait(REST_MS)
-    screen = on_screen(driver)  # first: asking the view for its pixels could mend it
-    drawn = driver.window.view.pixels()
-    assert screen.shape == drawn.shape
-    assert (np.abs(screen.astype(int) - drawn).max(axis=2) > DIFFERENT).mean() < 1e-3
+def share_that_differs(a: np.ndarray, b: np.ndarray) -> float:
+    """Of the pixels of two pictures; 1 where they have another size."""
+    if a.shape != b.shape:
+        return 1.0
+    return float((np.abs(a.astype(int) - b).max(axis=2) > DIFFERENT).mean())
+
+
+def assert_shown(driver: Driver, before: np.ndarray) -> None:
+    """The screen, once it is another than before and at rest, shows what the view would draw."""
+    seen = [before]
+
+    def rests() -> bool:
+        seen.append(on_screen(driver))  # not the view's pixels: asking for them could mend it
+        return np.array_equal(seen[-1], seen[-2]) and share_that_differs(seen[-1], before) > 1e-3
+
+    driver.wait(rests)
+    assert share_that_differs(seen[-1], driver.window.view.pixels()) < 1e-3
 
 
 def test_every_frame_reaches_the_screen(drive: Drive) -> None:
     driver = drive()
-    before = on_screen(driver)
     for frame in (10, 0, 14):
+        before = on_screen(driver)
         driver.state.seek(frame)
         driver.wait(lambda frame=frame: driver.window.controller.result.frame.index == frame)
-        assert_shown(driver)
-    assert (np.abs(on_screen(driver).astype(int) - before) > DIFFERENT).any()
+        assert_shown(driver, before)
 
 
 @pytest.mark.parametrize("change", ["covered", "resized", "dock", "theme", "hidden"])
@@ -55,6 +62,7 @@ def test_the_picture_is_the_present_one_after(drive: Drive, change: str) -> None
     driver = drive()
     window = driver.window
     driver.seek(3)
+    before = on_screen(driver)
     if change == "covered":
         above = QWidget()
         above.setGeometry(window.geometry())
@@ -77,7 +85,7 @@ def test_the_picture_is_the_present_one_after(drive: Drive, change: str) -> None
         driver.wait(lambda: window.controller.result.frame.index == 12)
         window.show()
         driver.bot.waitExposed(window)
-    assert_shown(driver)
+    assert_shown(driver, before)
 
 
 def test_panels_are_painted_without_the_view(drive: Drive) -> None:

@@ -47,7 +47,9 @@ SLICE_S = 0.03
 
 
 @dataclass(frozen=True)
-class _Session:
+class Session:
+    """An open source and what is made of its frames; only the solver thread changes it."""
+
     number: int
     source: FrameSource
     pipeline: Pipeline
@@ -56,22 +58,27 @@ class _Session:
 
 
 class Server:
-    """Keeps the open source and its pipeline; a request that fails changes nothing."""
+    """Keeps the open source and its pipeline; a request that fails changes nothing.
+
+    Attributes
+    ----------
+    session : Session or None
+    """
 
     def __init__(self) -> None:
-        self._session: _Session | None = None
+        self.session: Session | None = None
 
     @property
     def counts(self) -> dict[str, int]:
         """How often each stage has run for the open source."""
-        return dict(self._session.pipeline.counts) if self._session is not None else {}
+        return dict(self.session.pipeline.counts) if self.session is not None else {}
 
     def serve(self, request: Request) -> Answer | None:
         """Answer one request; None when it belongs to a session that is gone."""
         try:
             if isinstance(request, OpenRequest):
                 return self._open(request)
-            session = self._session
+            session = self.session
             if session is None or session.number != request.session:
                 return None
             if isinstance(request, CompareRequest):
@@ -92,22 +99,22 @@ class Server:
 
     def close(self) -> None:
         """Let go of the open source."""
-        if self._session is not None:
-            self._session.source.close()
-            self._session = None
+        if self.session is not None:
+            self.session.source.close()
+            self.session = None
 
-    def _solve(self, session: _Session, request: FrameRequest) -> Solved:
+    def _solve(self, session: Session, request: FrameRequest) -> Solved:
         frame = session.source[request.index]
         return self._solved(session, request, frame)
 
-    def _newest(self, session: _Session, request: NewestRequest) -> Solved | Waited:
+    def _newest(self, session: Session, request: NewestRequest) -> Solved | Waited:
         source = session.source
         time.sleep(max(request.from_s - time.perf_counter(), 0.0))
         frame = source.newest(WAIT_S) if isinstance(source, LiveFrames) else None
         return Waited(request) if frame is None else self._solved(session, request, frame)
 
     def _solved(
-        self, session: _Session, request: FrameRequest | NewestRequest, frame: Frame
+        self, session: Session, request: FrameRequest | NewestRequest, frame: Frame
     ) -> Solved:
         options = FrameOptions(request.kappa, request.least_area_m2, request.cloud_points)
         result = _process(session.source, session.pipeline, frame, request.products, options)
@@ -117,7 +124,7 @@ class Server:
         numbers, done_s = numbers_of(result, session.pipeline.model.gas), time.perf_counter()
         return Solved(request, result, numbers, inspection, done_s)
 
-    def _follow(self, session: _Session, request: FollowRequest) -> Followed:
+    def _follow(self, session: Session, request: FollowRequest) -> Followed:
         obj = None
         if request.object_name is not None:
             obj = load_object(request.object_name, request.unit)
@@ -125,7 +132,7 @@ class Server:
         solved = self._solve(session, request.fit) if request.fit is not None else None
         return Followed(request, obj, solved)
 
-    def _threshold(self, session: _Session, request: PatchRequest) -> Thresholded:
+    def _threshold(self, session: Session, request: PatchRequest) -> Thresholded:
         estimate = request.result.estimate
         if estimate is None:
             raise ValueError("no estimate to threshold")
@@ -136,7 +143,7 @@ class Server:
         numbers = numbers_of(result, session.pipeline.model.gas)
         return Thresholded(request, result, numbers, inspection)
 
-    def _analyse(self, session: _Session, request: AnalyseRequest) -> Analysed:
+    def _analyse(self, session: Session, request: AnalyseRequest) -> Analysed:
         """As many frames as there is time for, and one at least."""
         end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
         pipeline, options = session.pipeline, FrameOptions(request.kappa, request.least_area_m2)
@@ -151,7 +158,7 @@ class Server:
                 break
         return Analysed(request, tuple(numbers))
 
-    def _compare(self, session: _Session, request: CompareRequest) -> Compared | None:
+    def _compare(self, session: Session, request: CompareRequest) -> Compared | None:
         session.side_by_side.keep(request.settings)
         if not request.settings:
             return None
@@ -191,8 +198,8 @@ class Server:
         self.close()
         settings = SideBySide(sensor, pipeline.camera.intrinsics)
         inspector = Inspector(pipeline)
-        session = _Session(request.session, source, pipeline, inspector, settings)
-        self._session = session
+        session = Session(request.session, source, pipeline, inspector, settings)
+        self.session = session
         grows = isinstance(source, LiveFrames)
         remark = str(getattr(source, "remark", ""))  # recordings have one
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows, remark)
@@ -203,7 +210,7 @@ class Server:
 
 
 def _look(
-    session: _Session, result: Result, looks: frozenset[Look], kappa: float | None
+    session: Session, result: Result, looks: frozenset[Look], kappa: float | None
 ) -> Inspection:
     """A closer look at a result, beside the truth where the source knows it."""
     truth = None

@@ -67,9 +67,9 @@ class ImageCell:
         self.frame: Any = pg.GraphicsLayout()
         self.frame.layout.setContentsMargins(0, 2 * HEAD - 3, 0, 0)
         self.frame.addItem(self.box, 0, 0)
-        self._words = pg.LabelItem(justify="left", size="9pt")
-        self._words.setParentItem(self.frame)
-        self._words.setPos(0.0, -2.0)
+        self.words = pg.LabelItem(justify="left", size="9pt")
+        self.words.setParentItem(self.frame)
+        self.words.setPos(0.0, -2.0)
         self.text = ""
 
     def forget_range(self) -> None:
@@ -106,8 +106,8 @@ class ImageCell:
 
     def paint(self, colour: str) -> None:
         """Take the theme's colour of text."""
-        self._words.setAttr("color", colour)
-        self._words.setText(self.text)
+        self.words.setAttr("color", colour)
+        self.words.setText(self.text)
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
         """Ends of the colours: they grow with the data and never shrink."""
@@ -138,7 +138,7 @@ class ImageCell:
 
     def _write(self, text: str) -> None:
         self.text = text
-        self._words.setText(text)
+        self.words.setText(text)
 
 
 def _digits(span: float) -> int:

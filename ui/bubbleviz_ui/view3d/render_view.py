@@ -113,6 +113,14 @@ class View(QtInteractor):  # type: ignore[misc]
         rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
         return rows.reshape(image.height(), image.width(), 3).copy()
 
+    def place_of(self, point_m: np.ndarray) -> QPointF:
+        """Where a point (3,) in B is drawn, in Qt's pixels."""
+        self.renderer.SetWorldPoint(*point_m, 1.0)
+        self.renderer.WorldToDisplay()
+        x, y, _ = self.renderer.GetDisplayPoint()
+        ratio = self.devicePixelRatioF()
+        return QPointF(x / ratio, self.height() - 1 - y / ratio)
+
     def paintGL(self) -> None:
         """Render for Qt, which puts the window together: at first, after resizing, to grab it."""
         start = time.perf_counter()
