@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -16,6 +19,7 @@ from window_driver import Driver, warm
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.shell.display import has_display
 
 HERE = Path(__file__).parent
 PROGRAM = """
@@ -45,9 +49,10 @@ with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None) 
 """
 
 
-def run(what: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run(
+    what: str, hidden: Sequence[str] = ("DISPLAY", "WAYLAND_DISPLAY"), **environment: str
+) -> subprocess.CompletedProcess[str]:
     """Run a call in a process that has no display."""
-    hidden = ("DISPLAY", "WAYLAND_DISPLAY")
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
         [sys.executable, "-c", PROGRAM.format(here=str(HERE), what=what)],
@@ -219,10 +224,19 @@ def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press: Pat
     assert "640×480" in driver.window.message.label.text()
 
 
-@pytest.mark.parametrize("name", ["DISPLAY"])
-def test_a_display_that_does_not_answer_is_none(name: str) -> None:
-    from bubbleviz_ui.shell.display import has_display
+def test_a_display_that_does_not_answer_is_none(tmp_path: Path) -> None:
+    assert has_display(os.environ)
+    assert not has_display({"DISPLAY": ":4711"})
+    assert not has_display({"DISPLAY": ""})
+    gone = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": str(tmp_path)}
+    assert not has_display(gone)
 
-    assert not has_display({name: ":4711"})
-    assert not has_display({name: ""})
-    assert has_display({"WAYLAND_DISPLAY": "wayland-0"})
+
+def test_wayland_without_an_x_server_is_one_clear_line() -> None:
+    with tempfile.TemporaryDirectory(prefix="w") as folder, socket.socket(socket.AF_UNIX) as screen:
+        screen.bind(f"{folder}/wayland-0")  # a path this short fits a socket's name
+        screen.listen()
+        wayland = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": folder}
+        done = run("sys.exit(run_window(small_sensor()))", hidden=("DISPLAY",), **wayland)
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1 and "XWayland" in done.stderr

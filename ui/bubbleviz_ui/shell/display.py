@@ -9,17 +9,28 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 
 from bubbleviz.errors import InputError
 
 
 def has_display(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether there is a screen that answers."""
-    if not sys.platform.startswith("linux"):
+    """Whether there is a screen that answers.
+
+    Raises
+    ------
+    InputError
+        It is a Wayland session without an X server, through which VTK draws.
+    """
+    if not sys.platform.startswith("linux") or _answers(environment.get("DISPLAY", "")):
         return True
-    if environment.get("WAYLAND_DISPLAY") and not environment.get("DISPLAY"):
-        return True
-    return _answers(environment.get("DISPLAY", ""))
+    wayland = environment.get("WAYLAND_DISPLAY", "")
+    if wayland and _listens(str(Path(environment.get("XDG_RUNTIME_DIR", "/")) / wayland)):
+        raise InputError(
+            "this Wayland session has no XWayland, through which the window draws; "
+            "install it (apt install xwayland) and log in again"
+        )
+    return False
 
 
 @contextmanager
