@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.preset_files import presets_folder
@@ -89,8 +91,6 @@ class Camera(_Section):
     @property
     def T_B_C(self) -> np.ndarray:
         """Pose of the camera in the bubble frame, 4×4."""
-        from scipy.spatial.transform import Rotation
-
         T = np.eye(4)
         T[:3, :3] = Rotation.from_quat(self.quaternion_xyzw).as_matrix()
         T[:3, 3] = self.position_m
@@ -153,7 +153,5 @@ def load_sensor(name: str | Path) -> Sensor:
 
 def sensor_to_toml(sensor: Sensor) -> str:
     """Text of the sensor file that describes `sensor`."""
-    import tomli_w
-
     data: dict[str, Any] = sensor.model_dump(mode="json", exclude_none=True)
     return tomli_w.dumps(data)

@@ -154,3 +154,32 @@ def test_tests_wait_for_conditions_and_never_for_a_time() -> None:
         )
     ]
     assert not found
+
+
+def late_imports(file: Path) -> Iterator[tuple[int, int]]:
+    """First and last line of each run of imports inside a function."""
+    for function in ast.walk(ast.parse(file.read_text())):
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = sorted(
+                (node.lineno, node.end_lineno or node.lineno)
+                for node in ast.walk(function)
+                if isinstance(node, ast.Import | ast.ImportFrom)
+            )
+            for k, (start, end) in enumerate(lines):
+                if k and start - lines[k - 1][1] <= 2:
+                    lines[k] = (lines[k - 1][0], end)
+            yield from dict(lines).items()
+
+
+def test_an_import_inside_a_function_says_why() -> None:
+    """Which start it makes faster, or which extra it leaves out: beside it, or for the module."""
+    silent = []
+    for file in FILES:
+        text = file.read_text().splitlines()
+        if "import" in (ast.get_docstring(ast.parse(file.read_text())) or ""):
+            continue
+        for start, end in late_imports(file):
+            above = text[start - 2].strip().startswith("#")
+            if not above and not any("  # " in line for line in text[start - 1 : end]):
+                silent.append(f"{file.relative_to(REPOSITORY)}:{start}")
+    assert not silent

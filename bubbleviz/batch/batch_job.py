@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
+import bubbleviz
 from bubbleviz.batch.summary_row import Row
+from bubbleviz.calibration.sensor_writer import file_hash
+from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.files.output_files import whole_file
+from bubbleviz.frames.bags import Bag
+from bubbleviz.frames.sensor_matching import checked_sensor
+from bubbleviz.sensor import sensor_to_toml
 
 RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
 """Files in the folder of a recording's result."""
@@ -84,9 +92,6 @@ def finished(out: Path, key: str) -> Row | None:
 
 
 def _run(job: Job) -> Row:
-    from bubbleviz.frames.sensor_matching import checked_sensor
-    from bubbleviz.sensor import sensor_to_toml
-
     asked, out = job.settings, Path(job.out)
     sensor_name, sensor = checked_sensor(job.recording, asked.sensor)
     named = [sensor.membrane.mesh_file, sensor.calibration and sensor.calibration.pixels_file]
@@ -105,10 +110,6 @@ def _run(job: Job) -> Row:
 
 
 def _estimated(job: Job, sensor_name: str, key: str) -> Row:
-    from bubbleviz.commands.estimate import estimate_recording
-    from bubbleviz.files.output_files import whole_file
-    from bubbleviz.frames.bags import Bag
-
     asked, out = job.settings, Path(job.out)
     _make_room(out)
     with whole_file(out) as folder:
@@ -131,9 +132,6 @@ def _estimated(job: Job, sensor_name: str, key: str) -> Row:
 
 def _key(files: list[Path], sensor_toml: str, settings: Settings) -> str:
     """Hash of all that a result depends on."""
-    import bubbleviz
-    from bubbleviz.calibration.sensor_writer import file_hash
-
     choices = {**asdict(settings), "sensor": sensor_toml, "version": bubbleviz.__version__}
     parts = [*map(file_hash, files), json.dumps(choices, sort_keys=True)]
     return sha256("\n".join(parts).encode()).hexdigest()
@@ -141,8 +139,6 @@ def _key(files: list[Path], sensor_toml: str, settings: Settings) -> str:
 
 def _make_room(out: Path) -> None:
     """Remove a result of other settings; anything else at its place is not ours to remove."""
-    import shutil
-
     out.parent.mkdir(parents=True, exist_ok=True)
     if out.is_dir() and {path.name for path in out.iterdir()} <= {RESULT, TABLE, SUMMARY}:
         shutil.rmtree(out)

@@ -1,4 +1,7 @@
-"""Jobs on a Dask cluster, whose workers see the same files under the same paths."""
+"""Jobs on a Dask cluster, whose workers see the same files under the same paths.
+
+`distributed` is an optional extra, imported only when a scheduler is named.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `batch`: all recordings of a folder."""
+"""The command `batch`: all recordings of a folder; heavy imports inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `export`: a recording's frames as files for other programs."""
+"""The command `export`: a recording's frames as files for other programs; heavy imports inside."""
 
 from __future__ import annotations
 

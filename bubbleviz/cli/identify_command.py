@@ -1,4 +1,4 @@
-"""The command `identify`: a recording of the untouched sensor in, a sensor file out."""
+"""The command `identify`: from contact-free frames to a sensor file; heavy imports inside."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from bubbleviz.batch.local_processes import run_in_processes
 from bubbleviz.batch.summary_row import Row
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import cannot_write, refuse_existing
+from bubbleviz.sensor import load_sensor
 
 SUMMARY = "summary.csv"
 _LOCK = ".batch.lock"
@@ -60,8 +61,6 @@ def run_batch(
     """
     found = find_recordings(folder)
     if settings.sensor is not None:
-        from bubbleviz.sensor import load_sensor
-
         load_sensor(settings.sensor)  # else every recording would fail for the same reason
     if scheduler is not None:
         check_cluster(scheduler)
@@ -125,8 +124,8 @@ def _owned(out: Path, todo: list[Job], local: bool) -> Iterator[None]:
 
 def _lock(descriptor: int, out: Path) -> None:
     try:
-        import fcntl
-    except ImportError:  # not on Windows
+        import fcntl  # not on Windows
+    except ImportError:
         return
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

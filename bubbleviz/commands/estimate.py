@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 import bubbleviz
 from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
@@ -204,8 +205,6 @@ def _solve(
     zero: PressureZero | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of the frames, once both files are written."""
-    from tqdm import tqdm
-
     pipeline.prepare(PRODUCTS)  # set-up is not part of the first frame's time
     seen = False
     with ExitStack() as stack:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from tqdm import tqdm
 
 from bubbleviz.commands.estimate import parse_frames
 from bubbleviz.errors import InputError
@@ -127,8 +128,6 @@ def pose_recording(
 
 
 def _follow(source: Recording, chosen: range, pipeline: Pipeline, out: Path) -> list[PoseRow]:
-    from tqdm import tqdm
-
     rows = []
     with whole_file(out) as temporary, PoseCsvWriter(temporary) as writer:
         for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal

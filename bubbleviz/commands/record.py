@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from bubbleviz.commands.stop_signals import stopped_by_signals
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_stream import LiveStream
@@ -134,8 +136,6 @@ def _wait(
     patience: float,
 ) -> float | None:
     """Until it is over; when the first message came, of `time.monotonic`."""
-    from tqdm import tqdm
-
     began, first = time.monotonic(), None
     with tqdm(unit=" messages", disable=None, file=sys.stderr) as bar:  # only on a terminal
         while not stop.wait(_LOOK_S if first is None else 0.5 * _LOOK_S):

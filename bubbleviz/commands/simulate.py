@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose, read_path
@@ -65,8 +66,6 @@ def write_simulation(source: SyntheticSource, out: Path, truth: Path | None = No
     SolveError
         No equilibrium at a pose; nothing is written.
     """
-    from tqdm import tqdm
-
     for path in filter(None, (out, truth)):
         refuse_existing(path)
     truths: list[Truth] = []

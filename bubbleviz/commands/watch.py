@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from bubbleviz.calibration.pressure_zero import PressureZero, zeroed
 from bubbleviz.commands.stop_signals import stopped_by_signals
@@ -192,8 +193,6 @@ class _Out:
 
 
 def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> WatchSummary:
-    from tqdm import tqdm
-
     statuses: Counter[str] = Counter()
     forces = [0.0]
     began = told = time.monotonic()

@@ -64,7 +64,7 @@ class Mp4Writer:
             self._encoder.close()
 
     def _started(self, picture: np.ndarray) -> Generator[None, Any, None]:
-        import imageio_ffmpeg
+        import imageio_ffmpeg  # only where a video is written
 
         height, width = _even(picture).shape[:2]
         with self._refusals():

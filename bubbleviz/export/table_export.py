@@ -1,4 +1,7 @@
-"""Per-frame tables: the numbers of each frame, units in the names of the columns."""
+"""Per-frame tables: the numbers of each frame, units in the names of the columns.
+
+`pyarrow` is an optional extra, imported only for Parquet files.
+"""
 
 from __future__ import annotations
 

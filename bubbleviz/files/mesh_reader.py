@@ -1,4 +1,7 @@
-"""Triangle meshes from PLY, OBJ, STL and VTK files, as they are in the file."""
+"""Triangle meshes from PLY, OBJ, STL and VTK files, as they are in the file.
+
+VTK is imported only for the formats that need it: it comes with the window's extra.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.ply_reader import read_ply
@@ -110,10 +116,6 @@ def _vtk_reader(path: Path) -> Any:
 
 def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices closer than 1e-7 of the mesh's size made one, unused ones dropped; order kept."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     size = float(np.ptp(vertices, axis=0).max())
     pairs = cKDTree(vertices).query_pairs(1e-7 * size, output_type="ndarray")
     n = len(vertices)

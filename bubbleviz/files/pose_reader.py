@@ -6,6 +6,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
 
@@ -30,8 +31,6 @@ def parse_pose(text: str) -> np.ndarray:
 
 def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     """4×4 transform from x, y, z in m and a unit quaternion xyzw, shape (7,)."""
-    from scipy.spatial.transform import Rotation
-
     position, quaternion = numbers[:3], numbers[3:]
     if not np.isfinite(numbers).all():
         raise InputError("not finite numbers; correct them")
@@ -47,8 +46,6 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
 
 def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
     """x, y, z in m and the unit quaternion xyzw of a transform (4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     x, y, z = (float(v) for v in T[:3, 3])
     qx, qy, qz, qw = (float(q) for q in Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     return x, y, z, qx, qy, qz, qw
@@ -56,8 +53,6 @@ def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, floa
 
 def pose_of_angles(position_m: np.ndarray, angles_rad: np.ndarray) -> np.ndarray:
     """4×4 transform from a position (3,) and turns (3,) about fixed x, then y, then z."""
-    from scipy.spatial.transform import Rotation
-
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", angles_rad).as_matrix()
     T[:3, 3] = position_m
@@ -66,8 +61,6 @@ def pose_of_angles(position_m: np.ndarray, angles_rad: np.ndarray) -> np.ndarray
 
 def angles_of_pose(T: np.ndarray) -> np.ndarray:
     """Turns (3,) in rad about fixed x, then y, then z that make up the rotation of T (4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
 
 

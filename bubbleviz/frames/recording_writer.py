@@ -55,6 +55,7 @@ class RecordingWriter:
         self._connections: dict[str, Any] = {}
 
     def __enter__(self) -> RecordingWriter:
+        # the simulation behind the window's live sensor starts without a writer
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self._temporary = self._output.__enter__()

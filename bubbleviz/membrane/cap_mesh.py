@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -96,8 +97,6 @@ def mesh_cap(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
     surface, are triangulated (Delaunay) and smoothed on the surface. Nodes lie on the surface,
     those of the rim on the rim; no direction is preferred.
     """
-    from scipy.spatial import Delaunay
-
     rings = _rings(cap, nodes)
     polar, azimuth = np.concatenate(rings, axis=0).T
     # The stereographic map is conformal: Delaunay in this plane is Delaunay on the sphere.

@@ -165,7 +165,7 @@ class ForwardModel:
         V grows with p_v, so the sign changes once, above −P0; where no gas volume is left the
         sign is that of a pressure too low, and the function stays finite.
         """
-        from scipy.optimize import brentq
+        from scipy.optimize import brentq  # 0.2 s; estimates do not need it
 
         P0, V0 = self.gas.P0, self.gas.V0
         states: list[Obstacle] = []

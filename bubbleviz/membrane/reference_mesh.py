@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from bubbleviz.errors import InputError
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
+from bubbleviz.membrane.membrane_file import load_membrane
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, shear_stiffness
@@ -24,13 +26,9 @@ def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
     InputError
         The surface cannot be built; names the file and the place.
     """
-    from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-
     membrane = sensor.membrane
     count = membrane.nodes if nodes is None else nodes
     if membrane.shape == "mesh" and membrane.mesh_file is not None:
-        from bubbleviz.membrane.membrane_file import load_membrane
-
         return load_membrane(sensor.resolve(membrane.mesh_file))
     if membrane.height_m is None:
         raise InputError(f"{sensor.name}: membrane.height_m is missing; add it")

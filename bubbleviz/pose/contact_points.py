@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate, Patch
@@ -109,7 +110,5 @@ def _thinned(index: np.ndarray) -> np.ndarray:
 
 def _within(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
     """Which points (k, 3) have one of the others closer than `reach`."""
-    from scipy.spatial import cKDTree
-
     distance, _ = cKDTree(others).query(points, distance_upper_bound=reach)
     return np.isfinite(distance)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.special import ndtri
 
 from bubbleviz.errors import InputError
 
@@ -63,8 +65,6 @@ class DepthNoise:
             wrong = random.random(range_m.shape) < self.outliers
             noisy += np.where(wrong, random.uniform(-1.0, 1.0, range_m.shape) * self.outlier_m, 0.0)
         if self.holes:
-            from scipy.special import ndtri
-
             random = np.random.default_rng([seed, index, 2])
             blobs = _smoothed(random.standard_normal(range_m.shape), self.correlation_px)
             noisy[blobs < ndtri(self.holes)] = np.nan
@@ -88,8 +88,6 @@ def _smoothed(white: np.ndarray, correlation_px: float) -> np.ndarray:
     """White noise filtered to a Gaussian correlation exp(−(d/L)²), of unit variance."""
     if correlation_px <= 0.0:
         return white
-    from scipy.ndimage import gaussian_filter, gaussian_filter1d
-
     sigma = 0.5 * correlation_px  # the autocorrelation of a Gaussian kernel is √2 times as wide
     impulse = np.zeros(2 * int(4.0 * sigma + 1.0) + 1)
     impulse[len(impulse) // 2] = 1.0

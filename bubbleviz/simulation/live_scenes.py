@@ -11,6 +11,7 @@ from bubbleviz.live.sources.source_uri import SourceUri
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.dual_nut import grip_poses, oversized_nut
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path, dome_size
 
 LIVE_FINER = 2
@@ -51,8 +52,6 @@ def simulation(
 def _scene(place: str, sensor: Sensor, frames: int) -> tuple[RigidObject, np.ndarray]:
     height, width = dome_size(sensor)
     if place in ("nut-left", "nut-right"):
-        from bubbleviz.simulation.dual_nut import grip_poses, oversized_nut
-
         return oversized_nut(), grip_poses(
             "left" if place == "nut-left" else "right", height, frames
         )

@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError, SolveError
@@ -252,8 +253,6 @@ def default_press(sensor: Sensor, frames: int = 150, rate_hz: float = 30.0) -> S
 
 def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:
     """Poses T_B_O (F, 4, 4) of the built-in press for a dome of given height and narrower width."""
-    from scipy.spatial.transform import Rotation
-
     t = np.arange(frames) / frames
     depth = 0.25 * height_m * (ease(t, 0.12, 0.35) - ease(t, 0.75, 0.92))
     above = 0.1 * height_m * (1.0 - ease(t, 0.05, 0.12) + ease(t, 0.92, 0.98))

@@ -114,8 +114,8 @@ def _serve(pipe: Connection) -> None:
 
 def _limit_memory() -> None:
     try:
-        import resource
-    except ImportError:  # not on Windows
+        import resource  # not on Windows
+    except ImportError:
         return
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_LIMIT_BYTES, hard))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -37,8 +38,6 @@ class Press:
 
     def pose(self, mesh: MembraneMesh, seed: int) -> np.ndarray:
         """T_B_O (4, 4): any turn, up to 8 mm off the axis and 8° of tilt, all from the seed."""
-        from scipy.spatial.transform import Rotation
-
         text = f"{self.object_name} {round(1e6 * self.depth_m)}"
         random = np.random.default_rng([seed, *text.encode()])
         turn, heading, aside = random.uniform(0.0, 2.0 * np.pi, 3)

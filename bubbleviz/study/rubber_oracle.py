@@ -19,6 +19,8 @@ from math import acos, cos, pi, sin
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
 
 from bubbleviz.errors import SolveError
 
@@ -205,8 +207,6 @@ class AxialRubber:
         self, apex_stretch: float, apex_z: float, pressure: float, ball: float, contact_s: float
     ) -> Meridian:
         """Integrate from the apex, on the object up to `contact_s` and free from there."""
-        from scipy.integrate import solve_ivp
-
         lam, mu_h = self.prestretch, self.mu_h_n_per_m
 
         def slopes(s: float, y: np.ndarray, touching: bool) -> list[float]:
@@ -257,8 +257,6 @@ class AxialRubber:
 
 
 def _root(missed: Callable[[np.ndarray], np.ndarray], guess: np.ndarray, what: str) -> np.ndarray:
-    from scipy.optimize import root
-
     scale = np.maximum(np.abs(guess), 1e-6)
 
     def scaled(unknown: np.ndarray) -> np.ndarray:

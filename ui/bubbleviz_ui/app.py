@@ -1,4 +1,7 @@
-"""Starting the window: with a person before it, off-screen for a while, or for one picture."""
+"""Starting the window: with a person before it, off-screen for a while, or for one picture.
+
+Qt is imported with the first window: bad input is refused without it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One window with its application, and the loop that waits for it."""
+"""One window with its application, and the loop that waits for it.
+
+Qt and VTK are imported with the first window: bad input is refused without them.
+"""
 
 from __future__ import annotations
 

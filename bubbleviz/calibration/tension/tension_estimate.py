@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.rest.noise_correlation import mean_inflation
 from bubbleviz.calibration.rest.rest_frames import Samples
@@ -231,8 +232,6 @@ def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float)
     seen: it covers the rim and the unseen part, where only the prior speaks. Correlated pixels
     count as fewer.
     """
-    from scipy.sparse.linalg import splu
-
     free_form = surfaces.free_form
     mesh = free_form.mesh
     arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.surface.cap_fit import Ellipsoid
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -83,8 +84,6 @@ def local_tension(mesh: MembraneMesh, gauge_pressure_pa: float, scale_m: float) 
     scale_m : float
         Length over which the balance is averaged (one step of implicit diffusion), m.
     """
-    from scipy.sparse.linalg import splu
-
     free, laplacian = mesh.free, cotangent_laplacian(mesh)
     bending = np.einsum("ij,ij->i", laplacian @ mesh.nodes, mesh.normals)[free]
     mass = sparse.diags_array(mesh.areas[free])

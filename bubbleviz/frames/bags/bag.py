@@ -1,4 +1,7 @@
-"""A recording as topics of messages, whatever the file format."""
+"""A recording as topics of messages, whatever the file format.
+
+rosbags is imported with the first recording: the window starts without it.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,9 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
 from bubbleviz.frames.bags.cut_mcap import MAGIC, OUR_LIBRARY, CutMcapReader, library_of
+from bubbleviz.frames.bags.mcap_storage import McapStorage
+from bubbleviz.frames.bags.ros1_storage import Ros1Storage
+from bubbleviz.frames.bags.sqlite_storage import SqliteStorage
 from bubbleviz.frames.bags.storage import Entries, Storage
 from bubbleviz.frames.message_decoding import header_stamp_ns
 
@@ -151,8 +157,6 @@ class Bag:
     def _open_ros1(self) -> None:
         from rosbags.rosbag1 import Reader
 
-        from bubbleviz.frames.bags.ros1_storage import Ros1Storage
-
         reader = Reader(self.path)
         reader.open()
         self._reader = reader
@@ -160,9 +164,6 @@ class Bag:
 
     def _open_ros2(self) -> None:
         from rosbags.rosbag2.reader import DirectoryReader
-
-        from bubbleviz.frames.bags.mcap_storage import McapStorage
-        from bubbleviz.frames.bags.sqlite_storage import SqliteStorage
 
         readers = []
         if (self.path / "metadata.yaml").exists():

@@ -9,6 +9,8 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
+from lz4.frame import LZ4FrameDecompressor
+
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
@@ -26,8 +28,6 @@ def decompressor(codec: str) -> Any:
     if codec == "zstd":
         return zstd.ZstdDecompressor()
     if codec == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
         return LZ4FrameDecompressor()
     if codec == "bz2":
         return bz2.BZ2Decompressor()

@@ -25,7 +25,7 @@ class ClarabelSolver:
 
     def __call__(self, problem: FrameProblem) -> Pressure:
         """Solve one problem; every call starts cold."""
-        import clarabel
+        import clarabel  # only where it is the chosen solver
 
         eq, n = self._equilibrium, len(problem.g)
         allowed = np.flatnonzero(problem.allowed)

@@ -11,6 +11,9 @@ from scipy import sparse
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
+from bubbleviz.inverse.solvers.active_set import KKT_TOLERANCE, ActiveSetSolver
+from bubbleviz.inverse.solvers.clarabel_solver import ClarabelSolver
+from bubbleviz.inverse.solvers.osqp_solver import ColdOsqp, OsqpSolver
 from bubbleviz.inverse.solvers.two_stage import TwoStage
 
 DEFAULT = "active-set"
@@ -34,32 +37,24 @@ Make = Callable[[Equilibrium, sparse.csr_array, float, float | None], InverseSol
 def _active_set(
     equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
-    from bubbleviz.inverse.solvers.active_set import KKT_TOLERANCE, ActiveSetSolver
-
     return ActiveSetSolver(equilibrium, reference_Q, lambda_, tolerance or KKT_TOLERANCE)
 
 
 def _osqp(
     equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
-    from bubbleviz.inverse.solvers.osqp_solver import OsqpSolver
-
     return TwoStage(equilibrium, partial(OsqpSolver, tolerance=tolerance))
 
 
 def _osqp_cold(
     equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
-    from bubbleviz.inverse.solvers.osqp_solver import ColdOsqp
-
     return TwoStage(equilibrium, partial(ColdOsqp, tolerance=tolerance))
 
 
 def _clarabel(
     equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
 ) -> InverseSolver:
-    from bubbleviz.inverse.solvers.clarabel_solver import ClarabelSolver
-
     return TwoStage(equilibrium, partial(ClarabelSolver, tolerance=tolerance))
 
 

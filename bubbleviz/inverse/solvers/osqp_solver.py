@@ -54,7 +54,7 @@ class OsqpSolver:
         return Pressure(pressure, result.info.iter, result.info.status_val == 1)
 
     def _set_up(self, problem: FrameProblem) -> None:
-        import osqp
+        import osqp  # only where it is the chosen solver
 
         eq, n = self._equilibrium, len(problem.g)
         self._scale = 1.0 / max(problem.Q.diagonal().mean(), 1e-12)

@@ -45,7 +45,7 @@ class McapFile:
     """
 
     def __init__(self, path: str | Path) -> None:
-        from mcap.writer import CompressionType, Writer
+        from mcap.writer import CompressionType, Writer  # the window starts without it
 
         self.path = Path(path)
         refuse_existing(self.path)

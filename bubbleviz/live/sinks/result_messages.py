@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.frames.depth_topics import POINT_CLOUD, WRENCH
 from bubbleviz.frames.message_encoding import (
@@ -119,8 +120,6 @@ def _wrench(patch: Patch) -> np.ndarray:
 
 
 def _pose(header: Any, T_B_O: np.ndarray) -> Any:
-    from scipy.spatial.transform import Rotation
-
     kinds = ros2_types().types
     point, quaternion = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
     x, y, z, w = (float(q) for q in Rotation.from_matrix(T_B_O[:3, :3]).as_quat())

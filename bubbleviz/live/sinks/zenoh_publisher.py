@@ -6,6 +6,8 @@ import secrets
 import time
 from typing import Any
 
+import zenoh
+
 from bubbleviz.frames.message_encoding import ros2_types
 from bubbleviz.live.sources.zenoh_keys import (
     Attachment,
@@ -57,8 +59,6 @@ class ZenohPublisher:
         """Tell others of a topic before its first message."""
         if (topic, kind) in self._publishers:
             return
-        import zenoh
-
         type_hash = ros2_types().hash_rihs01(kind)
         control = zenoh.CongestionControl.BLOCK if self._wait else zenoh.CongestionControl.DROP
         self._publishers[topic, kind] = self._session.declare_publisher(

@@ -10,7 +10,11 @@ from bubbleviz.frames.message_encoding import Encoding, FrameMessages
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sources.live_source import LiveSource
+from bubbleviz.live.sources.realsense import open_realsense
+from bubbleviz.live.sources.replay import Replay
 from bubbleviz.live.sources.source_uri import SourceUri, parse_uri
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import Sensor
 
@@ -62,6 +66,7 @@ def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStr
 
 
 def _synthetic(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    # recording a real sensor starts without the solver that simulates one
     from bubbleviz.live.sources.synthetic_live import SyntheticLive
     from bubbleviz.simulation.live_scenes import simulation
 
@@ -78,8 +83,6 @@ def _synthetic(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 
 
 def _replay(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
-    from bubbleviz.live.sources.replay import Replay
-
     speed = uri.number("speed", 1.0, 1e-3, 1e3)
     loop = uri.flag("loop", default=False)
     uri.check_all_known()
@@ -89,9 +92,6 @@ def _replay(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 
 
 def _zenoh(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
-    from bubbleviz.live.sources.zenoh_session import SessionOptions
-    from bubbleviz.live.sources.zenoh_source import ZenohSource
-
     options = SessionOptions.of(uri)
     domain = round(uri.number("domain", 0, 0, 232))
     uri.check_all_known()
@@ -99,8 +99,6 @@ def _zenoh(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 
 
 def _realsense(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
-    from bubbleviz.live.sources.realsense import open_realsense
-
     camera = sensor.camera
     rate = round(uri.number("rate", 30, 1, 300))
     loop = uri.flag("loop", default=False)

@@ -275,7 +275,7 @@ def open_realsense(
         The package, the file or the camera is not there.
     """
     try:
-        import pyrealsense2 as sdk
+        import pyrealsense2 as sdk  # an optional extra
     except ImportError as error:
         raise uri.refusal(
             "needs the package pyrealsense2, which is not installed; "

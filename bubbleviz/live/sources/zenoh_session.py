@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+import zenoh
+
 from bubbleviz.errors import InputError
 from bubbleviz.live.sources.source_uri import SourceUri
 
@@ -53,8 +55,6 @@ def make_config(options: SessionOptions) -> Any:
     InputError
         The endpoint is malformed.
     """
-    import zenoh
-
     connects = options.connect is not None
     settings: dict[str, Any] = {
         "mode": "client" if connects else "peer",
@@ -85,8 +85,6 @@ def open_session(options: SessionOptions) -> Any:
     InputError
         The endpoint is malformed, nobody is there to connect to, or nobody can listen there.
     """
-    import zenoh
-
     try:
         return zenoh.open(make_config(options))
     except zenoh.ZError as error:

@@ -7,6 +7,8 @@ import threading
 import time
 from typing import Any
 
+import zenoh
+
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
 from bubbleviz.live.raw_message import RawMessage, stamp_of
@@ -115,8 +117,6 @@ class ZenohSource:
         return [(topic, kind) for topic, kind in roles if topic is not None]
 
     def _on_token(self, sample: Any) -> None:
-        import zenoh
-
         self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
     def _keep(self, pace: PacedThread) -> None:

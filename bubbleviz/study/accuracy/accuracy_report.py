@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
@@ -228,8 +229,6 @@ def write(accuracy: Accuracy, folder: Path) -> list[Path]:
 
 
 def _plot(accuracy: Accuracy, path: Path) -> None:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(17, 5), layout="constrained")
     left, right, width = figure.subplots(1, 3)
     _width_panel(width, accuracy)

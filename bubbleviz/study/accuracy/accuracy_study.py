@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.tables import write_json
@@ -295,8 +296,6 @@ def _row(
 
 def patch_width_m(sighting: Sighting, focal_px: float) -> float:
     """Mean width of the true patch, m: four times the mean distance to its edge, as of a strip."""
-    from scipy.ndimage import distance_transform_edt
-
     mask = sighting.truth.patch_mask
     if not mask.any():
         return 0.0

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from bubbleviz.errors import SolveError
 
@@ -85,8 +87,6 @@ def axial_contact(bubble: Bubble, depth_m: float, ball_radius_m: float = np.inf)
     SolveError
         No such equilibrium: the depth is not within the bubble.
     """
-    from scipy.optimize import brentq
-
     if not 0.0 < depth_m < bubble.height_m:
         raise SolveError(f"depth {depth_m} m is not within the bubble's {bubble.height_m} m")
     P0 = bubble.atmospheric_pressure_pa + bubble.gauge_pressure_pa
@@ -116,7 +116,6 @@ def _shape(
     bubble: Bubble, depth: float, ball: float, gauge: float
 ) -> tuple[float, float, np.ndarray]:
     """Contact radius at which the free part ends on the rim; volume under the film; profile."""
-    from scipy.optimize import brentq
 
     def miss(contact_radius: float) -> float:
         end = _free_part(bubble, depth, ball, gauge, contact_radius)[0][-1]
@@ -136,8 +135,6 @@ def _free_part(
     Arc length s, angle ψ below the horizontal: r' = cos ψ, z' = −sin ψ,
     ψ' = P/γ0 − sin ψ / r.
     """
-    from scipy.integrate import solve_ivp
-
     slope = np.arcsin(contact_radius / ball) if np.isfinite(ball) else 0.0
     sag = ball * (1.0 - np.cos(slope)) if slope else 0.0
     tip = bubble.height_m - depth

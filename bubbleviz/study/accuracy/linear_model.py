@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bubbleviz.errors import SolveError
 from bubbleviz.files.output_files import refuse_existing, whole_file
@@ -117,8 +118,6 @@ def write(comparisons: list[Comparison], folder: Path) -> list[Path]:
 
 
 def _plot(comparisons: list[Comparison], path: Path) -> None:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(12, 4.5), layout="constrained")
     force, error, gas = figure.subplots(1, 3)
     for k, name in enumerate(dict.fromkeys(c.object_name for c in comparisons)):

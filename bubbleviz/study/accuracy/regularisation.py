@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.output_files import refuse_existing, whole_file
@@ -199,8 +200,6 @@ def write(found: list[Strength], folder: Path) -> list[Path]:
 
 
 def _plot(found: list[Strength], path: Path) -> None:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(12, 4.5), layout="constrained")
     quality, curve = figure.subplots(1, 2)
     factor = [s.factor for s in found]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from bubbleviz.study.truth_bank import Sighting, TruthBank
 
@@ -55,8 +56,6 @@ def iou_by_threshold(
     bank: TruthBank, sighting: Sighting, noise_relative: float, blur_px: float, index: int
 ) -> np.ndarray:
     """IoU for each of the thresholds (t,)."""
-    from scipy.ndimage import gaussian_filter
-
     frame = bank.frame(sighting, noise_relative, index)
     change = np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m)
     if blur_px > 0.0:

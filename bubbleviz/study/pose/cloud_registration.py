@@ -1,4 +1,8 @@
-"""Other ways to register an object: on the whole cloud as [6] of the paper, and other libraries."""
+"""Other ways to register an object: on the whole cloud as [6] of the paper, and other libraries.
+
+small_gicp is an optional extra, and Open3D is imported after `TriangleScene` has left out what
+draws: hence both inside the functions.
+"""
 
 from __future__ import annotations
 

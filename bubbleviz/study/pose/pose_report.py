@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
@@ -217,8 +218,6 @@ def write(report: PoseReport, folder: Path) -> list[Path]:
 
 
 def _plot(report: PoseReport, path: Path) -> None:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(12, 5), layout="constrained")
     found = [p for p in points(report.study) if p.noise_relative == TARGET_NOISE]
     left, right = figure.subplots(1, 2)

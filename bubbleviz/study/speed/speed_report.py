@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
@@ -181,8 +182,6 @@ def write(speed: Speed, folder: Path) -> list[Path]:
 
 
 def _plot(speed: Speed, path: Path) -> None:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(15, 4.8), layout="constrained")
     bars, nodes, pixels = figure.subplots(1, 3)
     streams = [row for row in speed.rows if row.sweep == "stream" and not row.error]

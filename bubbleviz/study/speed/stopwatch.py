@@ -93,7 +93,7 @@ def _peak_bytes() -> int:
     try:
         return _status_bytes("VmHWM:")
     except OSError:
-        import resource
+        import resource  # not on Windows
 
         unit = 1 if sys.platform == "darwin" else 1024
         return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

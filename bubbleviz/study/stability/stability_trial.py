@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
@@ -213,8 +214,6 @@ def varied_sensor(changes: dict[str, dict[str, Any]], name: str = "pico_flexx_75
     InputError
         The file breaks the schema.
     """
-    import tomli_w
-
     data = copy.deepcopy(load_sensor(name).model_dump(mode="json", exclude_none=True))
     for section, values in changes.items():
         data.setdefault(section, {}).update(values)

@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
+from mcap.reader import make_reader
+
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz_ui.bench.live_soak import free_port, start_publisher
@@ -132,8 +134,6 @@ def _shows_more_than(session: WindowSession, frames: int) -> bool:
 
 def _logged(path: Path) -> set[int]:
     """When the depth images of a recording arrived, ns since 1970."""
-    from mcap.reader import make_reader
-
     with path.open("rb") as file:
         return {
             message.log_time

@@ -18,6 +18,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
 
 from bubbleviz.commands.watch import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
@@ -221,9 +223,6 @@ def drain(stream: LiveStream) -> None:
 
 def sequences(path: Path) -> np.ndarray:
     """The publisher's count of every depth image in a recording, in file order."""
-    from mcap.records import Channel, Message, Schema
-    from mcap.stream_reader import StreamReader  # a chunk at a time: the file may be gigabytes
-
     schemas: set[int] = set()
     channels: set[int] = set()
     found = []

@@ -14,6 +14,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from PySide6.QtCore import QPoint, QPointF, Qt, QTimer
+from PySide6.QtGui import QWheelEvent
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSlider,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QGraphicsView,
+    QLabel,
+    QMenu,
+    QWidget,
+)
+
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.bench.memory_at_rest import Rest, resident_mib
@@ -142,8 +157,6 @@ class Monkey:
 
     def run(self, seconds: float, *, memory: bool) -> None:
         """Go on for some time; see `monkey_run`."""
-        from PySide6.QtCore import QTimer
-
         leave = QTimer(self._session.window)  # menus and dialogs run event loops of their own
         leave.timeout.connect(lambda: self._leave_pop_ups())
         leave.start(POP_UP_MS)
@@ -188,17 +201,11 @@ class Monkey:
     # -- things to do -------------------------------------------------------------------------
 
     def _click(self) -> None:
-        from PySide6.QtCore import Qt
-        from PySide6.QtTest import QTest
-
         widget = self._some_widget()
         if widget is not None:
             QTest.mouseClick(widget, Qt.MouseButton.LeftButton, pos=self._place(widget))
 
     def _drag(self) -> None:
-        from PySide6.QtCore import Qt
-        from PySide6.QtTest import QTest
-
         widget = self._some_widget()
         if widget is None:
             return
@@ -209,10 +216,6 @@ class Monkey:
         QTest.mouseRelease(widget, left, pos=self._place(widget))
 
     def _wheel(self) -> None:
-        from PySide6.QtCore import QPoint, QPointF, Qt
-        from PySide6.QtGui import QWheelEvent
-        from PySide6.QtWidgets import QApplication
-
         view = self._session.window.view
         place, turn = QPointF(self._place(view)), self._dice.choice((-120, 120))
         none = Qt.KeyboardModifier.NoModifier
@@ -223,9 +226,6 @@ class Monkey:
         QApplication.sendEvent(view, event)
 
     def _key(self) -> None:
-        from PySide6.QtCore import Qt
-        from PySide6.QtTest import QTest
-
         name = self._dice.choice([*KEYS.split(), *"BEFLMNR"])
         modifier = self._dice.choice(
             [Qt.KeyboardModifier.NoModifier] * 4
@@ -261,16 +261,6 @@ class Monkey:
 
     def _some_widget(self) -> QWidget | None:
         """A visible control that does not ask for a file."""
-        from PySide6.QtWidgets import (
-            QAbstractButton,
-            QAbstractSlider,
-            QAbstractSpinBox,
-            QComboBox,
-            QGraphicsView,
-            QLabel,
-            QWidget,
-        )
-
         window = self._session.window
         kinds = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QGraphicsView)
         found: list[QWidget] = [
@@ -287,15 +277,11 @@ class Monkey:
         return chosen
 
     def _place(self, widget: QWidget) -> QPoint:
-        from PySide6.QtCore import QPoint
-
         x = self._dice.randint(0, max(widget.width() - 1, 0))
         return QPoint(x, self._dice.randint(0, max(widget.height() - 1, 0)))
 
     def _leave_pop_ups(self) -> None:
         """Close what popped up, so that the window is never locked; of a menu, do something."""
-        from PySide6.QtWidgets import QMenu
-
         application = self._session.application
         popup = application.activePopupWidget() or application.activeModalWidget()
         if popup is None:
@@ -308,8 +294,6 @@ class Monkey:
 
 
 def _asks_for_a_file(widget: QWidget) -> bool:
-    from PySide6.QtWidgets import QAbstractButton
-
     return isinstance(widget, QAbstractButton) and _forbidden(widget.text())
 
 

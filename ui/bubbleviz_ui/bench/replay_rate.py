@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from statistics import median, quantiles
 
+from PySide6.QtCore import QEventLoop, Qt, QTimer
+
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.window_session import WindowSession, window_session
@@ -93,8 +95,6 @@ def _count(session: WindowSession, seconds: float) -> dict[str, float]:
 @contextmanager
 def beats() -> Iterator[list[float]]:
     """Times between two beats of a timer in this thread, ms: how long it was kept from events."""
-    from PySide6.QtCore import Qt, QTimer
-
     gaps_ms: list[float] = []
     last = time.perf_counter()
 
@@ -114,8 +114,6 @@ def beats() -> Iterator[list[float]]:
 
 def run_for(seconds: float) -> None:
     """Run the event loop as the application would, without a pause between events."""
-    from PySide6.QtCore import QEventLoop, QTimer
-
     loop = QEventLoop()
     QTimer.singleShot(round(1e3 * seconds), loop.quit)
     loop.exec()

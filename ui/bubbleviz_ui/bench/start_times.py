@@ -11,8 +11,10 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+from PySide6.QtCore import QEventLoop
 
 from bubbleviz.errors import InputError
+from bubbleviz.frames.sensor_matching import checked_sensor
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.engine.requests import Failed
@@ -70,7 +72,6 @@ def _start(code: str) -> float:
 def first_picture(recording: str, sensor: str | None) -> None:
     """Open a recording as the command does, say when its first picture is drawn, and leave."""
     import bubbleviz.cli.command_line  # noqa: F401  as the command's process has it
-    from bubbleviz.frames.sensor_matching import checked_sensor
 
     _, chosen = checked_sensor(Path(recording), sensor)
     with window_session(chosen, Path(recording), None) as session:
@@ -114,8 +115,6 @@ def _seek(session: WindowSession, frame: int) -> float:
     InputError
         The frame cannot be shown.
     """
-    from PySide6.QtCore import QEventLoop
-
     controller, view, loop = session.controller, session.window.view, QEventLoop()
 
     def note() -> None:

@@ -21,6 +21,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz.calibration.save_identification import save
+from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.calibration.workbench import Step
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
@@ -107,8 +109,6 @@ class Gamma0Panel(QWidget):
 
     def save(self, path: Path) -> None:
         """Write sensor file, mesh, pixels and report in the calibration thread."""
-        from bubbleviz.calibration.save_identification import save
-
         work, draft = self.calibration.answer.work, self.calibration.answer.draft
         found, validation = draft.found, draft.validation
         given = self.calibration.given
@@ -124,8 +124,6 @@ class Gamma0Panel(QWidget):
 
     def use_it(self) -> None:
         """Open the identified sensor on the present source; undo opens the one before."""
-        from bubbleviz.calibration.sensor_writer import write_sensor
-
         found, present = self.calibration.answer.draft.found, self.calibration.controller.sensor
         if found is None or present is None:
             return

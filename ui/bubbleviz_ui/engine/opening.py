@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
+from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for
 from bubbleviz_ui.model.demand import looks, products
 from bubbleviz_ui.model.session_state import SessionState
 
@@ -102,9 +104,6 @@ class Opening(QObject):
         self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
     ) -> None:
         """Open a recording with a sensor, with the present one, or with the preset that fits."""
-        from bubbleviz.sensor import load_sensor
-        from bubbleviz_ui.engine.source_openers import recording, sensor_for
-
         sensor = self.sensor
         if sensor_file is not None:
             self.open(path.name, recording(path, truth), lambda: load_sensor(sensor_file))
@@ -113,8 +112,6 @@ class Opening(QObject):
 
     def truth(self, path: Path) -> None:
         """Have the recording that is open, one of a simulation, known by its TRUTH.npz."""
-        from bubbleviz_ui.engine.source_openers import RecordingOpener
-
         opener, sensor = self.source, self.sensor
         if isinstance(opener, RecordingOpener) and sensor is not None:
             self.reopen(path.name, lambda: sensor, replace(opener, truth=path))
@@ -123,8 +120,6 @@ class Opening(QObject):
 
     def sensor_file(self, path: Path) -> None:
         """Use the sensor of a file with the present source."""
-        from bubbleviz.sensor import load_sensor
-
         self.reopen(path.name, lambda: load_sensor(path))
 
     def use_sensor(self, sensor: Sensor) -> None:

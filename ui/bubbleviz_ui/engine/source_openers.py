@@ -9,8 +9,12 @@ from pathlib import Path
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import check_fits, preset_for
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation.synthetic_source import Truth, truth_of
+from bubbleviz.simulation.noisy_loop import NoisyLoop
+from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth, default_press, truth_of
+from bubbleviz.simulation.truth_file import KnownRecording, known_beside
 
 LIVE_FINER = 2
 """Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
@@ -31,10 +35,6 @@ class RecordingOpener:
         InputError
             It cannot be opened, does not fit the sensor, or the truth is not its own.
         """
-        from bubbleviz.frames.recording import Recording
-        from bubbleviz.frames.sensor_matching import check_fits
-        from bubbleviz.simulation.truth_file import KnownRecording, known_beside
-
         opened = Recording(self.path)
         try:
             check_fits(opened, sensor, sensor.name)
@@ -53,9 +53,6 @@ def recording(path: Path, truth: Path | None = None) -> Callable[[Sensor], Frame
 
 def sensor_for(path: Path, present: Sensor) -> Sensor:
     """Sensor to open a recording with: the present one if it fits, else the preset that does."""
-    from bubbleviz.frames.recording import Recording
-    from bubbleviz.frames.sensor_matching import preset_for
-
     with Recording(path) as opened:
         if opened.size == (present.camera.width, present.camera.height):
             return present
@@ -68,9 +65,6 @@ def synthetic(sensor: Sensor) -> FrameSource:
     All its frames are made now, within seconds: a live sensor does not stutter in its first round.
     Only the noise is new in every round.
     """
-    from bubbleviz.simulation.noisy_loop import NoisyLoop
-    from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
-
     press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
     source = CachedSource(
         SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
+from bubbleviz.export.pose_columns import pose_columns
 from bubbleviz_ui.engine.job_runner import Done, Runner
 from bubbleviz_ui.engine.requests import Failed, FrameRequest
 from bubbleviz_ui.export.export_kinds import Kind
@@ -89,8 +90,6 @@ class Exporting(QObject):
 
     def start(self, kind: Kind, frames: range, path: Path) -> None:
         """Export frames as a kind to a file, or a new folder, of that name."""
-        from bubbleviz.export.pose_columns import pose_columns
-
         open_source, sensor = self._controller.opening.source, self._controller.sensor
         if self.busy or open_source is None or sensor is None or not frames:
             return

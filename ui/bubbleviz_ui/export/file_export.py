@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bubbleviz.commands.export import export_frames
+from bubbleviz.export.export_plan import ExportPlan
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
@@ -53,11 +57,6 @@ class FileExport:
         Cancelled
             By `progress`; nothing is left then.
         """
-        from bubbleviz.commands.export import export_frames
-        from bubbleviz.export.export_plan import ExportPlan
-        from bubbleviz.inverse.estimator import EstimatorOptions
-        from bubbleviz.pipeline import FrameOptions, Pipeline
-
         plan = ExportPlan.of(self.out, [self.what] if self.what else [], self.poses)
         progress("opening", 0.0)
         source = self.open_source(self.sensor)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
+from bubbleviz.export.mp4_writer import open_mp4
 from bubbleviz_ui.view3d.tools.still_picture import still
 
 if TYPE_CHECKING:
@@ -76,8 +77,6 @@ class VideoExport(QObject):
         Cancelled
             By `progress`; nothing is left then.
         """
-        from bubbleviz.export.mp4_writer import open_mp4
-
         count = len(self._frames)
         with open_mp4(self._path, self._fps) as writer:
             for done in range(count):

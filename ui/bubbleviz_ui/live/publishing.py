@@ -11,6 +11,8 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.frames.message_encoding import Message
 from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz_ui.engine.background import Background
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.live.result_sender import ResultSender
@@ -120,7 +122,4 @@ def _raw(message: Message) -> RawMessage:
 
 
 def _publisher(endpoint: str) -> ZenohPublisher:
-    from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-    from bubbleviz.live.sources.zenoh_session import SessionOptions
-
     return ZenohPublisher(SessionOptions(f"publish at {endpoint}", None, endpoint))

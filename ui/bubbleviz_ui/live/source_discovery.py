@@ -7,6 +7,8 @@ from PySide6.QtCore import QObject, QTimer, Signal
 from bubbleviz.live.sources.live_source import LiveSource
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.live.sources.source_uri import parse_uri
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.background import Background
@@ -79,9 +81,6 @@ def _begin(text: str, sensor: Sensor) -> LiveSource:
     uri = parse_uri(text)
     if uri.scheme != "zenoh":
         return open_stream(text, sensor, any_size=True).source
-    from bubbleviz.live.sources.zenoh_session import SessionOptions
-    from bubbleviz.live.sources.zenoh_source import ZenohSource
-
     domain = round(uri.number("domain", 0, 0, 232))
     source = ZenohSource(SessionOptions.of(uri), TopicNames(prefix=NOTHING), domain)
     source.start(lambda _: None)

@@ -50,7 +50,7 @@ class ImageCell:
     """An image with a line of text above and marks on it."""
 
     def __init__(self, picture: Picture) -> None:
-        import pyqtgraph as pg
+        import pyqtgraph as pg  # 0.2 s later than the window
 
         self.picture = picture
         self.image: np.ndarray | None = None

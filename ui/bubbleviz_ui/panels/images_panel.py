@@ -133,7 +133,7 @@ class ImagesPanel(QWidget):
     # -- drawing ------------------------------------------------------------------------------
 
     def _make(self) -> None:
-        import pyqtgraph as pg
+        import pyqtgraph as pg  # 0.2 s later than the window
 
         self._grid = pg.GraphicsLayoutWidget()
         self._grid.ci.layout.setSpacing(4)

@@ -169,7 +169,7 @@ class PlotsPanel(QWidget):
     # -- drawing ------------------------------------------------------------------------------
 
     def _make(self) -> None:
-        import pyqtgraph as pg
+        import pyqtgraph as pg  # 0.2 s later than the window
 
         self._grid = pg.GraphicsLayoutWidget()
         self._grid.ci.layout.setSpacing(2)

@@ -86,7 +86,7 @@ class ThresholdPanel(QWidget):
 
     def _make(self) -> None:
         """Load the plotting library when it is needed first."""
-        import pyqtgraph as pg
+        import pyqtgraph as pg  # 0.2 s later than the window
 
         self._grid = pg.GraphicsLayoutWidget()
         self._grid.setMinimumHeight(HEIGHT)

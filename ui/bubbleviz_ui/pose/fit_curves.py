@@ -22,7 +22,7 @@ class Curves(QWidget):
 
     def __init__(self, units: Units) -> None:
         super().__init__()
-        import pyqtgraph as pg
+        import pyqtgraph as pg  # 0.2 s later than the window
 
         self._units = units
         self._view = pg.GraphicsView(background=None)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from vtkmodules.vtkCommonTransforms import vtkTransform
 
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.view3d.render_view import View
@@ -33,7 +34,7 @@ class Gizmo:
 
     def show(self, obj: RigidObject, T_B_O: np.ndarray) -> None:
         """Put the box around the object at a pose (4, 4)."""
-        from vtkmodules.vtkInteractionWidgets import vtkBoxWidget
+        from vtkmodules.vtkInteractionWidgets import vtkBoxWidget  # 0.1 s later than the window
 
         self.hide()
         self._widget = vtkBoxWidget()
@@ -60,8 +61,6 @@ class Gizmo:
         self._view.refresh()
 
     def _on_drag(self, *_: Any) -> None:
-        from vtkmodules.vtkCommonTransforms import vtkTransform
-
         transform = vtkTransform()
         self._widget.GetTransform(transform)
         matrix = transform.GetMatrix()
@@ -72,8 +71,6 @@ class Gizmo:
 
 
 def _transform(T: np.ndarray) -> Any:
-    from vtkmodules.vtkCommonTransforms import vtkTransform
-
     transform = vtkTransform()
     transform.SetMatrix(T.ravel().tolist())
     return transform

@@ -28,6 +28,8 @@ from bubbleviz_ui.model.events import ChoicesChanged, Event
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.pose.fit_curves import Curves
+from bubbleviz_ui.pose.pose_text import pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
 
 if TYPE_CHECKING:
@@ -256,8 +258,6 @@ class PosePanel(QWidget):
 
     def _write(self) -> None:
         """Numbers and curves of the pose that is shown."""
-        from bubbleviz_ui.pose.pose_text import pose_words
-
         self._lock()
         self._show_object()
         for name, text in pose_words(self.session, self._state.units).items():
@@ -277,8 +277,6 @@ class PosePanel(QWidget):
 
     def _made_curves(self) -> Curves:
         if self._curves is None:
-            from bubbleviz_ui.pose.fit_curves import Curves
-
             self._curves = Curves(self._state.units)
             self._room.addWidget(self._curves)
         return self._curves

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+
 from bubbleviz_ui.model.units import Unit
 from bubbleviz_ui.view3d.colour_maps import ENTRIES
 from bubbleviz_ui.view3d.render_view import View
@@ -26,8 +28,6 @@ class ColourBar:
     """
 
     def __init__(self, view: View, table: Any, quantity: str, bottom: float) -> None:
-        from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-
         bar = vtkScalarBarActor()
         bar.SetLookupTable(table)
         bar.SetTitle(quantity)

@@ -6,6 +6,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pyvista as pv
+from matplotlib import colormaps
 
 from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.shell import theme
@@ -20,8 +22,6 @@ DARKEST = 0.28
 
 @cache
 def _sampled(name: str, start: float) -> np.ndarray:
-    from matplotlib import colormaps
-
     rgba = colormaps[name](np.linspace(start, 1.0, ENTRIES))
     return np.asarray(rgba * 255.0).astype(np.uint8)
 
@@ -65,8 +65,6 @@ def residual_colours(middle: str) -> np.ndarray:
 
 
 def _table(values: np.ndarray) -> Any:
-    import pyvista as pv
-
     table = pv.LookupTable()
     table.values = values
     table.nan_color = theme.UNKNOWN

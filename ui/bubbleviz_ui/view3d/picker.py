@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPointPicker
 
 from bubbleviz_ui.view3d.render_view import View
 
@@ -23,8 +24,6 @@ class Picker:
     """
 
     def __init__(self, view: View, surfaces: list[Any], clouds: list[Any]) -> None:
-        from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPointPicker
-
         self._view = view
         self._picks = []
         for kind, actors in ((vtkCellPicker, surfaces), (vtkPointPicker, clouds)):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista as pv
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
 from PySide6.QtGui import (
     QDragEnterEvent,
@@ -215,8 +216,6 @@ class View(QtInteractor):  # type: ignore[misc]
             self.dropped_files.emit(paths)
 
     def _add_lights(self) -> None:
-        import pyvista as pv
-
         for position, intensity in (((-0.5, 0.7, 1.0), 0.75), ((0.8, -0.3, 0.6), 0.35)):
             light = pv.Light(light_type="camera light", intensity=intensity)
             light.position = position

@@ -6,6 +6,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.render_view import View
@@ -16,8 +18,6 @@ VTK_FONT_FILE = 4
 @cache
 def font_file() -> str:
     """DejaVu Sans as matplotlib ships it: it has κ and ², VTK's own font has not."""
-    import matplotlib
-
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 

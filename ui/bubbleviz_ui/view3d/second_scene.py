@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
+from vtkmodules.vtkRenderingCore import vtkAssembly, vtkProp3D
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
@@ -52,8 +54,6 @@ class SecondScene:
         self, sensor: Sensor, mesh: MembraneMesh, T_B_here: np.ndarray, colour: str
     ) -> None:
         """Take the sensor, and where it is in the bubble frame of the scene's."""
-        from vtkmodules.vtkCommonMath import vtkMatrix4x4
-
         matrix = vtkMatrix4x4()
         matrix.DeepCopy(T_B_here.ravel().tolist())
         self._assembly.SetUserMatrix(matrix)
@@ -88,8 +88,6 @@ def _props(view: View) -> list[Any]:
 
 def _gathered(view: View, props: list[Any]) -> Any:
     """Assembly of the actors among some props; the rest, which are colour bars, is taken out."""
-    from vtkmodules.vtkRenderingCore import vtkAssembly, vtkProp3D
-
     assembly = vtkAssembly()
     for prop in props:
         view.renderer.RemoveViewProp(prop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
@@ -25,8 +26,6 @@ class CloudLayer:
     COLOUR = "colour"
 
     def __init__(self, view: View, units: Units) -> None:
-        import pyvista as pv
-
         self._units = units
         self._poly = pv.PolyData(np.zeros((1, 3)))
         self._table = residual_map(theme.of(view).cloud)

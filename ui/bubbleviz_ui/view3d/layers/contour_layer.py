@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from vtkmodules.vtkFiltersCore import vtkContourFilter
+
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
@@ -15,8 +17,6 @@ class ContourLayer:
     """Contour line on the displayed surface; VTK traces it along the triangles."""
 
     def __init__(self, view: View, surface: Surface) -> None:
-        from vtkmodules.vtkFiltersCore import vtkContourFilter
-
         self._surface = surface
         self._filter = vtkContourFilter()
         self._filter.SetInputData(surface.poly)

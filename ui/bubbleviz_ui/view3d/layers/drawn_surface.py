@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -28,8 +29,6 @@ class Surface:
     LEVEL = "patch level"
 
     def __init__(self, units: Units) -> None:
-        import pyvista as pv
-
         self._units = units
         self._mesh: MembraneMesh | None = None
         self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))

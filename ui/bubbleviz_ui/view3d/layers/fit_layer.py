@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pose.observability import open_axes
@@ -29,8 +30,6 @@ class FitLayer:
     """Points, lines to the object, and arrows; their arrays are new with every pose."""
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         self._length = 0.02
         self._points = pv.PolyData(np.zeros((1, 3)))
         self._points.point_data["distance"] = np.zeros(1)

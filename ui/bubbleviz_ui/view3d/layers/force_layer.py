@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
@@ -18,8 +19,6 @@ class ForceLayer:
     """Arrow along the resultant, drawn on the side it comes from."""
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         arrow = pv.Arrow(
             start=(-1, 0, 0), direction=(1, 0, 0), tip_length=0.3, tip_radius=0.07,
             shaft_radius=0.025,

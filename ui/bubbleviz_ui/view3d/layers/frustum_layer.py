@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -19,8 +20,6 @@ class FrustumLayer:
     """Lines from the camera through the corners of the image, as far as the membrane."""
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         self._poly = pv.PolyData(np.zeros((5, 3)), lines=LINES.ravel())
         self._camera: Camera | None = None
         self._far_m = 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Pose
@@ -26,8 +27,6 @@ class ObjectLayer:
     """
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
         self.actor = view.add_mesh(
             self._poly,

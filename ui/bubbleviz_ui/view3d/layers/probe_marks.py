@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.shell import theme
@@ -17,8 +18,6 @@ class ProbeMarks:
     """Two dots and a line, in front of everything; hidden while nothing is pointed at."""
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         self._view = view
         self._camera_m = np.zeros(3)
         self._dots = pv.PolyData(np.zeros((2, 3)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate, Patch
@@ -57,8 +58,6 @@ def readout(estimate: Estimate | None, patch: Patch | None, units: Units) -> tup
 
 
 def _text_actor(view: View, *, size: int, top: int) -> Any:
-    from vtkmodules.vtkRenderingCore import vtkTextActor
-
     actor = vtkTextActor()
     style = actor.GetTextProperty()
     write_in(view, style, size)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pyvista as pv
+from vtkmodules.vtkFiltersCore import vtkFeatureEdges
+
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
@@ -14,8 +17,6 @@ class RimLayer:
     """Open boundary of the displayed surface."""
 
     def __init__(self, view: View, surface: Surface) -> None:
-        from vtkmodules.vtkFiltersCore import vtkFeatureEdges
-
         edges = vtkFeatureEdges()
         edges.SetInputData(surface.poly)
         edges.BoundaryEdgesOn()
@@ -25,8 +26,6 @@ class RimLayer:
         edges.ColoringOff()
         self._edges = edges
         self._surface = surface
-        import pyvista as pv
-
         self._line = pv.PolyData()
         self._actor = view.add_mesh(
             pv.PolyData([[0.0, 0.0, 0.0]]),
@@ -42,8 +41,6 @@ class RimLayer:
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Find the boundary of the new mesh; it is clamped, so once is enough."""
-        import pyvista as pv
-
         self._edges.Update()
         self._line = pv.wrap(self._edges.GetOutput()).copy()
         self._line.clear_data()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
@@ -18,8 +19,6 @@ class VectorsLayer:
     """One line a node, along its normal; of no length where there is no pressure."""
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         self._longest_m = 0.02
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         self.actor = view.add_mesh(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyvista as pv
 
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_view import View
@@ -21,8 +22,6 @@ class Distance:
     """
 
     def __init__(self, view: View) -> None:
-        import pyvista as pv
-
         self._view = view
         self.points_m: list[np.ndarray] = []
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from vtkmodules.vtkCommonDataModel import vtkPlane
+from vtkmodules.vtkFiltersCore import vtkCutter
+
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
@@ -25,9 +28,6 @@ class Section:
     """
 
     def __init__(self, view: View, surface: Surface, actors: list[Any]) -> None:
-        from vtkmodules.vtkCommonDataModel import vtkPlane
-        from vtkmodules.vtkFiltersCore import vtkCutter
-
         self._plane = vtkPlane()
         self._actors, self._on = actors, False
         cutter = vtkCutter()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from bubbleviz_ui.view3d.render_view import View
 
@@ -14,9 +16,6 @@ def still(view: View, width: int, height: int) -> np.ndarray:
 
     VTK draws into a buffer of its own, so the window does not change and nothing flashes up.
     """
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-    from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
-
     window = view.ren_win
     before, dpi = tuple(window.GetSize()), window.GetDPI()
     view.makeCurrent()
