@@ -316,3 +316,34 @@ def test_warm_start_changes_iterations_not_the_answer(mesh):
         iterations.append((a.iterations, b.iterations))
     warm_total, cold_total = np.sum(iterations, axis=0)
     assert warm_total < cold_total
+
+
+def test_the_gas_law_needs_no_second_solver(mesh):
+    """`joint` meets it in the contact solver itself, and does not fall back to a bracket."""
+    model = ForwardModel(mesh, TENSION, gas_of(mesh))
+    obj = load_object("sphere")
+    for depth in (-0.01, 0.002, 0.012, 0.02):
+        contact = model.press(obj, at(z=H - depth))
+        assert_equilibrium(contact)
+        assert contact.outer_iterations == 1
+
+
+def test_gas_behind_a_membrane_that_is_held_everywhere(mesh):
+    """Nothing gives way: p_v is Boyle's law at the volume that the bound leaves."""
+    gas = gas_of(mesh, chamber=1e-4)
+    model = ForwardModel(mesh, TENSION, gas)
+    contact = model.solve(np.where(mesh.rim, np.inf, -2e-3))
+    assert_equilibrium(contact)
+    assert contact.outer_iterations == 1
+    V0 = 1e-4 + mesh.cap_volume()
+    V = (
+        1e-4
+        + MembraneMesh(mesh.deformed(contact.displacement_m), mesh.triangles, mesh.rim).cap_volume()
+    )
+    assert V < 0.98 * V0
+    assert contact.gas_pressure_change_pa == pytest.approx(gas.P0 * (V0 / V - 1.0), rel=0.05)
+    # what holds the membrane down is the gas, and the tension that its dent adds
+    free = mesh.free
+    elastic = TENSION * (cotangent_laplacian(mesh) @ contact.displacement_m)[free]
+    held = contact.gas_pressure_change_pa - elastic / mesh.areas[free]
+    np.testing.assert_allclose(contact.contact_pressure_pa[free], held, rtol=1e-9)

@@ -169,3 +169,26 @@ def test_motions_undo_each_other():
     assert np.allclose(
         moved(T, small, center), moved(T, about(center, other) @ small, other), atol=1e-11
     )
+
+
+@pytest.mark.parametrize("wrong", [0.0, 2.5e-3])
+def test_a_fit_ends_where_its_misfit_is_least(frustum, wrong):
+    """Moved any way from the end, noisy points fit worse: by steps, no derivative of ours."""
+    T = pose()
+    clean = on_surface(frustum, T, keep=lambda p, n: (n[:, 2] < -0.9) | (p[:, 2] < 0.02))
+    rng = np.random.default_rng(4)
+    off = 3e-4 * rng.standard_normal(len(clean.points))
+    off[::9] += wrong  # outliers, of one sign
+    contact = contact_of(clean.points - off[:, None] * clean.normals, -clean.normals)
+    registration, prior = Registration(frustum, PRECISION), Prior(T, 1e-3 * WEAK)
+    fit = registration.stage_two(contact, T, prior, iterations=100)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 5e-5 if k < 3 else 5e-5 / contact.radius_m
+        back, here, ahead = (
+            registration.misfit(contact, moved(fit.T_B_O, s * step, contact.center))
+            for s in (-1.0, 0.0, 1.0)
+        )
+        # Newton's step to the minimum, in units of the one taken
+        assert abs(0.5 * (ahead - back) / (ahead + back - 2.0 * here)) < 0.4
+    assert np.linalg.norm(motion_between(T, fit.T_B_O, contact.center)[:3]) < 3e-4

@@ -1,0 +1,97 @@
+"""A place seen three ways, against rays and distances reckoned here."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bubbleviz.diagnostics.probe import Probe
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Result
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "ui"))
+from fakes import FRAMES, DentSource, small_sensor
+
+PIXELS = [(30, 40), (12, 55), (41, 22), (22, 61)]
+SENSOR = small_sensor()
+
+
+@pytest.fixture(scope="module")
+def pipeline() -> Pipeline:
+    return Pipeline.of(SENSOR)
+
+
+@pytest.fixture(scope="module")
+def result(pipeline: Pipeline) -> Result:
+    return pipeline.process(DentSource(SENSOR)[FRAMES - 1], frozenset({"estimate"}))
+
+
+def ray_of(pixel: tuple[int, int]) -> np.ndarray:
+    """Direction in B at unit depth; the camera looks along +z and is not turned."""
+    camera, (row, column) = SENSOR.camera, pixel
+    return np.array([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0])
+
+
+def nodes_of(pipeline: Pipeline, result: Result) -> np.ndarray:
+    assert result.estimate is not None
+    return pipeline.mesh.nodes + result.estimate.displacement_m[:, None] * pipeline.mesh.normals
+
+
+@pytest.mark.parametrize("pixel", PIXELS)
+def test_a_pixel_is_its_point_and_the_node_nearest_to_it(
+    pipeline: Pipeline, result: Result, pixel: tuple[int, int]
+) -> None:
+    found = Probe(pipeline.camera, pipeline.mesh).at_pixel(pixel, result)
+    assert found is not None and found.pixel == pixel
+    depth = float(result.frame.depth_m[pixel])
+    point = np.array(SENSOR.camera.position_m) + depth * ray_of(pixel)
+    np.testing.assert_allclose(found.point_m, point, atol=1e-7)
+    nodes = nodes_of(pipeline, result)
+    assert found.node == np.linalg.norm(nodes - point, axis=1).argmin()
+    assert result.estimate is not None
+    assert found.displacement_m == result.estimate.displacement_m[found.node]
+    assert found.pressure_pa == result.estimate.contact_pressure_pa[found.node]
+    x, y, z = nodes[found.node] - SENSOR.camera.position_m
+    camera = SENSOR.camera
+    seen = camera.cy + camera.fy * y / z, camera.cx + camera.fx * x / z
+    np.testing.assert_allclose(found.node_pixel, seen, atol=1e-9)
+
+
+@pytest.mark.parametrize("pixel", PIXELS)
+def test_a_pixel_without_a_return_is_the_node_nearest_to_its_ray(
+    pipeline: Pipeline, result: Result, pixel: tuple[int, int]
+) -> None:
+    depth = result.frame.depth_m.copy()
+    depth[pixel] = np.nan
+    blind = replace(result, frame=replace(result.frame, depth_m=depth))
+    found = Probe(pipeline.camera, pipeline.mesh).at_pixel(pixel, blind)
+    assert found is not None and np.isnan(found.point_m).all() and np.isnan(found.depth_m)
+    away = nodes_of(pipeline, result) - SENSOR.camera.position_m
+    from_ray = np.linalg.norm(np.cross(away, ray_of(pixel)), axis=1)
+    assert found.node == from_ray.argmin()
+
+
+def test_a_point_of_the_view_is_the_pixel_that_sees_it(pipeline: Pipeline, result: Result) -> None:
+    probe = Probe(pipeline.camera, pipeline.mesh)
+    for pixel in PIXELS:
+        point = np.array(SENSOR.camera.position_m) + 0.13 * ray_of(pixel)
+        found = probe.at_point(point, result)
+        assert found.pixel == pixel
+        nodes = nodes_of(pipeline, result)
+        assert found.node == np.linalg.norm(nodes - point, axis=1).argmin()
+    height, width = result.frame.depth_m.shape
+    for outside in ((-1, 5), (height, 5), (5, -1), (5, width)):
+        point = np.array(SENSOR.camera.position_m) + 0.13 * ray_of(outside)
+        assert probe.at_point(point, result).pixel is None
+        assert probe.at_pixel(outside, result) is None
+
+
+def test_without_an_estimate_the_membrane_is_at_rest(pipeline: Pipeline, result: Result) -> None:
+    found = Probe(pipeline.camera, pipeline.mesh).at_pixel((30, 40), replace(result, estimate=None))
+    assert found is not None
+    np.testing.assert_array_equal(found.node_m, pipeline.mesh.nodes[found.node])
+    assert np.isnan([found.displacement_m, found.pressure_pa]).all()
