@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,10 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.estimator import Estimator, EstimatorOptions, WarmStart
+from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
+from bubbleviz.inverse.rubber_estimator import RIM_SLACK_M, RubberEstimator
+from bubbleviz.inverse.solvers.inverse_solver import RUBBER
+from bubbleviz.membrane.reference_mesh import build_rubber
 from bubbleviz.patch.components import without_small
 from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.result import Estimate, Patch, Result
@@ -79,7 +82,7 @@ class Pipeline:
         self.options = options or EstimatorOptions()
         self.counts: Counter[str] = Counter()
         self.tracker: PoseTracker | None = None
-        self._start: WarmStart | None = None
+        self._start: Any = None  # of the estimator's own kind
 
     @classmethod
     def of(
@@ -93,7 +96,7 @@ class Pipeline:
         return cls(SensorModel.of(sensor, intrinsics, nodes), options)
 
     @cached_property
-    def estimator(self) -> Estimator:
+    def estimator(self) -> Estimator | RubberEstimator:
         """The inverse solver; built when the first frame needs it."""
         model = self.model
         observer = RangeObserver(
@@ -103,6 +106,10 @@ class Pipeline:
             model.pixels,
             self.options.block or self._block_size(),
         )
+        if self.options.solver == RUBBER:
+            tension = model.tension_n_per_m
+            rubber = build_rubber(model.sensor, model.mesh, tension, RIM_SLACK_M)
+            return RubberEstimator(observer, rubber, model.gas, self.options)
         return Estimator(observer, model.gas, model.tension_n_per_m, self.options)
 
     def process(
@@ -219,13 +226,13 @@ class Pipeline:
         """Measured minus modelled range of the cloud's pixels, m."""
         pixels = _made(result.cloud_pixels)
         modelled = np.full(len(pixels), np.nan)
-        hits = self.model.view.hits(_made(result.estimate).displacement_m, pixels)
+        hits = self.model.view.hits(_made(result.estimate).motion_m, pixels)
         modelled[np.searchsorted(pixels, hits.ray)] = hits.range_m
         measured = self.model.range_image(result.frame.depth_m).ravel()[pixels]
         return replace(result, cloud_residual_m=measured - modelled)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
-        mask = self.model.view.above(estimate.displacement_m, patch.level, 0.0)
+        mask = self.model.view.above(estimate.motion_m, patch.level, 0.0)
         return replace(patch, pixel_mask=mask)
 
     @contextmanager

@@ -37,6 +37,14 @@ class Estimate:
         Iterations (or pivots) of the solver.
     solve_ms : float
         Wall time of the solver alone, ms.
+    displacement_3d_m : (n, 3) array or None
+        The whole displacement of the exact membrane; None of the linear one.
+    force_n : (3,) array or None
+        Resultant of p_c on the current area vectors, N; None of the linear model.
+    force_sigma_n : (3,) array or None
+        Standard deviation of that by noise and material.
+    gas_law_pa : float or None
+        p_v by the gas law for the exact shape, Pa; None of the linear model.
     """
 
     status: Status
@@ -47,6 +55,15 @@ class Estimate:
     kkt_residual: float
     iterations: int = 0
     solve_ms: float = 0.0
+    displacement_3d_m: np.ndarray | None = None
+    force_n: np.ndarray | None = None
+    force_sigma_n: np.ndarray | None = None
+    gas_law_pa: float | None = None
+
+    @property
+    def motion_m(self) -> np.ndarray:
+        """Displacement as `MembraneMesh.deformed` takes it: the whole one where it is known."""
+        return self.displacement_m if self.displacement_3d_m is None else self.displacement_3d_m
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel
@@ -84,6 +85,25 @@ class Linearisation:
 
     hits: Hits
     offset_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class ShapeRanges:
+    """Model of the block residuals around a shape: y(x + δ) ≈ model_m + D δ.
+
+    Attributes
+    ----------
+    block : (k,) int array
+        Blocks whose ray meets the membrane, here and at rest.
+    model_m : (B,) array
+        0 for the others.
+    jacobian : (k, 3n) sparse array
+        D of those blocks, three columns a node.
+    """
+
+    block: np.ndarray
+    model_m: np.ndarray
+    jacobian: sparse.csr_array
 
 
 @dataclass(frozen=True)
@@ -313,18 +333,51 @@ class RangeObserver:
         hits = linear.hits
         model = linear.offset_m + self._along_rays(hits, displacement_m)
         error = observation.residual_m[hits.ray] - model
-        weight = np.where(np.isfinite(error), observation.weight[hits.ray], 0.0)
+        seen = np.isfinite(error)
+        return self.left(observation, hits.ray[seen], error[seen])
+
+    def left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
+        """The same of errors (k,) of some blocks."""
+        weight = observation.weight[block]
         seen = weight > 0.0
-        error, weight = error[seen], weight[seen] / observation.trusted
+        error, weight = error_m[seen], weight[seen] / observation.trusted
         if not len(error):
             return Misfit(np.nan, np.inf, 1.0)
         z = error * np.sqrt(weight)
-        sums = np.bincount(self._neighbourhood[hits.ray[seen]], z)
+        sums = np.bincount(self._neighbourhood[block[seen]], z)
         return Misfit(
             rms_m=float(np.sqrt(weight @ error**2 / weight.sum())),
             deviations=float(np.median(np.abs(z)) / _MAD),
             clumping=float(sums @ sums / max(z @ z, 1e-300)),
         )
+
+    def noise_left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> float:
+        """How many times more than noise errors (k,) of some blocks add up to, at least 1.
+
+        By the median of their sums over squares of blocks, which white noise has at random. What
+        the model gets wrong is alike from block to block, and so is correlated noise.
+        """
+        z = error_m * np.sqrt(observation.weight[block] / observation.trusted)
+        square = self._neighbourhood[block]
+        sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
+        full = count >= 0.5 * _SQUARE**2
+        if not full.any():
+            return 1.0
+        return max(1.0, float(np.median(np.abs(sums[full]) / np.sqrt(count[full])) / _MAD))
+
+    def around(self, nodes: np.ndarray) -> ShapeRanges:
+        """Model of the block residuals around a shape, nodes (n, 3) in B, m."""
+        hits = self._caster.cast(nodes, self.mesh.normals)
+        hits = hits.of(np.isfinite(self._rest_range[hits.ray]))
+        model = np.zeros(self.blocks)
+        model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
+        slopes = self._caster.slopes(nodes, hits)
+        values = hits.barycentric[:, :, None] * slopes[:, None]
+        columns = 3 * self.mesh.triangles[hits.triangle][:, :, None] + np.arange(3)
+        starts = np.arange(0, values.size + 1, 9)
+        shape = (len(hits.ray), 3 * len(nodes))
+        jacobian = sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
+        return ShapeRanges(hits.ray, model, jacobian)
 
 
 def _scatter(values: np.ndarray) -> float:

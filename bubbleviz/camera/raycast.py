@@ -137,6 +137,13 @@ class RayCaster:
             found = found.with_others(leaving, moved)
         return found
 
+    def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:
+        """m/(r̂·m) of the facets that are hit, (k, 3): range gained by their motion in B."""
+        a, b, c = (nodes[self.triangles[:, k]] for k in range(3))
+        facet = cross(b - a, c - a)[hits.triangle]
+        along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
+        return facet / along[:, None]
+
     def _facets(self, local: np.ndarray, normals: np.ndarray) -> _Facets:
         corners = local[self.triangles]
         a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]

@@ -233,6 +233,11 @@ def _check_any_data(rows: list[dict[str, Any]], path: Path, seen: bool) -> None:
             f"{path}: no frame asked for looks like this sensor's membrane; choose its own sensor "
             "file, and check that depths are in metres (32FC1) or millimetres (16UC1)"
         )
+    if "not_converged" in statuses:
+        raise InputError(
+            f"{path}: no frame asked for could be solved; compare with --solver linear, and check "
+            "the sensor file's tension and prestretch"
+        )
     if not seen:
         raise InputError(
             f"{path}: all-zero depth image in every frame asked for; uncover or check the camera"

@@ -61,7 +61,10 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
             "solve_ms": estimate.solve_ms,
         }
         if estimate.status in ("ok", "no_contact"):
-            known["gas_law_pa"] = gas.pressure_change(estimate.displacement_m)
+            exact = estimate.gas_law_pa
+            known["gas_law_pa"] = (
+                gas.pressure_change(estimate.displacement_m) if exact is None else exact
+            )
         if result.patch is not None:
             known |= patch_numbers(result.patch, estimate.status)
     return Numbers(**known)  # type: ignore[arg-type]

@@ -120,7 +120,7 @@ class Inspector:
             return self._images.noise
         if estimate is None or estimate.status not in ("ok", "no_contact"):
             return None
-        return self._images.residual(depth, estimate.displacement_m)
+        return self._images.residual(depth, estimate.motion_m)
 
     @cached_property
     def _images(self) -> FrameImages:

@@ -72,7 +72,7 @@ def _ious(
     view: MembraneView, estimate: Estimate, truth: np.ndarray, levels: np.ndarray
 ) -> np.ndarray:
     """IoU of the pixels above each level, from one cast of all rays."""
-    hits = view.hits(estimate.displacement_m)
+    hits = view.hits(estimate.motion_m)
     corners = estimate.contact_pressure_pa[view.mesh.triangles[hits.triangle]]
     seen = np.einsum("ij,ij->i", hits.barycentric, corners)
     right = np.sort(seen[truth.ravel()[hits.ray]])

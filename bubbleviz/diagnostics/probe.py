@@ -100,7 +100,7 @@ class Probe:
     def _nodes(self, result: Result) -> np.ndarray:
         if result.estimate is None:
             return self._mesh.nodes
-        return self._mesh.deformed(result.estimate.displacement_m)
+        return self._mesh.deformed(result.estimate.motion_m)
 
     def _point(self, pixel: Pixel, result: Result) -> np.ndarray:
         """Measured point of a pixel in B, (3,), m."""

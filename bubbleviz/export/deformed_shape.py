@@ -34,5 +34,5 @@ class Shape:
         if not is_known(estimate):
             nothing = np.full(len(mesh.nodes), np.nan)
             return cls(mesh.nodes, nothing, nothing)
-        u = estimate.displacement_m
-        return cls(mesh.deformed(u), u, estimate.contact_pressure_pa)
+        points = mesh.deformed(estimate.motion_m)
+        return cls(points, estimate.displacement_m, estimate.contact_pressure_pa)

@@ -81,7 +81,7 @@ class PatchPlyExporter:
         if not is_known(estimate) or not inside.any():
             return np.empty((0, 3)), np.empty(0)
         return cloud[inside], nodal_at(
-            self._view, estimate.displacement_m, estimate.contact_pressure_pa, pixels[inside]
+            self._view, estimate.motion_m, estimate.contact_pressure_pa, pixels[inside]
         )
 
 

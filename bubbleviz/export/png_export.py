@@ -79,7 +79,7 @@ class PressurePngExporter:
         estimate = estimate_of(result)
         image = np.full(self._view.shape, np.nan)
         if is_known(estimate):
-            u, pressure = estimate.displacement_m, estimate.contact_pressure_pa
+            u, pressure = estimate.motion_m, estimate.contact_pressure_pa
             image = nodal_at(self._view, u, pressure, self._pixels).reshape(image.shape)
         path = self._folder / f"{self._name}_{result.frame.index:06d}.png"
         _write_png(path, image, self._range)

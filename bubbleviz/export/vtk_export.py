@@ -40,7 +40,7 @@ class VtkExporter:
         shape = Shape.of(self._mesh, result)
         fields = {
             "displacement_m": shape.displacement_m,
-            "displacement_vector_m": shape.displacement_m[:, None] * self._mesh.normals,
+            "displacement_vector_m": shape.points_m - self._mesh.nodes,
             "contact_pressure_pa": shape.contact_pressure_pa,
             "patch": result.patch.node_mask.astype(np.uint8),
         }

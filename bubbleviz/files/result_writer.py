@@ -23,6 +23,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "gas_pressure_change_pa": (),
     "threshold_pa": (),
     "force_n": ("force_x_n", "force_y_n", "force_z_n"),
+    "force_sigma_n": ("force_sigma_x_n", "force_sigma_y_n", "force_sigma_z_n"),
     "center_of_pressure_m": (
         "center_of_pressure_x_m",
         "center_of_pressure_y_m",
@@ -37,16 +38,23 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 """Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
 than the one of the same name."""
 
-NODAL_FIELDS = ("displacement_m", "contact_pressure_pa", "patch_level")
-"""Keys of RESULT.npz with a number per frame and node; the patch is where its level is positive."""
+NODAL_FIELDS: dict[str, tuple[int, ...]] = {
+    "displacement_m": (),
+    "displacement_3d_m": (3,),
+    "contact_pressure_pa": (),
+    "patch_level": (),
+}
+"""Keys of RESULT.npz with numbers per frame and node, and how many where it is not one; the patch
+is where its level is positive."""
 
-UNKNOWN = ("no_data", "implausible")
+UNKNOWN = ("no_data", "not_converged", "implausible")
 """Statuses of frames about which nothing is known."""
 
 _NO_NUMBER_WITHOUT_DATA = (
     "gas_pressure_change_pa",
     "threshold_pa",
     "force_n",
+    "force_sigma_n",
     "center_of_pressure_m",
     "patch_area_m2",
     "residual_rms_m",
@@ -59,6 +67,7 @@ def summary_row(result: Result) -> dict[str, Any]:
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         raise ValueError("the products estimate and patch were not asked for")
+    sigma = estimate.force_sigma_n
     row: dict[str, Any] = {
         "frame": result.frame.index,
         "time_s": result.frame.time_s,
@@ -66,6 +75,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "gas_pressure_change_pa": estimate.gas_pressure_change_pa,
         "threshold_pa": patch.threshold_pa,
         "force_n": patch.force_n,
+        "force_sigma_n": np.full(3, np.nan) if sigma is None else sigma,
         "center_of_pressure_m": patch.center_of_pressure_m,
         "patch_area_m2": patch.area_m2,
         "residual_rms_m": estimate.residual_rms_m,
@@ -134,8 +144,14 @@ class ResultWriter:
             raise ValueError("another mask size, or more frames, than announced")
         self.rows.append(row)
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
-        fields = (estimate.displacement_m, estimate.contact_pressure_pa, patch.level)
-        for spool, field in zip(self._spools, fields, strict=True):
+        fields = {
+            "displacement_m": estimate.displacement_m,
+            "displacement_3d_m": self._mesh.deformed(estimate.motion_m) - self._mesh.nodes,
+            "contact_pressure_pa": estimate.contact_pressure_pa,
+            "patch_level": patch.level,
+        }
+        for spool, name in zip(self._spools, NODAL_FIELDS, strict=True):
+            field = fields[name]
             known = field if estimate.status not in UNKNOWN else np.full_like(field, np.nan)
             spool.write(np.ascontiguousarray(known, dtype="<f8").tobytes())
         return row
@@ -146,9 +162,9 @@ class ResultWriter:
             raise ValueError(f"{len(self.rows)} frames added, {self._frames} announced")
         self._masks.close()
         nodal = (self._frames, len(self._mesh.nodes))
-        for name, spool in zip(NODAL_FIELDS, self._spools, strict=True):
+        for (name, more), spool in zip(NODAL_FIELDS.items(), self._spools, strict=True):
             spool.seek(0)
-            with self._member(name, nodal, np.dtype("<f8")) as member:
+            with self._member(name, nodal + more, np.dtype("<f8")) as member:
                 shutil.copyfileobj(spool, member, 1 << 20)
         for name, array in self._small_arrays(provenance).items():
             with self._member(name, array.shape, array.dtype) as member:

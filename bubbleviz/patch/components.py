@@ -43,7 +43,7 @@ def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Co
     if not len(inside):
         return ()
     count, label = connected_components(_edges(mesh)[inside][:, inside], directed=False)
-    nodes = mesh.deformed(estimate.displacement_m)
+    nodes = mesh.deformed(estimate.motion_m)
     parts = [_component(mesh, estimate, patch, nodes, inside[label == k]) for k in range(count)]
     return tuple(sorted(parts, key=lambda part: -part.area_m2))
 
@@ -67,7 +67,7 @@ def without_small(
     if kept:
         here = np.concatenate([part.nodes for part in kept])
         load = mesh.areas[here] * estimate.contact_pressure_pa[here]
-        center = load @ mesh.deformed(estimate.displacement_m)[here] / load.sum()
+        center = load @ mesh.deformed(estimate.motion_m)[here] / load.sum()
     area = area_above(mesh, level, 0.0)
     return replace(patch, level=level, area_m2=area, center_of_pressure_m=center)
 

@@ -23,10 +23,12 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
 class PatchFinder:
     """Finds the patch in an estimate.
 
-    By default the physics of contact draws it: each part must somewhere reach the gas pressure,
-    which a membrane on something flat or convex does, and carry more than what noise or the
-    linear model's own error could put there; its edge is that of `PatchEdge`. With a factor κ it
-    is the paper's: wherever p_c exceeds κ times its mean over the membrane.
+    By default the physics of contact draws it. On the exact membrane it is where p_c exceeds half
+    the gas pressure, midway between free and touching, for what lies on something flat or convex
+    carries at least that pressure. On the linear one each part must somewhere reach the gas
+    pressure and carry more than what noise or the linear model's own error could put there; its
+    edge is that of `PatchEdge`. With a factor κ it is the paper's: wherever p_c exceeds κ times its
+    mean over the membrane.
 
     Parameters
     ----------
@@ -52,7 +54,11 @@ class PatchFinder:
         parts in contact, so that what noise puts elsewhere does not pull it aside.
         """
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
-        if kappa is None:
+        if kappa is None and estimate.force_n is not None:
+            threshold = 0.5 * (self._held + np.nan_to_num(estimate.gas_pressure_change_pa))
+            contact = np.where(pressure > threshold, pressure, 0.0)
+            level = (pressure - threshold) / self._held
+        elif kappa is None:
             threshold = 0.5 * self._held
             contact, part = self._contacts(estimate, threshold)
             level = self._level(contact, part, threshold)
@@ -60,14 +66,16 @@ class PatchFinder:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
             level = (pressure - threshold) / self._held
-        center = np.full(3, np.nan)
+        force, center = estimate.force_n, np.full(3, np.nan)
+        if force is None:
+            force = -(mesh.areas * pressure) @ mesh.normals
         if contact.any():
             load = mesh.areas * contact
-            center = load @ mesh.deformed(estimate.displacement_m) / load.sum()
+            center = load @ mesh.deformed(estimate.motion_m) / load.sum()
         return Patch(
             threshold_pa=threshold,
             level=level,
-            force_n=-(mesh.areas * pressure) @ mesh.normals,
+            force_n=force,
             center_of_pressure_m=center,
             area_m2=area_above(mesh, level, 0.0),
         )

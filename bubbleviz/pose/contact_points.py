@@ -64,7 +64,7 @@ class ContactPoints:
 
 def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> ContactPoints | None:
     """Contact points of an estimate; None where the patch has fewer than a pose needs."""
-    nodes = mesh.deformed(estimate.displacement_m)
+    nodes = mesh.deformed(estimate.motion_m)
     inside = patch.level > 0.0
     near = np.any(inside[mesh.triangles], axis=1)
     if not near.any():

@@ -10,6 +10,7 @@ import numpy as np
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.membrane.refine import refine
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.motion_filter import SEARCH_DEVIATION, Motion
@@ -85,10 +86,10 @@ class Solver:
     Parameters
     ----------
     registration : Registration
-    estimator : Estimator
+    estimator : Estimator or RubberEstimator
     """
 
-    def __init__(self, registration: Registration, estimator: Estimator) -> None:
+    def __init__(self, registration: Registration, estimator: Estimator | RubberEstimator) -> None:
         self._registration, self._estimator = registration, estimator
 
     @cached_property

@@ -13,6 +13,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.normal_equations import NormalEquations
 from bubbleviz.inverse.resolution import information_density
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.pose.contact_points import ContactPoints, contact_points
 from bubbleviz.pose.dual_stage import Solution, Solver
 from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
@@ -39,7 +40,7 @@ class PoseTracker:
 
     Parameters
     ----------
-    estimator : Estimator
+    estimator : Estimator or RubberEstimator
         The one that makes the estimates.
     obj : RigidObject
     start : (4, 4) array, optional
@@ -52,7 +53,10 @@ class PoseTracker:
     """
 
     def __init__(
-        self, estimator: Estimator, obj: RigidObject, start: np.ndarray | None = None
+        self,
+        estimator: Estimator | RubberEstimator,
+        obj: RigidObject,
+        start: np.ndarray | None = None,
     ) -> None:
         check_size(obj, estimator.mesh)
         self.model = ObjectModel(obj)
@@ -152,7 +156,7 @@ class PoseTracker:
         return Pose("lost", self._good)
 
 
-def precision_of(estimator: Estimator) -> Precision:
+def precision_of(estimator: Estimator | RubberEstimator) -> Precision:
     """How precisely a sensor's estimator knows where the membrane is."""
     mesh, observer = estimator.mesh, estimator.observer
     Q, _ = NormalEquations(mesh).assemble(observer.observe_everything(), observer.linearise())

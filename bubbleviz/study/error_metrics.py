@@ -83,7 +83,7 @@ class Judge:
 
     def _best_iou(self, estimate: Estimate, seen: np.ndarray) -> float:
         """Largest IoU over all thresholds of the contact pressure."""
-        hits = self._view.hits(estimate.displacement_m)
+        hits = self._view.hits(estimate.motion_m)
         pressure = estimate.contact_pressure_pa[self._view.mesh.triangles[hits.triangle]]
         values = np.einsum("ij,ij->i", hits.barycentric, pressure)
         order = np.argsort(-values)

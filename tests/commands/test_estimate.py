@@ -86,7 +86,8 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
         "center_of_pressure_m": (frames, 3), "patch_area_m2": (frames,), "threshold_pa": (frames,),
         "patch_mask": (frames, height, width), "residual_rms_m": (frames,),
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
-        "patch_level": (frames, nodes), "sensor_toml": (), "version": (), "solver": (),
+        "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
+        "force_sigma_n": (frames, 3), "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
     kinds = {key: array.dtype.kind for key, array in result.items()}

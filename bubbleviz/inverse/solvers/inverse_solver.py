@@ -66,7 +66,10 @@ SOLVERS: dict[str, Make] = {
 }
 
 
-SOLVER_NAMES = (*SOLVERS, "fast")
+RUBBER = "rubber"
+"""The exact membrane, which `RubberEstimator` solves; the others are solvers of the linear one."""
+
+SOLVER_NAMES = (RUBBER, *SOLVERS, "fast")
 """Names for `EstimatorOptions.named`; `fast` is the default on a coarse mesh."""
 
 

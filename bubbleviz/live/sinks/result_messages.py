@@ -95,7 +95,7 @@ class ResultMessages:
     def _patch(self, header: Any, estimate: Estimate, patch: Patch) -> Any:
         """Nodes of the patch where they are now: x, y, z, pressure, as float32."""
         inside = patch.node_mask
-        points = self._mesh.deformed(estimate.displacement_m)[inside]
+        points = self._mesh.deformed(estimate.motion_m)[inside]
         table = np.column_stack([points, estimate.contact_pressure_pa[inside]]).astype("<f4")
         field = ros2_types().types["sensor_msgs/msg/PointField"]
         names = ("x", "y", "z", "pressure")

@@ -55,9 +55,9 @@ class Surface:
         self._beyond = None
         if estimate is None or self._mesh is None:
             return None
-        nodes = self._mesh.deformed(exaggeration * estimate.displacement_m)
+        nodes = self._mesh.deformed(exaggeration * estimate.motion_m)
         if exaggeration != 1.0:
-            self._beyond = nodes - self._mesh.deformed(estimate.displacement_m)
+            self._beyond = nodes - self._mesh.deformed(estimate.motion_m)
         normals = replace(self._mesh, nodes=nodes).normals
         return Shape(nodes, normals, estimate.contact_pressure_pa)
 

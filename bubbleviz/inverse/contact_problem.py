@@ -1,0 +1,277 @@
+"""The contact pressure that explains a range image, around a shape of the exact membrane.
+
+    min  ½ ‖e − D (δ − S Δp)‖²_W + ½ λ pᵀ L p + τᵀ p   over p = p₀ + Δp ≥ 0
+
+with e the ranges that the shape leaves unexplained, D their derivative by the nodes and δ the
+motion to equilibrium under the present pressure p₀. First with the L1 term to find where there is
+contact, then on that support without it, which takes out its bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.inverse.linearised_rubber import LinearisedRubber
+from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
+
+_LEAST, _ROUNDS = 40, 6
+"""Nodes that the problem of a frame without contact before it starts with, and how often nodes
+that pull are added to them."""
+_SLACK = 1e-6
+"""Pull below zero that counts as zero, over the largest."""
+
+
+TouchRule = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Support (n,) bool and the pressure on it → what of it may be contact."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of contact pressure before a frame.
+
+    Attributes
+    ----------
+    smoothness : (n, n) sparse array
+        λ L of the H1 term, 1/Pa².
+    threshold : (n,) array
+        τ of the L1 term, 1/Pa.
+    neighbours : (n, n) sparse array
+        Nodes that share an edge.
+    """
+
+    smoothness: sparse.csr_array
+    threshold: np.ndarray
+    neighbours: sparse.csr_array
+
+    def around(self, nodes: np.ndarray) -> np.ndarray:
+        """Nodes (n,) bool and those beside them."""
+        return nodes | (self.neighbours @ nodes.astype(float) > 0.0)
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What the camera says of a shape.
+
+    Attributes
+    ----------
+    jacobian : (k, 3n) sparse array
+        D.
+    error_m : (k,) array
+        e: measured less modelled ranges.
+    weight : (k,) array
+        1/σ².
+    """
+
+    jacobian: sparse.csr_array
+    error_m: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Where there is contact.
+
+    Attributes
+    ----------
+    support : (n,) bool array
+    pivots : int
+        Of the solver, to find it.
+    converged : bool
+    """
+
+    support: np.ndarray
+    pivots: int = 0
+    converged: bool = True
+
+
+@dataclass(frozen=True)
+class ContactPressure:
+    """Solution of a problem.
+
+    Attributes
+    ----------
+    support : (n,) bool array
+        Nodes that may touch.
+    pressure : (n,) array
+        Pa.
+    motion : (n, 3) array
+        To first order, m.
+    pivots : int
+    converged : bool
+    kkt_residual : float
+        ‖min(p, ∇)‖ of the debiased problem on its support, both over their largest.
+    nodes : (s,) int array
+        Those under pressure.
+    covariance : (s, s) array
+        Of their pressures, Pa².
+    """
+
+    support: np.ndarray
+    pressure: np.ndarray
+    motion: np.ndarray
+    pivots: int
+    converged: bool
+    kkt_residual: float
+    nodes: np.ndarray
+    covariance: np.ndarray
+
+
+class ContactProblem:
+    """The problem of one frame around one shape.
+
+    Parameters
+    ----------
+    rubber : LinearisedRubber
+    ranges : Ranges
+    prior : Prior
+    pressure : (n,) array
+        p₀, Pa.
+    relaxing : (n, 3) array
+        δ, m.
+    """
+
+    def __init__(
+        self,
+        rubber: LinearisedRubber,
+        ranges: Ranges,
+        prior: Prior,
+        pressure: np.ndarray,
+        relaxing: np.ndarray,
+    ) -> None:
+        self._rubber, self._ranges, self._prior = rubber, ranges, prior
+        self._before, self._relaxing = pressure, relaxing
+        left = ranges.error_m - ranges.jacobian @ relaxing.ravel()
+        self._at_before = self._pull(left)
+        """Gradient of the misfit at p₀, (n,), 1/Pa."""
+        self._work = np.empty(0, int)
+
+    def nothing_pulls(self) -> bool:
+        """Whether no contact pressure at all is the solution; for p₀ = 0."""
+        return bool((self._at_before + self._prior.threshold >= 0.0).all())
+
+    def select(self, start: np.ndarray) -> Selection:
+        """Solve with the L1 term.
+
+        Parameters
+        ----------
+        start : (n,) bool array
+            Guess of the support.
+        """
+        pressure, pivots, converged = self._select(start)
+        return Selection(pressure > 0.0, pivots, converged)
+
+    def refine(self, selection: Selection, touches: TouchRule) -> ContactPressure:
+        """Solve on a support without the L1 term.
+
+        Parameters
+        ----------
+        selection : Selection
+        touches : TouchRule
+        """
+        support, pivots = selection.support, selection.pivots
+        missing = support & ~np.isin(np.arange(len(support)), self._work)
+        if missing.any() or not len(self._work):
+            self._set(np.flatnonzero(support))
+        while True:
+            pressure, count, solved = self._on(np.flatnonzero(support))
+            pivots += count
+            kept = touches(support, pressure)
+            if np.array_equal(kept, support):
+                break
+            support = kept
+        nodes = np.flatnonzero(pressure > 0.0)
+        where = np.searchsorted(self._work, nodes)
+        return ContactPressure(
+            support,
+            pressure,
+            self._motion(pressure),
+            pivots,
+            selection.converged and solved,
+            self._kkt(pressure, support) if support.any() else 0.0,
+            nodes,
+            np.linalg.inv(self._hessian[np.ix_(where, where)]),
+        )
+
+    def _select(self, start: np.ndarray) -> tuple[np.ndarray, int, bool]:
+        prior, pivots = self._prior, 0
+        gradient = self._gradient(self._before) + prior.threshold
+        work = prior.around(start | (self._before > 0.0)) | self._strongest(gradient, start)
+        pressure = self._before
+        for _ in range(_ROUNDS):
+            self._set(np.flatnonzero(work))
+            guess = (start | (pressure > 0.0))[self._work]
+            if not guess.any():
+                slope = gradient[self._work]
+                guess = slope < 0.5 * slope.min(initial=0.0)
+            linear = self._linear + prior.threshold[self._work]
+            x, count, converged = nonnegative_qp(DenseQuadratic(self._hessian), linear, guess)
+            pressure = self._everywhere(x)
+            pivots += count
+            gradient = self._gradient(pressure) + prior.threshold
+            pulled = (gradient < -_SLACK * np.abs(self._linear).max()) & ~work
+            if not pulled.any():
+                return pressure, pivots, converged
+            work |= prior.around(pulled)
+        return pressure, pivots, False
+
+    def _on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
+        """Minimise without the L1 term over p ≥ 0 of the support alone."""
+        pressure = np.zeros(len(self._before))
+        if not len(support):
+            return pressure, 0, True
+        where = np.searchsorted(self._work, support)
+        H = DenseQuadratic(np.ascontiguousarray(self._hessian[np.ix_(where, where)]))
+        x, pivots, converged = nonnegative_qp(H, self._linear[where], np.ones(len(where), bool))
+        pressure[support] = x
+        return pressure, pivots, converged
+
+    def _set(self, work: np.ndarray) -> None:
+        """Form the Hessian of the nodes `work` (c,) and the linear term."""
+        self._work = work
+        J = self._ranges.jacobian @ self._rubber.responses(work)
+        J *= np.sqrt(self._ranges.weight)[:, None]
+        smooth = self._prior.smoothness[work][:, work]
+        self._hessian = J.T @ J + smooth.toarray()
+        before = self._before[work]
+        gradient = self._gradient(self._before)[work]
+        self._linear = gradient - self._hessian @ before
+
+    def _strongest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """As many of the nodes that pull most as the start has; the others come later."""
+        most = min(max(_LEAST, int(np.count_nonzero(start))), len(gradient) - 1)
+        return gradient < min(0.0, np.partition(gradient, most)[most])
+
+    def _gradient(self, pressure: np.ndarray) -> np.ndarray:
+        """Gradient of misfit and H1 term, (n,)."""
+        data = self._at_before
+        if pressure is not self._before:
+            moved = self._motion(pressure) - self._relaxing
+            data = data - self._pull(self._ranges.jacobian @ moved.ravel())
+        return data + self._prior.smoothness @ pressure
+
+    def _kkt(self, pressure: np.ndarray, support: np.ndarray) -> float:
+        gradient = self._gradient(pressure)[support]
+        scale = float(np.abs(self._linear).max())
+        share = pressure[support] / max(float(pressure.max()), 1e-300)
+        return float(np.abs(np.minimum(share, gradient / scale)).max())
+
+    def _motion(self, pressure: np.ndarray) -> np.ndarray:
+        """Motion to equilibrium under a pressure (n,), (n, 3)."""
+        change = pressure - self._before
+        if not change.any():
+            return self._relaxing
+        nodes = np.flatnonzero(change)
+        return self._relaxing - (self._rubber.responses(nodes) @ change[nodes]).reshape(-1, 3)
+
+    def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
+        weighted = self._ranges.jacobian.T @ (self._ranges.weight * ranges_m)
+        return self._rubber.pull(weighted.reshape(-1, 3))
+
+    def _everywhere(self, x: np.ndarray) -> np.ndarray:
+        pressure = np.zeros(len(self._before))
+        pressure[self._work] = x
+        return pressure

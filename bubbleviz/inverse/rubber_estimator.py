@@ -1,0 +1,473 @@
+"""From a depth image to shape, contact pressure and gas pressure of the exact rubber membrane."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from bubbleviz.camera.observer import Misfit, RangeObserver, ShapeRanges
+from bubbleviz.errors import InputError
+from bubbleviz.inverse.contact_problem import (
+    ContactPressure,
+    ContactProblem,
+    Prior,
+    Ranges,
+    Selection,
+)
+from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOptions
+from bubbleviz.inverse.linearised_rubber import LinearisedRubber
+from bubbleviz.inverse.plausibility import GAS_NOISE, IMPLAUSIBLE_MISFIT, explains
+from bubbleviz.inverse.resolution import resolution_m
+from bubbleviz.inverse.scales import Scales
+from bubbleviz.inverse.solvers.inverse_solver import RUBBER
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser
+from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.result import Estimate, Status
+
+RIM_SLACK_M = 1.5e-4
+"""Motion of the rim under the pull of the mean tension: how precisely a clamp holds rubber."""
+
+_NEAR, _FAR = 0.05, 0.5
+"""Shares of a mesh edge. A tangent serves while the shape is nearer than the first to where it was
+taken; a frame of a stream that moved the shape by less than the second is done."""
+_STEPS, _WARM_STEPS = 30, 3
+"""Gauss–Newton steps of a frame alone, and of one of a stream."""
+_SELECTIONS = 8
+"""Times that the support is looked for in a frame."""
+_LONGEST = 1.0
+"""Longest step in mesh edges."""
+_BALANCED = 1e-3
+"""Force left at a node over the gas load on one of mean area."""
+_NEWTON = 12
+"""Steps to equilibrium under a contact pressure."""
+_SAMPLE = 200
+"""Nodes among which the best-seen one is looked for."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Where one frame ended and the next may begin.
+
+    Attributes
+    ----------
+    x : (n, 3) array
+        Shape, m.
+    pressure : (n,) array
+        p_c, Pa.
+    support : (n,) bool array
+        Nodes that may touch.
+    """
+
+    x: np.ndarray
+    pressure: np.ndarray
+    support: np.ndarray
+
+
+@dataclass(frozen=True)
+class RubberStart:
+    """What `RubberEstimator.estimate` hands from one frame to the next.
+
+    Attributes
+    ----------
+    state : State or None
+        None: the frame had no contact, or nothing is known of it.
+    rubber : LinearisedRubber or None
+        Tangent that was used last.
+    noise : float
+        By how much more than its noise the frame before was missed.
+    """
+
+    state: State | None = None
+    rubber: LinearisedRubber | None = None
+    noise: float = 1.0
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """A solved frame.
+
+    Attributes
+    ----------
+    state : State
+    contact : ContactPressure
+    gas : float
+        p_v, Pa.
+    misfit : Misfit
+    contradicts_gas : bool
+    sigma_n : (3,) array
+    rubber : LinearisedRubber
+    noise : float
+    solve_ms : float
+    """
+
+    state: State
+    contact: ContactPressure
+    gas: float
+    misfit: Misfit
+    contradicts_gas: bool
+    sigma_n: np.ndarray
+    rubber: LinearisedRubber
+    noise: float
+    solve_ms: float
+
+
+class RubberEstimator:
+    """Solves the inverse problem of the exact membrane frame by frame, each started from the last.
+
+    Contact presses along the current normals on the support that an L1 term finds; everywhere else
+    the membrane is in equilibrium by construction. A connected part of the support that nowhere
+    reaches the gas pressure is no contact: what lies on something flat or convex carries that.
+
+    Parameters
+    ----------
+    observer : RangeObserver
+    membrane : RubberMembrane
+    gas : Gas
+        P0 and V0 of the reference configuration.
+    options : EstimatorOptions, optional
+    variants : sequence of RubberMembrane, optional
+        The membrane with one of its material numbers moved by its standard deviation each, for
+        `force_sigma_n`.
+
+    Attributes
+    ----------
+    solver_name : str
+    held_pressure_pa : float
+        Gauge pressure of the reference configuration, which a contact carries that flattens it.
+    resolution_m : float
+        Width of the estimate's response to a point load, m.
+    """
+
+    def __init__(
+        self,
+        observer: RangeObserver,
+        membrane: RubberMembrane,
+        gas: Gas,
+        options: EstimatorOptions | None = None,
+        variants: Sequence[RubberMembrane] = (),
+    ) -> None:
+        self.mesh = observer.mesh
+        if len(self.mesh.nodes) > MAX_NODES:
+            raise InputError(
+                f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
+                f"use at most {MAX_NODES}, the noise hides what 3,000 cannot resolve"
+            )
+        self.observer, self.membrane, self.gas = observer, membrane, gas
+        self.options = options or EstimatorOptions()
+        self.solver_name = RUBBER
+        self._variants = tuple(variants)
+        rest = self.mesh.nodes
+        self.scales = Scales.of(self.mesh, membrane.mean_tension)
+        self.held_pressure_pa = membrane.gauge_pressure_pa
+        self._rest_volume = membrane.volume(rest)
+        self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
+        self._load = membrane.gauge_pressure_pa * float(self.mesh.areas.mean())
+        edge = self.mesh.edge_length
+        self._near_m, self._far_m, self._longest_m = _NEAR * edge, _FAR * edge, _LONGEST * edge
+        nothing = np.zeros(len(rest))
+        self._rest = State(rest, nothing, nothing > 0.0)
+        self._rest_rubber = {
+            measured: self._linearised(self._rest, None if not measured else 0.0)
+            for measured in (False, True)
+        }
+        self._gas_noise = GAS_NOISE * gas.P0
+        self._prior_at_rest()
+
+    def _prior_at_rest(self) -> None:
+        """λ, τ and resolution by what the camera says of the membrane at rest."""
+        mesh, everything = self.mesh, self.observer.observe_everything()
+        smoothness = 1.0 / (self.options.pressure_scale * self.held_pressure_pa) ** 2
+        view = self.observer.around(mesh.nodes)
+        weight = everything.weight[view.block]
+        n = len(mesh.free)
+        sample = mesh.free[np.arange(0, n, max(1, n // _SAMPLE))]
+        D = sparse.diags_array(np.sqrt(weight)) @ view.jacobian
+        sigma = np.linalg.norm(D @ self._rest_rubber[False].responses(sample), axis=0)
+        tau = np.sqrt(2.0 * np.log(n)) * np.max(sigma / mesh.areas[sample]) * mesh.areas
+        rubber = self._rest_rubber[True]
+        bulge = view.jacobian @ rubber.motion(rubber.area_vectors).ravel()
+        pull = view.jacobian.T @ (weight * bulge)
+        self._gas_tau = 3.0 * self._gas_noise * rubber.pull(pull.reshape(-1, 3))
+        self._tau, self._weight = tau, float(weight.sum())
+        laplacian = cotangent_laplacian(mesh).tocsr()
+        held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
+        self._smoothness = (smoothness * (held @ laplacian @ held)).tocsr()
+        self._neighbours = abs(laplacian)
+        self.resolution_m = resolution_m(
+            smoothness, self.membrane.mean_tension, float(weight.sum() / mesh.facet_areas.sum())
+        )
+
+    def estimate(
+        self,
+        depth_m: np.ndarray,
+        gas_pressure_pa: float | None = None,
+        start: RubberStart | None = None,
+    ) -> tuple[Estimate, RubberStart]:
+        """Solve one frame; also what the next one starts from.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+            z-depth, NaN where there is no return.
+        gas_pressure_pa : float, optional
+            Measured absolute gas pressure.
+        start : RubberStart, optional
+            Of the frame before; from rest when None.
+        """
+        start = start or RubberStart()
+        gas = None
+        if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
+            gas = gas_pressure_pa - self.gas.P0
+            if not self.gas.lowest_change_pa <= gas <= self.gas.highest_change_pa:
+                return self._nothing("implausible"), RubberStart()
+        try:
+            answer = self._solve(depth_m, gas, start)
+        except RuntimeError:  # a singular tangent
+            answer = "not_converged"
+        if isinstance(answer, str):
+            return self._nothing(answer), RubberStart()
+        if answer.contradicts_gas or not explains(answer.misfit, self.observer.white):
+            return self._nothing("implausible", answer.misfit.rms_m), RubberStart()
+        touching = answer.state if answer.state.pressure.any() else None
+        return self._report(answer), RubberStart(touching, answer.rubber, answer.noise)
+
+    # -- one frame ------------------------------------------------------------------------------
+
+    def _solve(
+        self, depth_m: np.ndarray, measured_gas: float | None, start: RubberStart
+    ) -> _Answer | Status:
+        """Gauss–Newton steps until the shape stands, on a support found anew while it moves far.
+
+        Once it moves by less than a share of an edge the support is kept, for steps between two
+        supports would go on for ever; where the shape then stands it is looked for a last time.
+        """
+        measured = self.observer.measure(depth_m)
+        state, warm = start.state or self._rest, start.state is not None
+        rubber, solve_ms = start.rubber, 0.0
+        selecting, chosen = True, 0
+        for _ in range(_WARM_STEPS if warm else _STEPS):
+            view = self.observer.around(state.x)
+            observation = self.observer.weigh(measured, view.model_m)
+            weight = observation.weight[view.block] / start.noise**2
+            error = observation.residual_m[view.block] - view.model_m[view.block]
+            seen = weight > 0.0
+            if np.count_nonzero(seen) < MINIMUM_BLOCKS:
+                return "no_data"
+            if np.median(np.abs(error[seen])) > self.scales.length_m:
+                return "implausible"
+            rubber = self._rubber_at(state, measured_gas, rubber)
+            ranges = Ranges(view.jacobian, error, weight)
+            prior = self._prior(ranges, measured_gas, start.noise)
+            began = time.perf_counter()
+            contact = self._contact(rubber, ranges, prior, state, measured_gas, selecting)
+            solve_ms += 1e3 * (time.perf_counter() - began)
+            if not contact.converged:
+                return "not_converged"
+            before = state
+            state, balanced = self._step(rubber, state, contact, measured_gas)
+            if not balanced:
+                return "not_converged"
+            moved = float(np.abs(state.x - before.x).max())
+            chosen += selecting
+            if moved <= (self._far_m if warm else self._near_m):
+                if selecting or chosen > _SELECTIONS:
+                    break
+                selecting = True
+            else:
+                selecting = moved > self._far_m and chosen <= _SELECTIONS
+        else:
+            return "not_converged"
+        left = error - view.jacobian @ (state.x - before.x).ravel()
+        noise = self.observer.noise_left(observation, view.block, left)
+        misfit = self.observer.left(observation, view.block, left)
+        gas = measured_gas if measured_gas is not None else self._gas_at(state.x)[0]
+        contradicts = measured_gas is not None and self._contradicts(rubber, view, weight, left)
+        sigma = self._sigma(rubber, ranges, state, contact, gas)
+        return _Answer(state, contact, gas, misfit, contradicts, sigma, rubber, noise, solve_ms)
+
+    def _prior(self, ranges: Ranges, gas: float | None, noise: float) -> Prior:
+        tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
+        if gas is not None:
+            tau = tau + np.maximum(self._gas_tau, 0.0) / noise**2
+        return Prior(self._smoothness, tau, self._neighbours)
+
+    def _contact(
+        self,
+        rubber: LinearisedRubber,
+        ranges: Ranges,
+        prior: Prior,
+        state: State,
+        gas: float | None,
+        selecting: bool,
+    ) -> ContactPressure:
+        relaxing = rubber.motion(-self._residual(state.x, state.pressure, gas))
+        problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
+        selection = Selection(state.support)
+        if selecting and (state.pressure.any() or not problem.nothing_pulls()):
+            selection = problem.select(state.support)
+        least = self.held_pressure_pa + (self._gas_at(state.x)[0] if gas is None else gas)
+
+        def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+            return self._reaching(support, pressure, least)
+
+        return problem.refine(selection, touches)
+
+    def _reaching(self, support: np.ndarray, pressure: np.ndarray, least: float) -> np.ndarray:
+        """Connected parts of a support whose pressure somewhere reaches `least`."""
+        nodes = np.flatnonzero(support)
+        if not len(nodes):
+            return support
+        count, part = connected_components(self._neighbours[nodes][:, nodes], directed=False)
+        peak = np.zeros(count)
+        np.maximum.at(peak, part, pressure[nodes])
+        kept = np.zeros_like(support)
+        kept[nodes] = peak[part] >= least
+        return kept
+
+    def _step(
+        self,
+        rubber: LinearisedRubber,
+        state: State,
+        contact: ContactPressure,
+        gas: float | None,
+    ) -> tuple[State, bool]:
+        """Towards a contact pressure, and to equilibrium under it."""
+        share = min(1.0, self._longest_m / max(float(np.abs(contact.motion).max()), 1e-300))
+        for _ in range(6):
+            pressure = state.pressure + share * (contact.pressure - state.pressure)
+            x, balanced = self._settled(rubber, state.x + share * contact.motion, pressure, gas)
+            if balanced:
+                break
+            share *= 0.5
+        return State(x, pressure, contact.support), balanced
+
+    def _settled(
+        self, rubber: LinearisedRubber, x: np.ndarray, pressure: np.ndarray, gas: float | None
+    ) -> tuple[np.ndarray, bool]:
+        """Equilibrium under a contact pressure, from close by: Newton's method."""
+        last = np.inf
+        for _ in range(_NEWTON):
+            left = self._residual(x, pressure, gas)
+            size = float(np.abs(left[self.membrane.moving]).max()) / self._load
+            if size < _BALANCED:
+                return x, True
+            if not size < 1e3:
+                break
+            if size > 0.3 * last:
+                rubber = self._linearised(State(x, pressure, pressure > 0.0), gas)
+            last = size
+            motion = rubber.motion(-left)
+            x = x + min(1.0, self._longest_m / float(np.abs(motion).max())) * motion
+        return x, False
+
+    # -- equilibrium ----------------------------------------------------------------------------
+
+    def _gas_at(self, x: np.ndarray) -> tuple[float, float]:
+        """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
+        volume = max(self.gas.V0 + self.membrane.volume(x) - self._rest_volume, 1e-6 * self.gas.V0)
+        pressure = self.gas.P0 * self.gas.V0 / volume
+        return pressure - self.gas.P0, pressure / volume
+
+    def _inside(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
+        """Pressure from inside over that from outside at the nodes, (n,), Pa."""
+        change = self._gas_at(x)[0] if gas is None else gas
+        return self.membrane.gauge_pressure_pa + change - pressure
+
+    def _residual(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
+        return self.membrane.residual(x, self._inside(x, pressure, gas))
+
+    def _linearised(self, state: State, gas: float | None) -> LinearisedRubber:
+        stiffness = self._gas_at(state.x)[1] if gas is None else 0.0
+        inside = self._inside(state.x, state.pressure, gas)
+        return LinearisedRubber(self.membrane, self._factoriser, state.x, inside, stiffness)
+
+    def _rubber_at(
+        self, state: State, gas: float | None, last: LinearisedRubber | None
+    ) -> LinearisedRubber:
+        """A tangent taken close to a state: the last one, where it still serves."""
+        measured = gas is not None
+        if state is self._rest:
+            return self._rest_rubber[measured]
+        if last is None or last.with_gas is measured:
+            return self._linearised(state, gas)
+        near = float(np.abs(state.x - last.x).max()) <= self._near_m
+        return last if near else self._linearised(state, gas)
+
+    # -- what is to be believed -----------------------------------------------------------------
+
+    def _contradicts(
+        self, rubber: LinearisedRubber, view: ShapeRanges, weight: np.ndarray, left: np.ndarray
+    ) -> bool:
+        """Whether the shape asks for another p_v than was measured; see `contradicts_gas`."""
+        bulge = view.jacobian @ rubber.motion(rubber.area_vectors).ravel()
+        certainty = float(weight @ bulge**2)
+        asked = float((weight * bulge) @ left) / certainty
+        certain = asked * np.sqrt(certainty) > IMPLAUSIBLE_MISFIT
+        return bool(certain and asked > 2.0 * self._gas_noise)
+
+    def _sigma(
+        self,
+        rubber: LinearisedRubber,
+        ranges: Ranges,
+        state: State,
+        contact: ContactPressure,
+        gas: float,
+    ) -> np.ndarray:
+        """Standard deviation of the force by noise and material, (3,), N."""
+        nodes = contact.nodes
+        if not len(nodes):
+            return np.zeros(3)
+        push = self.membrane.volume_gradient(state.x)[nodes]
+        variance = np.einsum("ik,ij,jk->k", push, contact.covariance, push)
+        C = rubber.responses(nodes)
+        inside = self._inside(state.x, state.pressure, gas)
+        usual = self.membrane.residual(state.x, inside)
+        for variant in self._variants:
+            gauge = variant.gauge_pressure_pa - self.membrane.gauge_pressure_pa
+            change = variant.residual(state.x, inside + gauge) - usual
+            moved = ranges.jacobian @ rubber.motion(change).ravel()
+            pull = C.T @ (ranges.jacobian.T @ (ranges.weight * moved))
+            variance += (push.T @ (contact.covariance @ pull)) ** 2
+        return np.sqrt(variance)
+
+    def _report(self, answer: _Answer) -> Estimate:
+        state = answer.state
+        touching = bool(state.pressure.any())
+        moved = state.x - self.mesh.nodes
+        vectors = self.membrane.volume_gradient(state.x)
+        return Estimate(
+            status="ok" if touching else "no_contact",
+            displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
+            contact_pressure_pa=state.pressure,
+            gas_pressure_change_pa=answer.gas,
+            residual_rms_m=answer.misfit.rms_m,
+            kkt_residual=answer.contact.kkt_residual,
+            iterations=answer.contact.pivots,
+            solve_ms=answer.solve_ms,
+            displacement_3d_m=moved,
+            force_n=-state.pressure @ vectors,
+            force_sigma_n=answer.sigma_n,
+            gas_law_pa=self._gas_at(state.x)[0],
+        )
+
+    def _nothing(self, status: Status, misfit_m: float = np.nan) -> Estimate:
+        """A frame about which nothing is known."""
+        zero, three = np.zeros(len(self.mesh.nodes)), np.full(3, np.nan)
+        return Estimate(
+            status,
+            zero,
+            zero,
+            np.nan,
+            misfit_m,
+            np.nan,
+            displacement_3d_m=np.zeros((len(zero), 3)),
+            force_n=three,
+            force_sigma_n=three,
+        )

@@ -1,0 +1,164 @@
+"""The inverse of the exact membrane: against its meridian's equations, and against presses."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera.observer import RangeObserver
+from bubbleviz.inverse.rubber_estimator import RIM_SLACK_M, RubberEstimator
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Camera
+from bubbleviz.study.rubber_oracle import AxialRubber
+
+A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
+TENSION = GAUGE * (A**2 + H**2) / (4 * H)
+BALL = 0.015  # of the preset
+NOISE_M = 1e-4
+CAMERA = DepthCamera.of(
+    Camera(
+        width=160, height=160, fx=110.0, fy=110.0, cx=79.5, cy=79.5, position_m=(0.0, 0.0, -0.05)
+    )
+)
+
+
+def gas_of(mesh):
+    return Gas(AIR + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas, -GAUGE, AIR)
+
+
+def estimator(nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0.065, **changed):
+    mesh = mesh_cap(spherical_cap(A, H), nodes)
+    membrane = RubberMembrane.uniform(
+        mesh, GAUGE, changed.get("tension", TENSION), prestretch, slack
+    )
+    return RubberEstimator(RangeObserver(CAMERA, mesh, relative, block=3), membrane, gas_of(mesh))
+
+
+def seen(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
+    """Depth image of a moved mesh, with noise."""
+    ranges = MembraneView(CAMERA, mesh).range_image(motion)
+    noise = np.random.default_rng(seed).standard_normal(ranges.shape)
+    return CAMERA.depth_image(ranges * (1.0 + relative * noise) + noise_m * noise)
+
+
+@cache
+def oracle(depth, ball):
+    """A press by the meridian's equations, and the surface that the camera sees of it."""
+    exact = AxialRubber.dome(A, H, 1.2, GAUGE).press(depth, ball)
+    r, z = (np.concatenate([[v[0]], v]) for v in (exact.meridian.r_m, exact.meridian.z_m))
+    r[0] = 0.0
+    fine = mesh_cap(spherical_cap(A, H), 8_000)
+    out = np.hypot(*fine.nodes[:, :2].T)
+    # As dense along the meridian as the cap; the surface and not its nodes is what is seen.
+    height = np.interp(out, r, z)
+    height[fine.rim] = 0.0
+    surface = MembraneMesh(np.column_stack([fine.nodes[:, :2], height]), fine.triangles, fine.rim)
+    return exact, surface
+
+
+@cache
+def pressed(name, depth, x=0.008, prestretch=1.2):
+    """A press by the forward model on another, finer mesh."""
+    mesh = mesh_cap(spherical_cap(A, H), 1500)
+    model = RubberForward(RubberMembrane.uniform(mesh, GAUGE, TENSION, prestretch), gas_of(mesh))
+    T = np.eye(4)
+    T[:3, 3] = x, 0.002, H - depth
+    contact = model.press(load_object(name), T)
+    assert contact.converged
+    return mesh, contact
+
+
+def error(estimate, force):
+    return np.linalg.norm(estimate.force_n - force) / np.linalg.norm(force)
+
+
+@pytest.mark.parametrize(("depth", "ball"), [(0.003, BALL), (0.009, BALL), (0.006, np.inf)])
+def test_against_the_equations_of_the_meridian(depth, ball):
+    """Force, gas pressure, pressure under a plate and shape, on two meshes."""
+    exact, surface = oracle(depth, ball)
+    image = seen(surface, np.zeros(len(surface.nodes)), NOISE_M)
+    for nodes, most in ((250, 0.05), (800, 0.02)):
+        solver = estimator(nodes)
+        estimate, _ = solver.estimate(image)
+        assert estimate.status == "ok"
+        assert error(estimate, np.array([0.0, 0.0, -exact.force_n])) < most
+        gas = exact.gas_pressure_change_pa
+        assert estimate.gas_pressure_change_pa == pytest.approx(gas, rel=most)
+        points = solver.mesh.nodes + estimate.displacement_3d_m
+        out, inside = np.hypot(*points[:, :2].T), ~solver.mesh.rim
+        away = points[:, 2] - np.interp(out, exact.meridian.r_m, exact.meridian.z_m)
+        assert np.sqrt(np.mean(away[inside] ** 2)) < 1e-4
+    if not np.isfinite(ball):  # a plate carries the gas pressure and nothing else
+        under = estimate.contact_pressure_pa[out < 0.7 * exact.contact_radius_m]
+        assert np.median(under) == pytest.approx(GAUGE + gas, rel=0.05)
+
+
+@pytest.mark.parametrize(("noise_m", "relative"), [(NOISE_M, 0.0), (0.0, 0.01)])
+@pytest.mark.parametrize("name", ["sphere", "cylinder"])
+def test_presses_on_another_mesh(name, noise_m, relative):
+    mesh, contact = pressed(name, 0.007, 0.0)
+    solver = estimator(relative=relative or NOISE_M / 0.065)
+    estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, noise_m, relative))
+    assert estimate.status == "ok"
+    assert error(estimate, contact.nodal_force_n.sum(axis=0)) < (0.06 if relative else 0.03)
+
+
+def test_nothing_where_nothing_touches():
+    """Pressure on the contact and none elsewhere; none at all on an untouched membrane."""
+    solver = estimator()
+    mesh, contact = pressed("sphere", 0.007)
+    estimate, start = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    touched = mesh.nodes[contact.contact_pressure_pa > 0.0].mean(axis=0)
+    pressing = solver.mesh.nodes[estimate.contact_pressure_pa > 0.0]
+    assert np.linalg.norm(pressing - touched, axis=1).max() < 0.013
+    for seed in range(10):
+        image = seen(mesh, np.zeros(len(mesh.nodes)), NOISE_M, seed=seed)
+        rest, start = solver.estimate(image, start=start)
+        assert rest.status == "no_contact"
+        assert not rest.force_n.any()
+
+
+@pytest.mark.parametrize("change", [{"nodes": 1000}, {"slack": 3 * RIM_SLACK_M}])
+def test_what_should_not_matter(change):
+    mesh, contact = pressed("sphere", 0.007)
+    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    usual, other = (solver.estimate(image)[0] for solver in (estimator(), estimator(**change)))
+    assert error(other, usual.force_n) < 0.03
+
+
+def test_warm_frames_end_where_cold_ones_do():
+    solver, start = estimator(), None
+    for depth in (0.003, 0.005, 0.007):
+        mesh, contact = pressed("sphere", depth)
+        image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+        warm, start = solver.estimate(image, start=start)
+    cold, _ = solver.estimate(image)
+    assert error(warm, cold.force_n) < 0.01
+    again, _ = solver.estimate(image)
+    np.testing.assert_array_equal(again.force_n, cold.force_n)
+
+
+def test_no_number_where_there_is_no_answer():
+    """Ranges in other units, no return, a gas pressure that no membrane holds."""
+    solver = estimator()
+    mesh, contact = pressed("sphere", 0.007)
+    image = seen(mesh, contact.displacement_3d_m)
+    for depth, gas, status in (
+        (np.full_like(image, np.nan), None, "no_data"),
+        (1e3 * image, None, "implausible"),
+        (image, AIR - 1.0, "implausible"),
+        (image, AIR + GAUGE - 1500.0, "implausible"),
+    ):
+        estimate, _ = solver.estimate(depth, gas)
+        assert estimate.status == status
+        assert np.isnan(estimate.force_n).all()
+        assert not estimate.contact_pressure_pa.any()
