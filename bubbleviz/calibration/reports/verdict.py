@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.tension.wrench_tension import WrenchTension
+from bubbleviz.calibration.validation import Validation
 
 Grade = Literal["good", "usable", "doubtful"]
 
@@ -133,3 +135,37 @@ def _percent(share: float) -> str:
 
 def _kpa(found: Identification) -> str:
     return f"{1e-3 * found.tension.gauge_pressure_pa:.3f} kPa"
+
+
+def validation_advice(validation: Validation | None) -> list[str]:
+    """One sentence, or none."""
+    if validation is None:
+        return []
+    share = validation.rms_m / max(validation.untouched_rms_m, 1e-12)
+    text = (
+        f"Of the known press, {1e3 * validation.untouched_rms_m:.2f} mm rms from the untouched"
+        f" membrane, {1e3 * validation.rms_m:.2f} mm rms are not predicted"
+    )
+    if share > 0.5:
+        return [f"{text}: check the pose, the object, the gauge pressure and γ0."]
+    return [f"{text}."]
+
+
+def wrench_advice(by_wrench: WrenchTension | None, tension_n_per_m: float) -> list[str]:
+    """One sentence, or none."""
+    if by_wrench is None:
+        return []
+    error, size = by_wrench.given_rms_n, float(by_wrench.measured_n.mean())
+    text = (
+        f"On the half of the press not used for it, γ0 = {tension_n_per_m:.1f} N/m predicts the"
+        f" measured force of {size:.2f} N with an error of {error:.2f} N rms"
+    )
+    if by_wrench.at_limit:
+        return [
+            f"{text}; no γ0 explains that force ({by_wrench.tested_rms_n:.2f} N at best): check"
+            " the scale and bias of the force sensor, and the gauge pressure."
+        ]
+    return [
+        f"{text}; γ0 by force is {by_wrench.tension_n_per_m:.1f} N/m, with"
+        f" {by_wrench.tested_rms_n:.2f} N rms."
+    ]
