@@ -11,10 +11,12 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.export.exporter import estimate_of, is_known
 from bubbleviz.export.nodal_image import nodal_at
-from bubbleviz.files.png_writer import coloured, png
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
+
+COLOURS, NOT_KNOWN = "viridis", "#28282c"
+"""Perceptually uniform (Smith and van der Walt, 2015), and dark where there is no number."""
 
 HIGHEST_PRESSURE = 4.0
 """End of the colours in gauge pressures: what lies flat on the membrane carries about one, an edge
@@ -97,7 +99,12 @@ def depth_range(camera: DepthCamera, mesh: MembraneMesh) -> tuple[float, float]:
 
 
 def _write_png(path: Path, image: np.ndarray, limits: tuple[float, float]) -> None:
-    path.write_bytes(png(coloured(image, *limits, largest=image.shape[1])))
+    from matplotlib import colormaps  # only where pictures are written
+    from PIL import Image
+
+    low, high = limits
+    colours = colormaps[COLOURS].with_extremes(bad=NOT_KNOWN)((image - low) / (high - low))
+    Image.fromarray((255.0 * colours[..., :3]).astype(np.uint8)).save(path)
 
 
 def _write_range(path: Path, quantity: str, limits: tuple[float, float]) -> None:
@@ -105,7 +112,7 @@ def _write_range(path: Path, quantity: str, limits: tuple[float, float]) -> None
         "quantity": quantity,
         "darkest": limits[0],
         "brightest": limits[1],
-        "colours": "viridis",
-        "not_known": "#28282c",
+        "colours": COLOURS,
+        "not_known": NOT_KNOWN,
     }
     path.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")

@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.identify_command import identify
 from bubbleviz.errors import InputError
-from bubbleviz.files.png_writer import coloured, png
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.membrane.reference_mesh import build_mesh
@@ -128,15 +127,3 @@ def test_refusals_leave_nothing_behind(tmp_path, extra, match):
     assert isinstance(result.exception, InputError)
     assert re.search(match, str(result.exception)) and "\n" not in str(result.exception)
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_png_is_readable_elsewhere(tmp_path):
-    from pyvista import read
-
-    image = np.linspace(0.0, 1.0, 12).reshape(3, 4)
-    image[0, 0] = np.nan
-    colours = coloured(image, 0.0, 1.0)
-    (tmp_path / "a.png").write_bytes(png(colours))
-    back = np.asarray(read(tmp_path / "a.png").point_data["PNGImage"]).reshape(3, 4, 3)[::-1]
-    np.testing.assert_array_equal(back, colours)
-    np.testing.assert_array_equal(colours[-1, -1], (253, 231, 37))

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.reports.report_pictures import pictures
 from bubbleviz.calibration.reports.verdict import judge, validation_advice, wrench_advice
 from bubbleviz.calibration.sensor_writer import Origin
 from bubbleviz.calibration.tension.wrench_tension import WrenchTension
@@ -120,23 +118,26 @@ def write_report(
     InputError
         The folder exists or cannot be made.
     """
+    # 0.4 s, which the window starts without
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    from bubbleviz.calibration.reports.report_pictures import pictures
+
+    pages = Environment(
+        loader=PackageLoader(__package__, ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    pages.filters["length_of"] = np.linalg.norm
+    page = pages.get_template("identification_report.html").render(
+        name=found.sensor.name, numbers=numbers, pictures=pictures(found, validation)
+    )
+    text = json.dumps(numbers, indent=2, ensure_ascii=False) + "\n"
     with whole_file(folder) as temporary:
         temporary.mkdir()
-        (temporary / "report.json").write_text(
-            json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
-        )
-        pages = Environment(
-            loader=PackageLoader(__package__, ""),
-            autoescape=True,
-            undefined=StrictUndefined,
-            trim_blocks=True,
-        )
-        pages.filters["length_of"] = np.linalg.norm
-        page = pages.get_template("identification_report.html")
-        text = page.render(
-            name=found.sensor.name, numbers=numbers, pictures=pictures(found, validation)
-        )
-        (temporary / "report.html").write_text(text, encoding="utf-8")
+        (temporary / "report.json").write_text(text, encoding="utf-8")
+        (temporary / "report.html").write_text(page, encoding="utf-8")
 
 
 def _interval(quantity: Any) -> dict[str, float]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from bubbleviz.calibration.identification import Identification
@@ -75,10 +76,8 @@ def _picture(
     figure = Figure(figsize=(6.0, 6.0 * image.shape[0] / image.shape[1]), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
-    axes.set_facecolor(_MISSING)
-    axes.patch.set_visible(True)
-    shown = axes.imshow(image, vmin=ends[0], vmax=ends[1], cmap=colours)
-    shown.cmap.set_bad(_MISSING)
+    cmap = colormaps[colours].with_extremes(bad=_MISSING)
+    shown = axes.imshow(image, vmin=ends[0], vmax=ends[1], cmap=cmap, interpolation="nearest")
     figure.colorbar(shown, label=unit, shrink=0.9)
     file = BytesIO()
     figure.savefig(file, format="png", dpi=120)

@@ -1,4 +1,4 @@
-"""An image of numbers: coloured, with its scale, and the number under the mouse."""
+"""An image of numbers: coloured, with its colour bar, and the number under the mouse."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QEvent, QPointF, Qt
-from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from bubbleviz.files.png_writer import coloured
 from bubbleviz_ui.model.units import NOTHING, Unit
 from bubbleviz_ui.shell import theme
 
-HEIGHT = 250
-SCALE = (90, 10)
-"""Width and height of the colour scale, screen pixels."""
+HEIGHT, BAR = 290, 10
+"""Of image and colour bar together, and of the bar alone, screen pixels."""
+SEQUENTIAL, DIVERGING = "viridis", "CET-D1"
+"""Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
 
 
 class ImageView(QWidget):
@@ -34,16 +33,13 @@ class ImageView(QWidget):
         self._item: Any = None
         self.title = QLabel()
         self.title.setWordWrap(True)
-        self.low, self.high, self.scale, self.value = (QLabel() for _ in range(4))
+        self.value = QLabel()
         self.value.setObjectName("dim")
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(0, 0, 0, 0)
         self._column.setSpacing(3)
-        self._column.addWidget(self.title)
         row = QHBoxLayout()
-        for label in (self.low, self.scale, self.high):
-            row.addWidget(label)
-        row.addStretch(1)
+        row.addWidget(self.title, 1)
         row.addWidget(self.value)
         self._column.addLayout(row)
 
@@ -65,18 +61,13 @@ class ImageView(QWidget):
         if image is None:
             self._item.clear()
             return
-        shape = image.shape
-        colours = coloured(image, low, high, diverging, largest=shape[1])
-        new = self._item.image is None or self._item.image.shape[:2] != shape
-        self._item.setImage(colours, levels=(0, 255))
+        new = self._item.image is None or self._item.image.shape != image.shape
+        self._item.setImage((unit.per_si * image).astype(np.float32), autoLevels=False)
+        self._bar.setColorMap(DIVERGING if diverging else SEQUENTIAL)
+        self._bar.setLevels((unit.of(low), unit.of(high)))
+        self._bar.getAxis("bottom").setLabel(unit.symbol)
         if new:
             self._box.autoRange(padding=0.02)
-        self.low.setText(unit.text(low, signed=diverging))
-        self.high.setText(unit.text(high, signed=diverging))
-        ramp = np.tile(np.linspace(0.0, 1.0, SCALE[0]), (SCALE[1], 1))
-        shown = np.ascontiguousarray(coloured(ramp, 0.0, 1.0, diverging))
-        picture = QImage(shown.data, *SCALE, 3 * SCALE[0], QImage.Format.Format_RGB888)
-        self.scale.setPixmap(QPixmap.fromImage(picture))
 
     def at(self, row: int, column: int) -> str:
         """Number of a pixel, in words."""
@@ -93,22 +84,36 @@ class ImageView(QWidget):
             return
         import pyqtgraph as pg  # 0.2 s later than the window
 
-        view = pg.GraphicsView(background=theme.of(self).view)
+        self.view = view = pg.GraphicsView()
         view.setFixedHeight(HEIGHT)
+        layout = pg.GraphicsLayout()
+        view.setCentralItem(layout)
         self._box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
-        view.setCentralItem(self._box)
+        layout.addItem(self._box, 0, 0)
         self._item = pg.ImageItem(axisOrder="row-major")
         self._box.addItem(self._item)
+        self._bar = pg.ColorBarItem(
+            width=BAR, orientation="h", interactive=False, colorMapMenu=False
+        )
+        self._bar.setImageItem(self._item)
+        layout.addItem(self._bar, 1, 0)
         view.scene().sigMouseMoved.connect(self._on_mouse)
         view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.view = view
         self._column.insertWidget(1, view)
+        self._paint()
 
     def changeEvent(self, event: QEvent) -> None:
         """Follow the window's theme."""
         super().changeEvent(event)
         if event.type() == QEvent.Type.PaletteChange and self.layout() is not None and self._item:
-            self.view.setBackground(theme.of(self).view)
+            self._paint()
+
+    def _paint(self) -> None:
+        colours = theme.of(self)
+        self.view.setBackground(colours.view)
+        axis = self._bar.getAxis("bottom")
+        axis.setPen(colours.dim)
+        axis.setTextPen(colours.text)
 
     def _on_mouse(self, place: QPointF) -> None:
         point = self._box.mapSceneToView(place)
