@@ -175,7 +175,7 @@ class Pipeline:
             return
         from bubbleviz.pose.tracker import PoseTracker  # open3d takes long to load
 
-        self.tracker = PoseTracker(self.estimator, obj, start)
+        self.tracker = PoseTracker(self.estimator, obj, start, membrane=self.model.rubber)
 
     def patch(
         self, estimate: Estimate, options: FrameOptions | None = None, *, pixel_mask: bool = False

@@ -14,7 +14,8 @@ from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, reference_tension
+from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.sensor import Sensor
 
 
@@ -79,6 +80,11 @@ class SensorModel:
     def gas(self) -> Gas:
         """The gas behind the reference surface."""
         return Gas.of(self.sensor.pneumatics, self.mesh)
+
+    @cached_property
+    def rubber(self) -> RubberMembrane:
+        """The exact membrane on the reference surface."""
+        return build_rubber(self.sensor, self.mesh, self.tension_n_per_m)
 
     @cached_property
     def view(self) -> MembraneView:

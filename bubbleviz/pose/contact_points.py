@@ -44,6 +44,8 @@ class ContactPoints:
         Their root mean square distance from it.
     rest_center : (3,) array
         Where that part of the membrane was at rest, on average.
+    membrane : (n, 3) array
+        All nodes of the membrane, as estimated.
     """
 
     points: np.ndarray
@@ -55,6 +57,7 @@ class ContactPoints:
     center: np.ndarray
     radius_m: float
     rest_center: np.ndarray
+    membrane: np.ndarray
 
     @property
     def extent_m(self) -> float:
@@ -100,6 +103,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         center=center,
         radius_m=float(np.sqrt(spread)),
         rest_center=share[on] @ at_rest[on] / share[on].sum(),
+        membrane=nodes,
     )
 
 

@@ -11,14 +11,15 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.refine import refine
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.pose.contact_points import ContactPoints
+from bubbleviz.pose.depth_image.image_fit import ImageFit
+from bubbleviz.pose.depth_image.pressed_membrane import PressedMembrane
 from bubbleviz.pose.motion_filter import SEARCH_DEVIATION, Motion
 from bubbleviz.pose.observability import directions
-from bubbleviz.pose.pressed_membrane import PressedMembrane
+from bubbleviz.pose.pose_options import PoseOptions
 from bubbleviz.pose.registration import Fit, Prior, Registration
 from bubbleviz.pose.rigid_motion import motion_between, moved
-from bubbleviz.pose.sliding import Sliding
 from bubbleviz.result import Pose, Stage
 
 FOUND_FITNESS = 0.7
@@ -30,12 +31,6 @@ _FAR_M = 5e-3
 
 _TRACKING, _CONVERGING, _LOOKING = 3, 12, 6
 """Iterations of each stage while tracking, from a start, and to compare starts."""
-
-_SLIDES = 3
-"""Steps in the directions that contact leaves open, at most."""
-
-_FINE_NODES = 2_500
-"""Nodes that follow the outline of an object; a mesh with fewer is refined."""
 
 
 @dataclass(frozen=True)
@@ -87,24 +82,33 @@ class Solver:
     ----------
     registration : Registration
     estimator : Estimator or RubberEstimator
+    membrane : RubberMembrane
+        That the object presses into.
+    options : PoseOptions
     """
 
-    def __init__(self, registration: Registration, estimator: Estimator | RubberEstimator) -> None:
+    def __init__(
+        self,
+        registration: Registration,
+        estimator: Estimator | RubberEstimator,
+        membrane: RubberMembrane,
+        options: PoseOptions,
+    ) -> None:
         self._registration, self._estimator = registration, estimator
+        self._membrane, self._options = membrane, options.image
 
     @cached_property
-    def _sliding(self) -> Sliding:
-        """The membrane under the object; built when a face first lies flat."""
-        own = self._estimator
-        mesh = refine(own.mesh) if len(own.mesh.nodes) < _FINE_NODES else own.mesh
-        gas = own.gas.behind(mesh)
-        pressed = PressedMembrane(mesh, gas, own.scales, self._registration.model)
-        return Sliding(own.observer, pressed)
+    def _image(self) -> ImageFit:
+        """Against the depth image; built when there is a first pose."""
+        own, options = self._estimator, self._options
+        model = self._registration.model
+        pressed = PressedMembrane(self._membrane, own.gas, model, options.press)
+        return ImageFit(own.observer, pressed, options)
 
     def forget(self) -> None:
         """Begin anew, with nothing kept of where the object was."""
-        if "_sliding" in vars(self):
-            self._sliding.forget()
+        if "_image" in vars(self):
+            self._image.forget()
 
     def solve(
         self,
@@ -127,9 +131,8 @@ class Solver:
         )
         between = time.perf_counter()
         second = self._registration.stage_two(contact, first.T_B_O, prior, iterations=iterations)
-        if self._registration.model.creases is not None:
-            second = self._slid(frame, contact, second, prior, settled)
-        motion = predicted.corrected(second.T_B_O, second.surface + second.outline)
+        second, information = self._seen(frame, contact, second, prior, settled)
+        motion = predicted.corrected(second.T_B_O, information)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
         return Solution(first, second, times, motion)
 
@@ -161,22 +164,31 @@ class Solver:
         good = [solution for solution in found if solution.pose.fitness >= FOUND_FITNESS]
         return min(good, key=lambda solution: solution.pose.cost, default=None)
 
-    def _slid(
+    def _seen(
         self, frame: Frame, contact: ContactPoints, fit: Fit, prior: Prior, settled: bool
-    ) -> Fit:
-        """The fit, moved in the directions that contact normals leave open."""
-        found = directions(fit.surface, contact.radius_m)
-        if found.determined.all():
-            return fit
-        T = fit.T_B_O
+    ) -> tuple[Fit, np.ndarray]:
+        """The fit moved to where the depth image has the object, and the information of that."""
+        options, directed = self._options, directions(fit.surface, contact.radius_m)
+        start = fit.T_B_O
         if settled:  # where it is on its face is for the depth image to say, not the blurred patch
-            way = np.linalg.solve(found.motions, motion_between(prior.T_B_O, T, contact.center))
-            T = moved(prior.T_B_O, found.motions @ (way * found.determined), contact.center)
-        for _ in range(_SLIDES):
+            way = np.linalg.solve(
+                directed.motions, motion_between(prior.T_B_O, start, contact.center)
+            )
+            way = directed.motions @ (way * directed.determined)
+            start = moved(prior.T_B_O, way, contact.center)
+        change = self._estimator.observer.pixel_residuals(frame.depth_m)
+        valid_m = options.valid_m if settled else options.settled_m
+        T, step = start, None
+        for _ in range(options.next_steps if settled else options.first_steps):
             pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
-            known = fit.surface + prior.information
-            step = self._sliding.step(frame.depth_m, contact, T, found, known, pull)
+            step = self._image.step(
+                change, contact, T, directed, prior.information, pull,
+                valid_m=valid_m, gas_pressure_pa=frame.gas_pressure_pa,
+            )  # fmt: skip
+            if step is None:
+                return fit, fit.surface + fit.outline
             T = moved(T, step.motion, contact.center)
-            if step.ended:
+            if step.way_m < valid_m:
                 break
-        return self._registration.slid(contact, fit, T, step.information)
+        assert step is not None
+        return self._registration.at(contact, fit, T), step.information

@@ -1,13 +1,13 @@
 """Fits an object's surface to the membrane that touches it: robust Gauss–Newton in two stages.
 
 Stage one takes the contact points alone: they lie on the object. Stage two adds what is around
-them: the free membrane cannot be inside the object. Where an object has slid to on a flat face is
-left to `sliding`.
+them: the free membrane cannot be inside the object. What the whole depth image says is
+left to `depth_image`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,8 +102,7 @@ class Fit:
     surface : (6, 6) array
         Information of the contact normals about small motions in B about the patch's centre.
     outline : (6, 6) array
-        Information of all else: points beside the object and the free membrane, about shifts
-        alone, and the depth image.
+        Information of all else: points beside the object and the free membrane, about shifts alone.
     distance_m : (k,) array
         Signed distance of each contact point from the object, positive outside.
     places_m : (k, 3) array
@@ -208,11 +207,10 @@ class Registration:
         """Robust misfit of a pose (4, 4) by all that stage two looks at, in units of the noise."""
         return self._finished(contact, T_B_O, []).cost
 
-    def slid(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray, found: np.ndarray) -> Fit:
-        """A fit moved to another pose (4, 4) by what the depth image says (6, 6) of the outline."""
+    def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
+        """A fit moved to another pose (4, 4)."""
         past = [(float(f), float(r)) for f, r in fit.history]
-        there = self._finished(contact, T_B_O, past)
-        return replace(there, outline=found)
+        return self._finished(contact, T_B_O, past)
 
     def _fit(
         self,

@@ -14,10 +14,12 @@ from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.normal_equations import NormalEquations
 from bubbleviz.inverse.resolution import information_density
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.pose.contact_points import ContactPoints, contact_points
 from bubbleviz.pose.dual_stage import Solution, Solver
 from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
 from bubbleviz.pose.object_model import ObjectModel, check_size
+from bubbleviz.pose.pose_options import PoseOptions
 from bubbleviz.pose.registration import Precision, Registration
 from bubbleviz.pose.rigid_motion import motion_between
 from bubbleviz.pose.start_finder import StartFinder
@@ -45,6 +47,9 @@ class PoseTracker:
     obj : RigidObject
     start : (4, 4) array, optional
         T_B_O in the first frame, to about 5 mm and 10°; searched for when None.
+    membrane : RubberMembrane
+        That the object presses into, on the estimator's mesh.
+    options : PoseOptions, optional
 
     Raises
     ------
@@ -57,10 +62,14 @@ class PoseTracker:
         estimator: Estimator | RubberEstimator,
         obj: RigidObject,
         start: np.ndarray | None = None,
+        *,
+        membrane: RubberMembrane,
+        options: PoseOptions | None = None,
     ) -> None:
         check_size(obj, estimator.mesh)
         self.model = ObjectModel(obj)
-        self._solver = Solver(Registration(self.model, precision_of(estimator)), estimator)
+        registration = Registration(self.model, precision_of(estimator))
+        self._solver = Solver(registration, estimator, membrane, options or PoseOptions())
         self._finder = StartFinder(self.model)
         self._mesh = estimator.mesh
         self.reset(start)

@@ -5,7 +5,7 @@ import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.pose.contact_samples import contact_samples
+from bubbleviz.pose.depth_image.object_contact import contact_samples
 from bubbleviz.pose.object_model import ObjectModel, check_size
 from bubbleviz.pose.start_finder import touching_directions
 from bubbleviz.pose.symmetry import symmetries

@@ -30,6 +30,7 @@ def contact_of(points, normals, free=None):
         center=center,
         radius_m=float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=1)))),
         rest_center=center,
+        membrane=np.zeros((0, 3)),
     )
 
 

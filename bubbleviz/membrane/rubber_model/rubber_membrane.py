@@ -266,13 +266,26 @@ class RubberMembrane:
 
     # -- tangent --------------------------------------------------------------------------------
 
-    def tangent(self, x: np.ndarray, pressure_pa: float | np.ndarray) -> sparse.csc_array:
+    def tangent(
+        self, x: np.ndarray, pressure_pa: float | np.ndarray, added: np.ndarray | None = None
+    ) -> sparse.csc_array:
         """Exact derivative of `residual` over the moving nodes, (3f, 3f), N/m.
 
         Symmetric where the pressure is the same everywhere. The gas law is not in it: it adds
         β g gᵀ with g = ∂V/∂x and β = −dp/dV. The matrices of all calls share their indices.
+
+        Parameters
+        ----------
+        x : (n, 3) array
+        pressure_pa : float or (n,) array
+            As of `residual`.
+        added : (6, 3, 3, m) array, optional
+            Stiffness of something else between the corners (0, 0), (0, 1), (0, 2), (1, 1), (1, 2)
+            and (2, 2) of the triangles, by components, N/m.
         """
         pattern, blocks = self._pattern, self._area_blocks(x)
+        if added is not None:
+            blocks += added
         if np.ndim(pressure_pa):
             row_pressure = np.asarray(pressure_pa, float)[self.moving][pattern.indices // 3]
             data = pattern.assembled(blocks)

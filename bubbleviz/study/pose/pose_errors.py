@@ -102,7 +102,7 @@ class PoseJudge:
         basis = (arm[:, None] * found.motions)[:, found.determined]
         scaled = np.array(alike) * arm
         known = scaled @ basis @ basis.T
-        best = int(np.argmin(np.linalg.norm(known, axis=1) + 1e-6 * np.linalg.norm(scaled, axis=1)))
+        best = int(np.argmin(np.linalg.norm(known, axis=1) + 0.05 * np.linalg.norm(scaled, axis=1)))
         return PoseErrors(
             error_m=float(np.linalg.norm(known[best, :3])),
             error_rad=float(np.linalg.norm(known[best, 3:]) / true.radius_m),

@@ -1,0 +1,1 @@
+"""The pose by the whole depth image: the exact membrane pressed by the object."""
