@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.live.sources.source_uri import SourceUri
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -21,11 +20,11 @@ DEFAULT_OBJECT = "two_legged_toy"
 
 
 def simulation(
-    uri: SourceUri, sensor: Sensor, frames: int, noise: float, rate_hz: float, seed: int
+    place: str, sensor: Sensor, frames: int, noise: float, rate_hz: float, seed: int
 ) -> Callable[[], FrameSource]:
-    """Maker of the simulation that a source names.
+    """Maker of the simulation that the place of a source names.
 
-    Its place is empty for the built-in press, an object's name or mesh file for the same press
+    It is empty for the built-in press, an object's name or mesh file for the same press
     with that, `nut-left` or `nut-right` for a finger of the dual-finger task.
 
     Raises
@@ -33,7 +32,7 @@ def simulation(
     InputError
         There is no such object.
     """
-    obj, poses = _scene(uri.place, sensor, frames)
+    obj, poses = _scene(place, sensor, frames)
 
     def make() -> FrameSource:
         return SyntheticSource(

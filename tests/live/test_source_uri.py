@@ -13,12 +13,16 @@ from bubbleviz.sensor import Sensor
 
 
 def test_a_source_is_taken_apart() -> None:
-    uri = parse_uri("zenoh:tcp/10.0.0.7:7447?depth=/cam/depth&lag=-0.01&x=%3F")
+    uri = parse_uri("zenoh:tcp/10.0.0.7:7447?depth=/cam/depth&lag=-0.01&info=%3F")
     assert (uri.scheme, uri.place) == ("zenoh", "tcp/10.0.0.7:7447")
-    assert uri.text_of("depth") == "/cam/depth"
-    assert uri.number("lag", 0.0, -1.0, 1.0) == -0.01
-    assert uri.text_of("x") == "?"
-    uri.check_all_known()
+    options = uri.options
+    assert (options.depth, options.info, options.wrench) == ("/cam/depth", "?", None)
+    assert options.lag == -0.01 and options.domain == 0
+
+
+@pytest.mark.parametrize("place", ["/a/b#1.mcap", "//host/a.mcap", "C:/a%20b.mcap"])
+def test_a_place_is_as_it_was_given(place: str) -> None:
+    assert parse_uri(f"replay:{place}?loop=1").place == place.replace("%20", " ")
 
 
 @pytest.mark.parametrize(
@@ -27,9 +31,10 @@ def test_a_source_is_taken_apart() -> None:
         ("", "begin with one of synthetic:"),
         ("/dev/video0", "begin with one of"),
         ("ftp:there", "begin with one of"),
-        ("synthetic:?rate", "no option"),
+        ("synthetic:?rate", "write name=value"),
         ("synthetic:?rate=30&rate=60", "twice"),
         ("synthetic:?rate=fast", "rate=fast: give a number from"),
+        ("synthetic:?frames=2.5", "frames=2.5: give a whole number from 1"),
         ("synthetic:?rate=nan", "rate=nan: give a number from"),
         ("synthetic:?noise=-1", "noise=-1"),
         ("synthetic:?speed=2", "speed: no such option of synthetic"),

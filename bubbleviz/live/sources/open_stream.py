@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.frames.message_encoding import Encoding, FrameMessages
+from bubbleviz.frames.message_encoding import FrameMessages
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sources.live_source import LiveSource
 from bubbleviz.live.sources.realsense import open_realsense
 from bubbleviz.live.sources.replay import Replay
-from bubbleviz.live.sources.source_uri import SourceUri, parse_uri
+from bubbleviz.live.sources.source_uri import SourceUri, SyntheticOptions, parse_uri
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
@@ -20,6 +19,9 @@ from bubbleviz.sensor import Sensor
 
 FIRST_MESSAGE_S = 10.0
 SIMULATED_S = 120.0
+"""Patience with a robot's network, and with a simulation that is made before it is sent."""
+DEFAULT_PREFIX = "/bubble"
+"""Of the topics of a source that has none itself."""
 
 
 def patience_s(text: str) -> float:
@@ -33,8 +35,7 @@ def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStr
     Parameters
     ----------
     text : str
-        `scheme:place?option=value&…`, see `parse_uri`. Every scheme knows the options `depth`,
-        `info`, `pressure` and `wrench` (topics), `prefix` (of the sensor's topics) and `lag` (s).
+        `scheme:place?option=value&…`, see `parse_uri`.
     sensor : Sensor
         Simulated by `synthetic:`; its image size is the one that counts.
     any_size : bool
@@ -46,21 +47,17 @@ def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStr
         The source is not well-formed, or what it names is not there.
     """
     uri = parse_uri(text)
+    options = uri.options
     names = TopicNames(
-        depth=uri.text_of("depth"),
-        info=uri.text_of("info"),
-        pressure=uri.text_of("pressure"),
-        wrench=uri.text_of("wrench"),
-        prefix=uri.text_of("prefix") or "",
+        options.depth, options.info, options.pressure, options.wrench, options.prefix
     )
-    lag_s = uri.number("lag", 0.0, -1.0, 1.0)
     source = _MAKERS[uri.scheme](uri, sensor, names)
     camera = sensor.camera
     assembler = FrameAssembler(
         names,
         size=None if any_size else (camera.width, camera.height),
         camera=DepthCamera.of(camera).intrinsics,
-        lag_s=lag_s,
+        lag_s=options.lag,
     )
     return LiveStream(source, assembler)
 
@@ -70,41 +67,26 @@ def _synthetic(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
     from bubbleviz.live.sources.synthetic_live import SyntheticLive
     from bubbleviz.simulation.live_scenes import simulation
 
-    rate = uri.number("rate", 30.0, 0.1, 1000.0)
-    frames = round(uri.number("frames", 150, 1, 100_000))
-    noise = uri.number("noise", sensor.camera.noise_relative, 0.0, 0.5)
-    seed = round(uri.number("seed", 0, 0, 2**31))
-    ahead = uri.flag("ahead", default=True)
-    encoding = cast(Encoding, uri.choice("encoding", ("32FC1", "16UC1")))
-    uri.check_all_known()
-    make = simulation(uri, sensor, frames, noise, rate, seed)
-    messages = FrameMessages(encoding, names.prefix or "/bubble")
-    return SyntheticLive(uri.text, make, rate, ahead=ahead, messages=messages)
+    options: SyntheticOptions = uri.options
+    noise = sensor.camera.noise_relative if options.noise is None else options.noise
+    make = simulation(uri.place, sensor, options.frames, noise, options.rate, options.seed)
+    messages = FrameMessages(options.encoding, names.prefix or DEFAULT_PREFIX)
+    return SyntheticLive(uri.text, make, options.rate, ahead=options.ahead, messages=messages)
 
 
 def _replay(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
-    speed = uri.number("speed", 1.0, 1e-3, 1e3)
-    loop = uri.flag("loop", default=False)
-    uri.check_all_known()
     if not uri.place:
         raise uri.refusal("name the recording, replay:REC")
-    return Replay(uri.place, speed=speed, loop=loop)
+    return Replay(uri.place, speed=uri.options.speed, loop=uri.options.loop)
 
 
 def _zenoh(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
-    options = SessionOptions.of(uri)
-    domain = round(uri.number("domain", 0, 0, 232))
-    uri.check_all_known()
-    return ZenohSource(options, names, domain)
+    return ZenohSource(SessionOptions.of(uri), names, uri.options.domain)
 
 
 def _realsense(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
-    camera = sensor.camera
-    rate = round(uri.number("rate", 30, 1, 300))
-    loop = uri.flag("loop", default=False)
-    uri.check_all_known()
-    size = (camera.width, camera.height)
-    return open_realsense(uri, size, rate, loop=loop, prefix=names.prefix or "/bubble")
+    size = (sensor.camera.width, sensor.camera.height)
+    return open_realsense(uri, size, names.prefix or DEFAULT_PREFIX)
 
 
 _Maker = Callable[[SourceUri, Sensor, TopicNames], LiveSource]

@@ -264,9 +264,7 @@ class _Sender:
         return tuple(topics)
 
 
-def open_realsense(
-    uri: SourceUri, size: tuple[int, int], rate: int, *, loop: bool, prefix: str
-) -> RealSenseLive:
+def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSenseLive:
     """Source of `realsense:[serial | file]`.
 
     Raises
@@ -285,7 +283,7 @@ def open_realsense(
         file = Path(uri.place)
         if not file.is_file():
             raise uri.refusal(f"{file}: no such file; check the path")
-        return RealSenseLive(sdk, file=file, loop=loop, prefix=prefix)
+        return RealSenseLive(sdk, file=file, loop=uri.options.loop, prefix=prefix)
     found = serials(sdk)
     if not found:
         raise uri.refusal(
@@ -294,7 +292,9 @@ def open_realsense(
         )
     if uri.place and uri.place not in found:
         raise uri.refusal(f"no camera {uri.place}; there are {', '.join(found)}")
-    return RealSenseLive(sdk, serial=uri.place or None, size=size, rate=rate, prefix=prefix)
+    return RealSenseLive(
+        sdk, serial=uri.place or None, size=size, rate=uri.options.rate, prefix=prefix
+    )
 
 
 def serials(sdk: Any) -> tuple[str, ...]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from urllib.parse import unquote
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import parse_qsl, unquote, urlsplit, urlunsplit
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bubbleviz.errors import InputError
+from bubbleviz.frames.message_encoding import Encoding
 
 SCHEMES = {
     "synthetic": "synthetic:[object][?rate=HZ&noise=RELATIVE]",
@@ -16,12 +19,73 @@ SCHEMES = {
 }
 """Schemes, each with an example."""
 
-_TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
+
+class SourceOptions(BaseModel):
+    """Options of every scheme.
+
+    Attributes
+    ----------
+    depth, info, pressure, wrench : str or None
+        Topics; None for the first that fits.
+    prefix : str
+        What the sensor's topics begin with.
+    lag : float
+        How much later the stamps of gas pressure and wrench are than the images', s.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    depth: str | None = None
+    info: str | None = None
+    pressure: str | None = None
+    wrench: str | None = None
+    prefix: str = ""
+    lag: float = Field(0.0, ge=-1.0, le=1.0)
+
+
+class SyntheticOptions(SourceOptions):
+    """Options of `synthetic:`; the noise is relative to the range, the sensor's by default."""
+
+    rate: float = Field(30.0, ge=0.1, le=1000.0)
+    frames: int = Field(150, ge=1, le=100_000)
+    noise: float | None = Field(None, ge=0.0, le=0.5)
+    seed: int = Field(0, ge=0, le=2**31)
+    ahead: bool = True
+    encoding: Encoding = "32FC1"
+
+
+class ReplayOptions(SourceOptions):
+    """Options of `replay:`."""
+
+    speed: float = Field(1.0, ge=1e-3, le=1e3)
+    loop: bool = False
+
+
+class ZenohOptions(SourceOptions):
+    """Options of `zenoh:`; `listen` is an endpoint, `domain` ROS 2's."""
+
+    listen: str | None = None
+    domain: int = Field(0, ge=0, le=232)
+
+
+class RealSenseOptions(SourceOptions):
+    """Options of `realsense:`."""
+
+    rate: int = Field(30, ge=1, le=300)
+    loop: bool = False
+
+
+OPTIONS: dict[str, type[SourceOptions]] = {
+    "synthetic": SyntheticOptions,
+    "replay": ReplayOptions,
+    "zenoh": ZenohOptions,
+    "realsense": RealSenseOptions,
+}
 
 
 @dataclass(frozen=True)
 class SourceUri:
-    """A parsed source; its options are taken one by one, and what nobody took is refused.
+    """A parsed source.
 
     Attributes
     ----------
@@ -29,58 +93,18 @@ class SourceUri:
         As given.
     scheme, place : str
         Before and behind the colon.
+    options : SourceOptions
+        Of the scheme's own type in `OPTIONS`.
     """
 
     text: str
     scheme: str
     place: str
-    _options: dict[str, str]
-    _known: set[str] = field(default_factory=set)
-
-    def text_of(self, name: str, default: str | None = None) -> str | None:
-        """Option as text."""
-        self._known.add(name)
-        return self._options.get(name, default)
-
-    def choice(self, name: str, among: tuple[str, ...]) -> str:
-        """Option that is one of a few words; the first by default."""
-        value = self.text_of(name) or among[0]
-        if value not in among:
-            raise self.refusal(f"{name}={value}: choose one of {', '.join(among)}")
-        return value
-
-    def number(self, name: str, default: float, low: float, high: float) -> float:
-        """Option as a number between `low` and `high`."""
-        text = self.text_of(name)
-        if text is None:
-            return default
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise self.refusal(f"{name}={text}: give a number from {low:g} to {high:g}")
-        return value
-
-    def flag(self, name: str, *, default: bool) -> bool:
-        """Option that is on or off."""
-        text = self.text_of(name)
-        if text is None:
-            return default
-        if text.lower() not in _TRUE + _FALSE:
-            raise self.refusal(f"{name}={text}: give 1 or 0")
-        return text.lower() in _TRUE
-
-    def check_all_known(self) -> None:
-        """Refuse options that nobody asked for; call when all were."""
-        for name in self._options:
-            if name not in self._known:
-                known = ", ".join(sorted(self._known))
-                raise self.refusal(f"{name}: no such option of {self.scheme}; there are {known}")
+    options: Any
 
     def refusal(self, what: str) -> InputError:
         """The error to raise about this source."""
-        return InputError(f'--source "{self.text}": {what}')
+        return _refusal(self.text, what)
 
 
 def parse_uri(text: str) -> SourceUri:
@@ -89,18 +113,45 @@ def parse_uri(text: str) -> SourceUri:
     Raises
     ------
     InputError
-        It begins with none of the schemes, or an option is not `name=value`.
+        It begins with none of the schemes, an option is not `name=value`, is given twice or
+        unknown to the scheme, or its value is none of those it may have.
     """
-    scheme, colon, rest = text.strip().partition(":")
-    if not colon or scheme not in SCHEMES:
-        raise InputError(f'--source "{text}": begin with one of {", ".join(SCHEMES.values())}')
-    place, _, query = rest.partition("?")
-    options: dict[str, str] = {}
-    for part in filter(None, query.split("&")):
-        name, equals, value = part.partition("=")
-        if not equals or not name:
-            raise InputError(f'--source "{text}": "{part}" is no option; write name=value')
-        if name in options:
-            raise InputError(f'--source "{text}": {name} is given twice')
-        options[name] = unquote(value)
-    return SourceUri(text.strip(), scheme, unquote(place), options)
+    text = text.strip()
+    try:
+        parts = urlsplit(text, allow_fragments=False)
+        pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)
+    except ValueError as error:
+        raise _refusal(text, f"{error}; write name=value&name=value") from error
+    if parts.scheme not in SCHEMES:
+        raise _refusal(text, f"begin with one of {', '.join(SCHEMES.values())}")
+    given = dict(pairs)
+    if len(given) < len(pairs):
+        raise _refusal(text, "an option is given twice")
+    model = OPTIONS[parts.scheme]
+    try:
+        options = model.model_validate(given)
+    except ValidationError as error:
+        raise _refusal(text, _first_problem(error, model, parts.scheme)) from error
+    place = urlunsplit(("", parts.netloc, parts.path, "", ""))
+    return SourceUri(text, parts.scheme, unquote(place), options)
+
+
+def _first_problem(error: ValidationError, model: type[SourceOptions], scheme: str) -> str:
+    problem = error.errors()[0]
+    name = str(problem["loc"][0])
+    options = model.model_json_schema()["properties"]
+    if name not in options:
+        return f"{name}: no such option of {scheme}; there are {', '.join(sorted(options))}"
+    may_be = options[name].get("anyOf", [options[name]])[0]
+    if "enum" in may_be:
+        what = f"choose one of {', '.join(may_be['enum'])}"
+    elif may_be["type"] == "boolean":
+        what = "give 1 or 0"
+    else:
+        kind = "whole number" if may_be["type"] == "integer" else "number"
+        what = f"give a {kind} from {may_be['minimum']:g} to {may_be['maximum']:g}"
+    return f"{name}={problem['input']}: {what}"
+
+
+def _refusal(text: str, what: str) -> InputError:
+    return InputError(f'--source "{text}": {what}')

@@ -41,7 +41,7 @@ class SessionOptions:
     @classmethod
     def of(cls, uri: SourceUri) -> SessionOptions:
         """Options of `zenoh:[endpoint]`, or of `zenoh:?listen=endpoint`."""
-        listen = uri.text_of("listen")
+        listen = uri.options.listen
         if listen and uri.place:
             raise uri.refusal("give an endpoint to connect to, or listen=, not both")
         return cls(uri.text, None if listen else uri.place or ROUTER, listen)

@@ -81,7 +81,7 @@ def _begin(text: str, sensor: Sensor) -> LiveSource:
     uri = parse_uri(text)
     if uri.scheme != "zenoh":
         return open_stream(text, sensor, any_size=True).source
-    domain = round(uri.number("domain", 0, 0, 232))
-    source = ZenohSource(SessionOptions.of(uri), TopicNames(prefix=NOTHING), domain)
+    topics = TopicNames(prefix=NOTHING)
+    source = ZenohSource(SessionOptions.of(uri), topics, uri.options.domain)
     source.start(lambda _: None)
     return source
