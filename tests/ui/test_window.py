@@ -14,7 +14,6 @@ from PySide6.QtWidgets import QApplication, QWidget
 from window_driver import Driver
 
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.events import FrameChanged
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
 
@@ -292,9 +291,7 @@ def test_playback_asks_ahead_but_never_goes_back(drive: Drive) -> None:
     driver.state.choose(loop=False, speed=0.25)
     driver.state.seek(0)
     played: list[int] = []
-    driver.state.subscribe(
-        lambda e: played.append(e.index) if isinstance(e, FrameChanged) else None
-    )
+    driver.state.frame_changed.connect(lambda index, _: played.append(index))
     driver.state.set_playing(True)
     driver.wait(lambda: driver.state.frame > 8)
     driver.state.set_playing(False)

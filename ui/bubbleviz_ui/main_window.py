@@ -28,10 +28,10 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.picture_age import PictureAge
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.costs import Costs
-from bubbleviz_ui.model.events import ChoicesChanged, Event, PlayingChanged, SourceChanged
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.scene_presets import PANELS_THAT_ASK, ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.undo import SettingsHistory
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.compare_panel import ComparePanel
@@ -194,7 +194,7 @@ class MainWindow(QMainWindow):
         self.session_saver.close()
         self.open_panels.close()
         self._rates.stop()
-        self.state.unsubscribe_all()
+        self.state.blockSignals(True)  # nothing is left to tell
         self.gamma0.close_all()
         self.exporting.close()
         self._memory.close()
@@ -288,12 +288,11 @@ class MainWindow(QMainWindow):
             if isinstance(dock, Dock):
                 dock.visibilityChanged.connect(partial(self.state.choose_panel, asks_as))
         panels, keys = self.open_panels, self.shortcuts
-        panels.changed.connect(
-            self.settings.watch("open panels", lambda: panels.names, panels.show_only)
-        )
+        watch = self.settings.watch
+        watch("open panels", panels.changed, lambda: panels.names, panels.show_only)
+        watch("keys", keys.edited, lambda: keys.changed, keys.use)
         for text, box in self.gamma0.boxes.items():
             self.settings.watch_box(text, box)
-        keys.edited.connect(self.settings.watch("keys", lambda: keys.changed, keys.use))
         self.pose.said.connect(self.message.say)
         self.live_controller.said.connect(self.message.say)
         self.exporting.said.connect(self.message.say)
@@ -304,7 +303,9 @@ class MainWindow(QMainWindow):
         self._rates.start()
         self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
-        self.state.subscribe(self._on_event)
+        self.state.source_changed.connect(self._on_source)
+        self.state.playing_changed.connect(self._write_numbers)
+        self.state.choices_changed.connect(self._on_choices)
 
     def _open_dropped(self, paths: list[Path]) -> None:
         """Open the first of the files; a recording, with its sensor file and truth."""
@@ -317,26 +318,23 @@ class MainWindow(QMainWindow):
         else:
             self.open_file(paths[0])
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, SourceChanged):
-            facts = event.facts
-            live = " (live)" if facts.live else ""
-            self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
-            self.status.show_source(facts)
-        elif isinstance(event, PlayingChanged) and self.controller.result is not None:
-            self._show_numbers(self.controller.result)
-        elif isinstance(event, ChoicesChanged) and event.names - UNSEEN:
-            if "theme" in event.names:
-                self._use_theme(theme.system_scheme())
-            if event.names & SYSTEMS.keys():
-                self._show_units()
+    def _on_source(self, facts: SourceFacts) -> None:
+        live = " (live)" if facts.live else ""
+        self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
+        self.status.show_source(facts)
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if "theme" in names:
+            self._use_theme(theme.system_scheme())
+        if names & SYSTEMS.keys():
+            self._show_units()
+        if names - UNSEEN:
             self.scene.apply(self.state.choices)
 
     def _show_units(self) -> None:
         """Write every number anew, in the units that are chosen now."""
         self.status.fit_units()
-        if self.controller.result is not None:
-            self._show_numbers(self.controller.result)
+        self._write_numbers()
         self.show_rates()
         self.gamma0.calibration.changed.emit()
 
@@ -357,14 +355,15 @@ class MainWindow(QMainWindow):
         self.scene.show(result, self.state.choices)
         self.view.busy_s += time.perf_counter() - start
         if not self.state.playing or start - self._numbers_at >= NUMBERS_EVERY_S:
-            self._show_numbers(result)
+            self._write_numbers()
 
-    def _show_numbers(self, result: Result) -> None:
-        """Write the numbers of a result into the panels."""
+    def _write_numbers(self) -> None:
+        """Write the numbers of the result that is shown into the panels."""
         self._numbers_at = time.perf_counter()
-        self.kappa.show_result(result)
-        if self.state.facts is not None:
-            self.status.show_result(result, self.state.facts)
+        result, facts = self.controller.result, self.state.facts
+        if result is not None and facts is not None:
+            self.kappa.show_result(result)
+            self.status.show_result(result, facts)
 
     def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
         """Draw points with a length each in place of the measured ones, until the next frame."""

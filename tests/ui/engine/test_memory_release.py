@@ -12,8 +12,8 @@ from PySide6.QtCore import QTimer
 from pytestqt.qtbot import QtBot
 
 from bubbleviz_ui.engine.memory_release import MemoryRelease
-from bubbleviz_ui.model.events import SourceFacts
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import SourceFacts
 
 REST_MS = 20
 PROGRAM = """

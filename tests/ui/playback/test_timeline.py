@@ -14,9 +14,9 @@ from window_driver import Driver
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.events import FrameChanged, SourceFacts
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.play_clock import PlayClock
 from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
 from bubbleviz_ui.shell import theme
@@ -153,9 +153,7 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
     edge = pixels(timeline)[RULER + 3, round(timeline.x_of(6))]
     assert tuple(edge) == rgb(theme.DARK.accent)
     played: list[int] = []
-    driver.state.subscribe(
-        lambda e: played.append(e.index) if isinstance(e, FrameChanged) else None
-    )
+    driver.state.frame_changed.connect(lambda index, _: played.append(index))
     driver.state.choose(every_frame=True, speed=2.0)
     key(driver, Qt.Key.Key_Space)
     driver.wait(lambda: len(played) > 9)

@@ -41,13 +41,6 @@ from bubbleviz_ui.engine.sensor_state import SensorState
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.model.choices import PATCH_CHOICES, Rule, rule_of
 from bubbleviz_ui.model.demand import looks, products
-from bubbleviz_ui.model.events import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    FrozenChanged,
-    PlayingChanged,
-)
 from bubbleviz_ui.model.frame_history import History
 from bubbleviz_ui.model.rate_meter import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
@@ -112,7 +105,10 @@ class Controller(QObject):
         self._awaiting = False
         self._request_delay = RequestDelay()
         worker.answered.connect(self._on_answer)
-        state.subscribe(self._on_event)
+        state.frame_changed.connect(self._on_frame)
+        state.playing_changed.connect(self._on_playing)
+        state.frozen_changed.connect(self._ask_newest)
+        state.choices_changed.connect(self._on_choices)
 
     @property
     def dropped(self) -> int:
@@ -155,20 +151,16 @@ class Controller(QObject):
         kappa, _ = rule_of(self.state.choices)
         self.worker.ask(CompareRequest(self._session, self.state.frame, settings, kappa))
 
-    # -- events of the model ----------------------------------------------------------------
+    # -- the model changed --------------------------------------------------------------------
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, FrameChanged):
-            if not (event.by_playback and self._grows):
-                self._ask_frame()
-        elif isinstance(event, PlayingChanged):
-            if not event.playing and self._looked and self.result is not None:
-                self._ask_frame()
-            self._ask_newest()
-        elif isinstance(event, FrozenChanged):
-            self._ask_newest()
-        elif isinstance(event, ChoicesChanged):
-            self._on_choices(event.names)
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        if not (by_playback and self._grows):
+            self._ask_frame()
+
+    def _on_playing(self, playing: bool) -> None:
+        if not playing and self._looked and self.result is not None:
+            self._ask_frame()
+        self._ask_newest()
 
     def _on_choices(self, names: frozenset[str]) -> None:
         sensor = self.sensor

@@ -10,7 +10,6 @@ from threading import Thread
 
 from PySide6.QtCore import QObject, QTimer
 
-from bubbleviz_ui.model.events import Event
 from bubbleviz_ui.model.session_state import SessionState
 
 REST_MS = 3000
@@ -52,13 +51,15 @@ class MemoryRelease(QObject):
         self._timer = QTimer(self)
         self._timer.timeout.connect(lambda: self._on_tick())
         self._timer.start(rest_ms)
-        state.subscribe(self._on_event)
+        for changed in (state.source_changed, state.choices_changed, state.frame_changed,
+                        state.history_changed, state.playing_changed):  # fmt: skip
+            changed.connect(self._on_changed)
 
     def close(self) -> None:
         """Look no more."""
         self._timer.stop()
 
-    def _on_event(self, _: Event) -> None:
+    def _on_changed(self) -> None:
         self._used = True
 
     def _on_tick(self) -> None:

@@ -20,7 +20,7 @@ from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.events import SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from bubbleviz_ui.engine.requests import (
     Waited,
 )
 from bubbleviz_ui.live.live_frames import LiveFrames
-from bubbleviz_ui.model.events import SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts
 
 WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""

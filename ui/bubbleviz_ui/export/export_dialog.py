@@ -19,7 +19,6 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.export.export_kinds import KINDS, Kind
 from bubbleviz_ui.export.exporting import Exporting
-from bubbleviz_ui.model.events import ChoicesChanged, Event, RangeChanged, SourceChanged
 from bubbleviz_ui.model.session_state import SessionState
 
 RANGE, ALL = False, True
@@ -112,12 +111,12 @@ class ExportDialog(QDialog):
         exporting.changed.connect(self._show)
         exporting.progressed.connect(self._on_progress)
         exporting.said.connect(self._say)
-        self._state.subscribe(self._on_event)
+        self._state.source_changed.connect(self.show_all)
+        self._state.range_changed.connect(self.show_all)
+        self._state.choices_changed.connect(self._on_choices)
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, SourceChanged | RangeChanged):
-            self.show_all()
-        elif isinstance(event, ChoicesChanged) and event.names & {"picture_size", "speed"}:
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if names & {"picture_size", "speed"}:
             self._show()
 
     def _offer_frames(self) -> None:

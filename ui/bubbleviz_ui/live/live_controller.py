@@ -17,7 +17,6 @@ from bubbleviz_ui.live.publishing import Publishing
 from bubbleviz_ui.live.recording_control import Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
-from bubbleviz_ui.model.events import ChoicesChanged, Event, MarkersChanged
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""
@@ -65,7 +64,8 @@ class LiveController(QObject):
         controller.shown.connect(self._on_shown)
         controller.failed.connect(self._on_failed)
         pair.failed.connect(self._on_companion_failed)
-        controller.state.subscribe(self._on_event)
+        controller.state.choices_changed.connect(self._on_choices)
+        controller.state.markers_changed.connect(self._on_markers)
 
     @property
     def chosen(self) -> int:
@@ -233,14 +233,15 @@ class LiveController(QObject):
         if self.run is not None:
             self.run.session.recorder.pre_roll_s = choices.pre_roll_s
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged):
-            if event.names & RECORDING_CHOICES:
-                self._use_choices()
-        elif isinstance(event, MarkersChanged):
-            for frame in sorted(set(event.frames) - self._marked):
-                self._mark(frame)
-            self._marked = frozenset(event.frames)
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if names & RECORDING_CHOICES:
+            self._use_choices()
+
+    def _on_markers(self) -> None:
+        marked = frozenset(self._controller.state.markers)
+        for frame in sorted(marked - self._marked):
+            self._mark(frame)
+        self._marked = marked
 
     def _mark(self, frame: int) -> None:
         """A marker on the timeline is one in the file, at the moment the frame arrived."""

@@ -11,13 +11,6 @@ from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.live.second_sensor import SecondSensor
-from bubbleviz_ui.model.events import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    FrozenChanged,
-    PlayingChanged,
-)
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.second_scene import SecondScene
@@ -50,7 +43,11 @@ class SensorPair(QObject):
         self.chosen = 0
         self._shown_s = 0.0
         controller.shown.connect(self._on_shown)
-        controller.state.subscribe(self._on_event)
+        state = controller.state
+        state.frame_changed.connect(self._on_frame)
+        state.playing_changed.connect(self._follow)
+        state.frozen_changed.connect(self._follow)
+        state.choices_changed.connect(self._on_choices)
 
     def prepare(self, run: LiveRun) -> None:
         """Take a run whose first sensor will be opened."""
@@ -164,15 +161,15 @@ class SensorPair(QObject):
         if self.second_sensor is not None and alone and self._playing:
             self.second_sensor.follow()
 
-    def _on_event(self, event: Event) -> None:
-        second = self.second_sensor
-        if second is None:
-            return
-        if isinstance(event, FrameChanged):
-            if not event.by_playback:
-                second.follow()
-        elif isinstance(event, PlayingChanged | FrozenChanged):
-            second.follow()
-        elif isinstance(event, ChoicesChanged) and second.open is not None:
-            self._show(second.open.result)
-            second.follow()
+    def _follow(self) -> None:
+        if self.second_sensor is not None:
+            self.second_sensor.follow()
+
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        if not by_playback:
+            self._follow()
+
+    def _on_choices(self) -> None:
+        if self.second_sensor is not None and self.second_sensor.open is not None:
+            self._show(self.second_sensor.open.result)
+            self._follow()

@@ -1,36 +1,38 @@
-"""The session model: what is open, where the cursor is, what the user chose. No Qt in here."""
+"""The session model: what is open, where the cursor is, what the user chose."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz_ui.model.choices import PATCH_CHOICES, Choices
-from bubbleviz_ui.model.events import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    FrozenChanged,
-    HistoryChanged,
-    MarkersChanged,
-    PlayingChanged,
-    RangeChanged,
-    SourceChanged,
-    SourceFacts,
-)
 from bubbleviz_ui.model.frame_history import History, grown
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import SYSTEMS, Units
 
 
-class SessionState:
-    """Single place where the window's state lives; views subscribe to its events.
+class SessionState(QObject):
+    """Single place where the window's state lives; a signal tells each change of it.
 
     Attributes
     ----------
+    source_changed : Signal
+        Another source or sensor is open: its `SourceFacts`.
+    frame_changed : Signal
+        The cursor moved: the frame, and whether playback moved it or a person.
+    playing_changed, frozen_changed : Signal
+        Playback started or stopped; the view of a live source stands still or goes on.
+    choices_changed : Signal
+        The user chose something: the names of the fields of `Choices` that differ, a frozenset.
+    range_changed, markers_changed : Signal
+        Another range is played; other frames are marked.
+    history_changed : Signal
+        More is known of some frames, or less.
     choices : Choices
     facts : SourceFacts or None
         None until a source is open.
@@ -50,7 +52,17 @@ class SessionState:
     units : Units
     """
 
+    source_changed = Signal(object)
+    frame_changed = Signal(int, bool)
+    playing_changed = Signal(bool)
+    frozen_changed = Signal(bool)
+    choices_changed = Signal(object)
+    range_changed = Signal()
+    markers_changed = Signal()
+    history_changed = Signal()
+
     def __init__(self, choices: Choices | None = None) -> None:
+        super().__init__()
         self.choices = choices or Choices()
         self.facts: SourceFacts | None = None
         self.frame = 0
@@ -62,15 +74,6 @@ class SessionState:
         self.history = History(0)
         self.units = Units()
         self.units.use({name: getattr(self.choices, name) for name in SYSTEMS})
-        self._observers: list[Callable[[Event], None]] = []
-
-    def subscribe(self, observer: Callable[[Event], None]) -> None:
-        """Call `observer` with every event from now on."""
-        self._observers.append(observer)
-
-    def unsubscribe_all(self) -> None:
-        """Forget every observer (the window closes)."""
-        self._observers.clear()
 
     def open(
         self,
@@ -88,7 +91,7 @@ class SessionState:
         self.history = History(facts.frames) if history is None else history
         self.frame = self.now = min(max(frame, 0), facts.frames - 1)
         self.frozen = False
-        self._tell(SourceChanged(facts))
+        self.source_changed.emit(facts)
         self.set_playing(playing)
 
     def seek(self, index: int, *, by_playback: bool = False) -> None:
@@ -101,7 +104,7 @@ class SessionState:
         if index == self.frame:
             return
         self.frame = index
-        self._tell(FrameChanged(index, by_playback))
+        self.frame_changed.emit(index, by_playback)
 
     def step(self, frames: int) -> None:
         """Stop playing and move the cursor by a number of frames."""
@@ -140,7 +143,7 @@ class SessionState:
         if self.facts is None or not self.facts.live or frozen == self.frozen:
             return
         self.frozen = frozen
-        self._tell(FrozenChanged(frozen))
+        self.frozen_changed.emit(frozen)
         if not frozen:
             self.seek(self.now, by_playback=True)
 
@@ -151,7 +154,7 @@ class SessionState:
             frames = (first, last) if first < last else None
         if frames != self.play_range:
             self.play_range = frames
-            self._tell(RangeChanged(frames))
+            self.range_changed.emit()
 
     def toggle_marker(self, frame: int) -> None:
         """Mark a frame, or take its mark away."""
@@ -160,7 +163,7 @@ class SessionState:
     def choose_markers(self, frames: tuple[int, ...]) -> None:
         """Mark these frames, in order, and no others."""
         self.markers = frames
-        self._tell(MarkersChanged(frames))
+        self.markers_changed.emit()
 
     def seek_marker(self, direction: int) -> None:
         """Go to the next marker (1) or the one before (-1)."""
@@ -174,7 +177,7 @@ class SessionState:
         """Keep what was computed of some frames; of the patch only where it is the present one."""
         for frame, known in zip(frames, numbers, strict=True):
             self.history.take(frame, known, patch=same_patch)
-        self._tell(HistoryChanged())
+        self.history_changed.emit()
 
     def set_playing(self, playing: bool) -> None:
         """Start or stop playback; starting at the end begins at the first frame."""
@@ -186,10 +189,10 @@ class SessionState:
         if playing and over and not self.facts.grows:
             self.seek(first)
         self.playing = playing
-        self._tell(PlayingChanged(playing))
+        self.playing_changed.emit(playing)
 
     def choose(self, **changes: Any) -> None:
-        """Change choices by name; observers hear which ones differ."""
+        """Change choices by name; `choices_changed` tells which ones differ."""
         new = replace(self.choices, **changes)
         names = frozenset(
             f.name for f in fields(new) if getattr(new, f.name) != getattr(self.choices, f.name)
@@ -199,7 +202,7 @@ class SessionState:
             self.units.use({name: getattr(new, name) for name in names & SYSTEMS.keys()})
             if names & PATCH_CHOICES:
                 self.history.forget_patches()
-            self._tell(ChoicesChanged(names))
+            self.choices_changed.emit(names)
 
     def choose_layer(self, name: str, visible: bool) -> None:
         """Show or hide a 3-D layer."""
@@ -210,7 +213,3 @@ class SessionState:
         """Note that a panel that shows results is open or closed."""
         panels = self.choices.panels
         self.choose(panels=panels | {name} if visible else panels - {name})
-
-    def _tell(self, event: Event) -> None:
-        for observer in tuple(self._observers):
-            observer(event)

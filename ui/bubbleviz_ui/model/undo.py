@@ -8,17 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, SignalInstance
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
 from PySide6.QtWidgets import QWidget
 
-from bubbleviz_ui.model.events import (
-    ChoicesChanged,
-    Event,
-    MarkersChanged,
-    RangeChanged,
-    SourceChanged,
-)
 from bubbleviz_ui.model.session_state import SessionState
 
 T = TypeVar("T")
@@ -112,32 +105,29 @@ class SettingsHistory:
         self._gesture, self._changed_s = 0, 0.0
         self._choices = state.choices
         self._watched: list[_Watched[Any]] = []
-        self._on_range = self.watch("range", lambda: state.play_range, state.choose_range)
-        self._on_markers = self.watch("marker", lambda: state.markers, state.choose_markers)
-        state.subscribe(self._on_event)
+        self.watch("range", state.range_changed, lambda: state.play_range, state.choose_range)
+        self.watch("marker", state.markers_changed, lambda: state.markers, state.choose_markers)
+        state.choices_changed.connect(self._on_choices)
+        state.source_changed.connect(self._take_all)
 
     def watch(
-        self, text: str, value: Callable[[], T], apply: Callable[[T], None]
-    ) -> Callable[[], None]:
+        self, text: str, changed: SignalInstance, value: Callable[[], T], apply: Callable[[T], None]
+    ) -> None:
         """Put changes of something else on the stack, too.
 
         Parameters
         ----------
         text : str
             What the Edit menu calls it.
+        changed : SignalInstance
+            Tells that it may have changed.
         value : callable
             Its present value.
         apply : callable
             Makes a value the present one.
-
-        Returns
-        -------
-        callable
-            To be called when it may have changed.
         """
-        each = _Watched(text, value, apply, value())
-        self._watched.append(each)
-        return lambda: self._look_at(each)
+        self._watched.append(_Watched(text, value, apply, value()))
+        changed.connect(self._on_watched)
 
     def watch_box(self, text: str, box: QWidget) -> None:
         """Put changes of a box on the stack: of its value, text or tick, whatever the user sets."""
@@ -146,9 +136,8 @@ class SettingsHistory:
         def use(new: Any) -> None:
             value.write(box, new)
 
-        look = self.watch(text, lambda: value.read(box), use)
         changed = getattr(box, value.notifySignal().name().toStdString())
-        changed.connect(lambda _: look())
+        self.watch(text, changed, lambda: value.read(box), use)
 
     @contextmanager
     def one_step(self, text: str) -> Iterator[None]:
@@ -178,29 +167,20 @@ class SettingsHistory:
         for each in self._watched:
             each.last = each.value()
 
-    def _look_at(self, each: _Watched[Any]) -> None:
-        old, each.last = each.last, each.value()
-        if not self._quiet and each.last != old:
-            number = isinstance(old, int | float) and not isinstance(old, bool)
-            gesture = (each.text, self._present_gesture()) if number else None
-            self._push(each.text, each.apply, old, each.last, gesture)
-
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged):
-            if not self._quiet:
-                self._on_choices(event.names - LAYOUT)
-            self._choices = self._state.choices
-        elif isinstance(event, RangeChanged):
-            self._on_range()
-        elif isinstance(event, MarkersChanged):
-            self._on_markers()
-        elif isinstance(event, SourceChanged):
-            self._take_all()
+    def _on_watched(self) -> None:
+        for each in self._watched:
+            old, each.last = each.last, each.value()
+            if not self._quiet and each.last != old:
+                number = isinstance(old, int | float) and not isinstance(old, bool)
+                gesture = (each.text, self._present_gesture()) if number else None
+                self._push(each.text, each.apply, old, each.last, gesture)
 
     def _on_choices(self, names: frozenset[str]) -> None:
-        if not names:
+        before, self._choices = self._choices, self._state.choices
+        names -= LAYOUT
+        if self._quiet or not names:
             return
-        old = {name: getattr(self._choices, name) for name in names}
+        old = {name: getattr(before, name) for name in names}
         new = {name: getattr(self._state.choices, name) for name in names}
         text = "scene" if "view_from" in names else next(iter(sorted(names)))
         drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))

@@ -22,7 +22,6 @@ from bubbleviz.inverse.solvers.inverse_solver import DEFAULT, SOLVERS
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared
 from bubbleviz_ui.model.choices import Setting
-from bubbleviz_ui.model.events import ChoicesChanged, Event, FrameChanged, SourceChanged
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -144,7 +143,9 @@ class ComparePanel(QWidget):
             column.changed.connect(self._choose)
         controller.compared.connect(self._on_compared)
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.frame_changed.connect(self._ask)
+        state.source_changed.connect(self._ask)
+        state.choices_changed.connect(self._on_choices)
 
     def _lay_out(self) -> None:
         column = QVBoxLayout(self)
@@ -189,18 +190,15 @@ class ComparePanel(QWidget):
         """Neither closed nor behind another tab, where Qt still calls it visible."""
         return "compare" in self._state.choices.panels
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, FrameChanged | SourceChanged):
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if "compared" in names:
+            self._show_settings()
+        if "panels" in names and not self._seen:
+            self._forget()
+        elif names & {"kappa", "compared"} or self._answer is None:
             self._ask()
-        elif isinstance(event, ChoicesChanged):
-            if "compared" in event.names:
-                self._show_settings()
-            if "panels" in event.names and not self._seen:
-                self._forget()
-            elif event.names & {"kappa", "compared"} or self._answer is None:
-                self._ask()
-            else:
-                self._show()
+        else:
+            self._show()
 
     def _forget(self) -> None:
         """Measure nothing more; old numbers would look like new ones."""

@@ -12,7 +12,6 @@ from PySide6.QtWidgets import QLabel, QMenu, QToolButton, QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.events import ChoicesChanged, Event, SourceChanged
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import Units
@@ -51,7 +50,8 @@ class ImagesPanel(QWidget):
         hover.changed.connect(self._on_hover)
         self._on_hover(None)
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.source_changed.connect(self._on_source)
+        state.choices_changed.connect(self._on_choices)
 
     def _menu(self) -> dict[str, QAction]:
         menu, actions = QMenu(self.choose), {}
@@ -83,16 +83,16 @@ class ImagesPanel(QWidget):
 
     # -- events -------------------------------------------------------------------------------
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, SourceChanged):
-            for cell in self.cells.values():
-                cell.forget_range()
-        elif isinstance(event, ChoicesChanged):
-            for name, action in self.boxes.items():
-                action.setChecked(name in self._state.choices.images)
-            self._arrange()
-            self._draw()
-            self._on_hover(self._hover.place)
+    def _on_source(self) -> None:
+        for cell in self.cells.values():
+            cell.forget_range()
+
+    def _on_choices(self) -> None:
+        for name, action in self.boxes.items():
+            action.setChecked(name in self._state.choices.images)
+        self._arrange()
+        self._draw()
+        self._on_hover(self._hover.place)
 
     def _on_shown(self, _: object) -> None:
         if not self._state.playing:

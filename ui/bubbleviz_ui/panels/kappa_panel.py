@@ -22,7 +22,6 @@ from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.result import Patch, Result
-from bubbleviz_ui.model.events import ChoicesChanged, Event
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
@@ -64,7 +63,7 @@ class KappaPanel(QWidget):
         self.automatic.setChecked(state.choices.kappa is None)
         self._connect()
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.choices_changed.connect(self._on_choices)
 
     def show_result(self, result: Result) -> None:
         """Write the numbers of the patch; the automatic threshold as the κ it amounts to."""
@@ -108,12 +107,10 @@ class KappaPanel(QWidget):
     def _on_automatic(self, automatic: bool) -> None:
         self._state.choose(kappa=None if automatic else self.box.value())
 
-    def _on_event(self, event: Event) -> None:
-        if not isinstance(event, ChoicesChanged):
-            return
-        if "solver" in event.names:
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if "solver" in names:
             self.solver.setCurrentIndex(self.solver.findData(self._state.choices.solver))
-        if "kappa" in event.names:
+        if "kappa" in names:
             kappa = self._state.choices.kappa
             with QSignalBlocker(self.automatic):
                 self.automatic.setChecked(kappa is None)

@@ -20,13 +20,6 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.demand import plotted
-from bubbleviz_ui.model.events import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    HistoryChanged,
-    SourceChanged,
-)
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -70,7 +63,10 @@ class PlotsPanel(QWidget):
         self._lay_out()
         self._connect()
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.frame_changed.connect(self._on_frame)
+        state.history_changed.connect(self._later)
+        state.source_changed.connect(self._on_source)
+        state.choices_changed.connect(self._on_choices)
 
     def _menu(self) -> dict[str, Any]:
         menu = QMenu(self.choose)
@@ -112,20 +108,19 @@ class PlotsPanel(QWidget):
 
     # -- events -------------------------------------------------------------------------------
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, FrameChanged) and not event.by_playback:
-            self._draw_cursor()
-        elif isinstance(event, FrameChanged | HistoryChanged):
-            self._later()
-        elif isinstance(event, SourceChanged):
-            self._show_all_time()
-            self._draw()
-        elif isinstance(event, ChoicesChanged):
-            for name, action in self.boxes.items():
-                action.setChecked(name in self._state.choices.plots)
-            if "plots" in event.names:
-                self._arrange()
-            self._draw()
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        self._later() if by_playback else self._draw_cursor()
+
+    def _on_source(self) -> None:
+        self._show_all_time()
+        self._draw()
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        for name, action in self.boxes.items():
+            action.setChecked(name in self._state.choices.plots)
+        if "plots" in names:
+            self._arrange()
+        self._draw()
 
     def _later(self) -> None:
         """Draw soon, once for all that changes until then."""

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
-from bubbleviz_ui.model.events import SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Units
 
 TIPS = {

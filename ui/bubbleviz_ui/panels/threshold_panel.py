@@ -24,7 +24,6 @@ from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Opened
-from bubbleviz_ui.model.events import ChoicesChanged, Event
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
@@ -62,7 +61,7 @@ class ThresholdPanel(QWidget):
             lambda v: state.choose(least_area_m2=state.units.area.to_si(v))
         )
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.choices_changed.connect(self._on_choices)
 
     def _lay_out(self) -> None:
         self._column = QVBoxLayout(self)
@@ -121,10 +120,9 @@ class ThresholdPanel(QWidget):
     def _on_shown(self, _: object) -> None:
         self._draw()
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged):
-            self._show_least()
-            self._draw()
+    def _on_choices(self) -> None:
+        self._show_least()
+        self._draw()
 
     def _on_dragged(self, line: Any) -> None:
         self._state.choose(kappa=kappa_at(line))

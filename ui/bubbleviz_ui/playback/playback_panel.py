@@ -18,7 +18,6 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz_ui.model.choices import SPEEDS
-from bubbleviz_ui.model.events import Event, FrameChanged, HistoryChanged, SourceChanged
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.playback.playback_icons import icon
@@ -80,7 +79,12 @@ class PlaybackPanel(QWidget):
         self._show_all()
         self._connect()
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.frame_changed.connect(self._on_frame)
+        state.history_changed.connect(self._on_history)
+        state.source_changed.connect(self._on_source)
+        for changed in (state.choices_changed, state.playing_changed, state.frozen_changed,
+                        state.range_changed, state.markers_changed):  # fmt: skip
+            changed.connect(self._show_all)
 
     def _button(self, tip: str) -> QToolButton:
         button = QToolButton()
@@ -144,17 +148,18 @@ class PlaybackPanel(QWidget):
         self.freeze.clicked.connect(state.freeze)
         self.now.clicked.connect(lambda: state.freeze(False))
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, FrameChanged | HistoryChanged):
-            now = time.perf_counter()
-            steady = isinstance(event, FrameChanged) and not event.by_playback
-            if steady or not self._state.playing or now - self._shown_at >= EVERY_S:
-                self._shown_at = now
-                self._show_frame()
-        else:
-            if isinstance(event, SourceChanged):
-                self.timeline.show_source()
-            self._show_all()
+    def _on_source(self) -> None:
+        self.timeline.show_source()
+        self._show_all()
+
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        self._on_history() if by_playback else self._show_frame()
+
+    def _on_history(self) -> None:
+        now = time.perf_counter()
+        if not self._state.playing or now - self._shown_at >= EVERY_S:
+            self._shown_at = now
+            self._show_frame()
 
     def _show_all(self) -> None:
         facts, choices, live = self._state.facts, self._state.choices, False

@@ -6,14 +6,6 @@ import time
 
 from PySide6.QtCore import QObject, Qt, QTimer
 
-from bubbleviz_ui.model.events import (
-    ChoicesChanged,
-    Event,
-    FrameChanged,
-    PlayingChanged,
-    RangeChanged,
-    SourceChanged,
-)
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.playback.play_clock import PlayClock
 
@@ -43,7 +35,11 @@ class Player(QObject):
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(lambda: self._tick())
-        state.subscribe(self._on_event)
+        state.frame_changed.connect(self._on_frame)
+        state.playing_changed.connect(self._on_playing)
+        state.source_changed.connect(self._wind)
+        state.range_changed.connect(self._wind)
+        state.choices_changed.connect(self._on_choices)
 
     def came(self, frame: int) -> None:
         """A frame is there to be drawn: the next one may be due soon."""
@@ -58,19 +54,26 @@ class Player(QObject):
         """Stop the timer."""
         self._timer.stop()
 
-    def _on_event(self, event: Event) -> None:
-        state = self._state
-        grows = state.facts is not None and state.facts.grows
-        if isinstance(event, FrameChanged):
-            if not event.by_playback and not state.frozen:
-                self._start()
-        elif isinstance(event, PlayingChanged):
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        if not by_playback and not self._state.frozen:
             self._start()
-            self._timer.start() if event.playing and not grows else self._timer.stop()
-        elif isinstance(event, SourceChanged | RangeChanged) and state.facts is not None:
-            self._clock = None if grows else PlayClock(state.facts.times_s, state.play_range)
+
+    def _on_playing(self, playing: bool) -> None:
+        self._start()
+        facts = self._state.facts
+        grows = facts is not None and facts.grows
+        self._timer.start() if playing and not grows else self._timer.stop()
+
+    def _wind(self) -> None:
+        """Take the times of another source, or another range of them."""
+        facts = self._state.facts
+        if facts is not None:
+            frames = self._state.play_range
+            self._clock = None if facts.grows else PlayClock(facts.times_s, frames)
             self._start()
-        elif isinstance(event, ChoicesChanged) and event.names & {"speed", "loop", "every_frame"}:
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if names & {"speed", "loop", "every_frame"}:
             self._start()
 
     def _start(self) -> None:

@@ -8,9 +8,9 @@ from PySide6.QtGui import QColor, QHelpEvent, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from bubbleviz.frames.gaps import Gap, find_gaps
-from bubbleviz_ui.model.events import SourceFacts
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.range_strip import MARGIN, REACH
 from bubbleviz_ui.shell import theme
 

@@ -24,7 +24,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import SUFFIXES
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz_ui.model.choices import POSE_CHOICES
-from bubbleviz_ui.model.events import ChoicesChanged, Event
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -177,7 +176,7 @@ class PosePanel(QWidget):
         self.csv.clicked.connect(lambda: self._export("csv"))
         self.tum.clicked.connect(lambda: self._export("tum"))
         session.changed.connect(lambda: self._on_changed())
-        state.subscribe(self._on_event)
+        state.choices_changed.connect(self._on_choices)
 
     def use_start(self, T_B_O: np.ndarray) -> None:
         """Begin at a pose (4, 4)."""
@@ -225,15 +224,14 @@ class PosePanel(QWidget):
         else:
             self.values["state"].setText(f"{count} poses written to {Path(name).name}")
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged):
-            if event.names & SYSTEMS.keys():
-                self.start.fit_units()
-            if event.names & {"pose_start", *SYSTEMS}:
-                self._show_start()
-            if event.names & POSE_CHOICES:
-                self._show_object()
-            self._on_changed()
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if names & SYSTEMS.keys():
+            self.start.fit_units()
+        if names & {"pose_start", *SYSTEMS}:
+            self._show_start()
+        if names & POSE_CHOICES:
+            self._show_object()
+        self._on_changed()
 
     def _on_changed(self) -> None:
         self._lock()

@@ -16,7 +16,6 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Failed, Followed, FollowRequest, Opened
 from bubbleviz_ui.model.choices import POSE_CHOICES
-from bubbleviz_ui.model.events import ChoicesChanged, Event, SourceChanged
 
 FileUnit = Literal["m", "mm"]
 
@@ -55,7 +54,8 @@ class PoseSession(QObject):
         controller.followed.connect(self._on_followed)
         controller.failed.connect(self._on_failed)
         controller.shown.connect(self._on_shown)
-        self._state.subscribe(self._on_event)
+        self._state.source_changed.connect(self._on_source)
+        self._state.choices_changed.connect(self._on_choices)
 
     @property
     def object_name(self) -> str | None:
@@ -121,17 +121,17 @@ class PoseSession(QObject):
         self.pose, self.rows, self.busy = None, {}, False
         self.changed.emit()
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, SourceChanged):
-            if self.object_name is not None:
-                self._follow(fit=self._state.choices.pose_track)
-        elif isinstance(event, ChoicesChanged):
-            if "pose_start" in event.names:
-                self._take_start()
-            if event.names & POSE_CHOICES:
-                self._look_for_it()
-            elif "pose_start" in event.names:
-                self._follow(fit=False) if self._state.choices.pose_track else self.changed.emit()
+    def _on_source(self) -> None:
+        if self.object_name is not None:
+            self._follow(fit=self._state.choices.pose_track)
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if "pose_start" in names:
+            self._take_start()
+        if names & POSE_CHOICES:
+            self._look_for_it()
+        elif "pose_start" in names:
+            self._follow(fit=False) if self._state.choices.pose_track else self.changed.emit()
 
     def _take_start(self) -> None:
         numbers = self._state.choices.pose_start

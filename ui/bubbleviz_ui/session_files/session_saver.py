@@ -18,7 +18,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for, synthetic
 from bubbleviz_ui.live.live_frames import LiveOpener
-from bubbleviz_ui.model.events import Event, SourceChanged
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.bundled_sensor import forget_others, is_beside, kept_beside
 from bubbleviz_ui.session_files.live_paths import with_paths, with_sensor
 from bubbleviz_ui.session_files.session_file import (
@@ -88,7 +88,7 @@ class SessionSaver(QObject):
         window.controller.opened.connect(self._on_opened)
         window.controller.failed.connect(self._on_failed)
         window.hint.understood.clicked.connect(self._on_hint_read)
-        window.state.subscribe(self._on_event)
+        window.state.source_changed.connect(self._on_source)
 
     # -- the user's own file ------------------------------------------------------------------
 
@@ -367,10 +367,8 @@ class SessionSaver(QObject):
                 self._absent = self._pending
             self._pending = None
 
-    def _on_event(self, event: Event) -> None:
+    def _on_source(self, facts: SourceFacts) -> None:
         """Once the source is open: what belongs to it."""
-        if not isinstance(event, SourceChanged):
-            return
         self._tell_problems()
         pending, live = self._pending, self._to_connect
         self._to_connect = None
@@ -379,7 +377,7 @@ class SessionSaver(QObject):
             return
         self._pending = None
         if pending is not None and self._is_open(pending):
-            self._take_what_belongs(pending, event.facts.frames)
+            self._take_what_belongs(pending, facts.frames)
 
     def _take_what_belongs(self, saved: SavedSession, frames: int) -> None:
         """Take range, markers and point of view."""

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz_ui.model.choices import LAYERS
-from bubbleviz_ui.model.events import ChoicesChanged, Event
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import Unit
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -67,7 +66,7 @@ class LayersPanel(QWidget):
         self._show_choices()
         self._connect()
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.choices_changed.connect(self._show_choices)
 
     def _box(self, name: str) -> QCheckBox:
         title, tip = TITLES[name]
@@ -118,10 +117,6 @@ class LayersPanel(QWidget):
         self.residual_max.valueChanged.connect(
             lambda v: state.choose(residual_max_m=units.length.to_si(v) if v > 0 else None)
         )
-
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged):
-            self._show_choices()
 
     def _show_choices(self) -> None:
         choices = self._state.choices

@@ -27,7 +27,6 @@ from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.choices import COLOUR_MAPS
-from bubbleviz_ui.model.events import ChoicesChanged, Event
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.images_panel import words
@@ -80,7 +79,7 @@ class ViewTools(QWidget):
         self._show_choices()
         self._say()
         keep_keys(self)
-        state.subscribe(self._on_event)
+        state.choices_changed.connect(self._on_choices)
 
     def _make_buttons(self) -> None:
         self.views = {name: self._button(title) for name, title in VIEWS.items()}
@@ -224,10 +223,9 @@ class ViewTools(QWidget):
         self.distance.clear()
         self._show_choices()
 
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, ChoicesChanged):
-            self._show_choices()
-            self._say()
+    def _on_choices(self) -> None:
+        self._show_choices()
+        self._say()
 
     def _show_choices(self) -> None:
         choices, length = self._state.choices, self._state.units.length

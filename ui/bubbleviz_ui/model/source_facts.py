@@ -1,0 +1,46 @@
+"""What the window says about the open source. No Qt in here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SourceFacts:
+    """What the window says about the open source.
+
+    Attributes
+    ----------
+    title : str
+        Name of the source.
+    sensor_name : str
+        Name of the sensor.
+    times_s : (F,) array
+        Time of each frame, s.
+    live : bool
+        A live source, not a recording.
+    grows : bool
+        Frames are added while one looks.
+    remark : str
+        What the user should know about it; empty for nothing.
+    """
+
+    title: str
+    sensor_name: str
+    times_s: np.ndarray
+    live: bool = False
+    grows: bool = False
+    remark: str = ""
+
+    @property
+    def frames(self) -> int:
+        """Count the frames."""
+        return len(self.times_s)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean frame rate of the camera, Hz; NaN for a single frame."""
+        span = float(self.times_s[-1] - self.times_s[0]) if self.frames else 0.0
+        return (self.frames - 1) / span if span > 0 else float("nan")
