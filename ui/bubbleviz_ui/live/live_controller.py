@@ -28,6 +28,7 @@ class LiveController(QObject):
 
     Attributes
     ----------
+    state : SessionState
     looked : Signal
         Time to show how the sources and the recording are doing.
     changed : Signal
@@ -46,7 +47,7 @@ class LiveController(QObject):
 
     def __init__(self, controller: Controller, pair: SensorPair) -> None:
         super().__init__()
-        self._controller, self._pair = controller, pair
+        self._controller, self._pair, self.state = controller, pair, controller.state
         self._background = Background("live")
         self.recording, self.publishing = Recording(self._background), Publishing()
         self.connection: Connection | None = None
@@ -64,8 +65,8 @@ class LiveController(QObject):
         controller.shown.connect(self._on_shown)
         controller.failed.connect(self._on_failed)
         pair.failed.connect(self._on_companion_failed)
-        controller.state.choices_changed.connect(self._on_choices)
-        controller.state.markers_changed.connect(self._on_markers)
+        self.state.choices_changed.connect(self._on_choices)
+        self.state.markers_changed.connect(self._on_markers)
 
     @property
     def chosen(self) -> int:
@@ -77,23 +78,14 @@ class LiveController(QObject):
         """The sensor that the panels show."""
         return None if self.run is None else self.run.session.sensors[self.chosen]
 
-    @property
-    def pre_roll_s(self) -> float:
-        """Seconds before the button is pressed that are recorded, too."""
-        return self._controller.state.choices.pre_roll_s
-
-    def set_pre_roll(self, seconds: float) -> None:
-        """Keep that much for the next recording."""
-        self._controller.state.choose(pre_roll_s=seconds)
-
     def choose_folder(self, folder: str | Path) -> None:
         """Put the next recordings there."""
-        self._controller.state.choose(record_folder=str(folder))
+        self.state.choose(record_folder=str(folder))
 
     def connect_to(self, preset: SessionPreset) -> None:
         """Bring a session up; what is open stays until it sends frames."""
         self.cancel()
-        self.connection = connection = Connection(preset, self.pre_roll_s)
+        self.connection = connection = Connection(preset, self.state.choices.pre_roll_s)
         connection.ready.connect(self._on_ready)
         connection.failed.connect(self._on_not_connected)
         connection.start()
@@ -221,13 +213,13 @@ class LiveController(QObject):
     def _on_failed(self, failed: Failed) -> None:
         request = failed.request
         if isinstance(request, OpenRequest) and self._is_ours(request):
-            facts = self._controller.state.facts
+            facts = self.state.facts
             if facts is None or self.run is None or facts.title != self.run.frames[0].name:
                 self.disconnect_all()
 
     def _use_choices(self) -> None:
         """Record and publish as the user chose."""
-        choices = self._controller.state.choices
+        choices = self.state.choices
         self.recording.folder = Path(choices.record_folder or Path.cwd())
         self.publishing.endpoint = choices.publish_at
         if self.run is not None:
@@ -238,14 +230,14 @@ class LiveController(QObject):
             self._use_choices()
 
     def _on_markers(self) -> None:
-        marked = frozenset(self._controller.state.markers)
+        marked = frozenset(self.state.markers)
         for frame in sorted(marked - self._marked):
             self._mark(frame)
         self._marked = marked
 
     def _mark(self, frame: int) -> None:
         """A marker on the timeline is one in the file, at the moment the frame arrived."""
-        facts = self._controller.state.facts
+        facts = self.state.facts
         if facts is not None and facts.grows and self.run is not None:
             at_ns = self.run.frames[self.chosen].arrival_ns(frame)
             self.recording.mark(f"marker at frame {frame}", at_ns)

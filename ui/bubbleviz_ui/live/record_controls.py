@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QFileDialog,
@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState
+from bubbleviz_ui.panels.binding import bind
 
 MOST_PRE_ROLL_S = 60.0
 
@@ -35,7 +36,7 @@ class RecordControls(QWidget):
         self.pre_roll.setRange(0.0, MOST_PRE_ROLL_S)
         self.pre_roll.setDecimals(1)
         self.pre_roll.setSuffix(" s before")
-        self.pre_roll.setValue(live.pre_roll_s)
+        bind(self.pre_roll, live.state, "pre_roll_s")
         self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
         self.folder = QToolButton()
         self.folder.setText("Folder…")
@@ -52,16 +53,15 @@ class RecordControls(QWidget):
             row.addWidget(widget)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(live.toggle_recording)
-        self.pre_roll.valueChanged.connect(live.set_pre_roll)
         self.folder.clicked.connect(self._choose_folder)
         self.note.returnPressed.connect(self._save_note)
         self.note.editingFinished.connect(self.note.hide)
-        self._show_choices()
+        self._show_folder()
 
     def show_now(self) -> None:
         """Write how the recording is going."""
         state, busy = self._live.recording.state(), self._live.recording.busy
-        self._show_choices()
+        self._show_folder()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
         self.button.setToolTip("End the recording (Ctrl+R)" if busy else "Record (Ctrl+R)")
@@ -91,13 +91,10 @@ class RecordControls(QWidget):
         name = QFileDialog.getExistingDirectory(self, "Record into", present)
         if name:
             self._live.choose_folder(name)
-            self._show_choices()
+            self._show_folder()
 
-    def _show_choices(self) -> None:
+    def _show_folder(self) -> None:
         self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")
-        if self.pre_roll.value() != self._live.pre_roll_s:  # else what is being typed stays
-            with QSignalBlocker(self.pre_roll):
-                self.pre_roll.setValue(self._live.pre_roll_s)
 
 
 def progress(state: RecordingState) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
-from PySide6.QtCore import QObject, QSignalBlocker, Signal
 from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
@@ -24,6 +25,7 @@ from bubbleviz_ui.engine.requests import Compared
 from bubbleviz_ui.model.choices import Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
 NODES = (100, 5_000, 100)
@@ -43,20 +45,12 @@ ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
 """What is measured, by its title and its text."""
 
 
-class Column(QObject):
-    """Controls of one setting, and a column of what it makes of the frame.
+class Column:
+    """Controls of one setting of the two, and a column of what it makes of the frame."""
 
-    Attributes
-    ----------
-    changed : Signal
-    """
-
-    changed = Signal()
-
-    def __init__(self, panel: QWidget) -> None:
-        super().__init__(panel)
-        self.solver = QComboBox()
-        self.solver.addItems(list(SOLVERS))
+    def __init__(self, state: SessionState, number: int) -> None:
+        self._state, self._number = state, number
+        self.solver = options(QComboBox(), {name: name for name in SOLVERS})
         self.pressure_scale = QDoubleSpinBox()
         self.pressure_scale.setRange(0.1, 100.0)
         self.pressure_scale.setSingleStep(0.5)
@@ -71,35 +65,32 @@ class Column(QObject):
         self.block.setSpecialValueText("automatic")
         self.block.setSuffix(" px")
         self.values = {name: QLabel(NOTHING) for name in ROWS}
-        self._boxes = (self.pressure_scale, self.recasts, self.nodes, self.block)
-        for box in self._boxes:
-            box.setKeyboardTracking(False)
-            box.valueChanged.connect(self._on_changed)
-        self.solver.currentIndexChanged.connect(self._on_changed)
+        usual = EstimatorOptions()
+        self._bind("solver", DEFAULT)
+        self._bind("pressure_scale", usual.pressure_scale)
+        self._bind("recasts", usual.relinearisations)
+        self._bind("nodes", 0)
+        self._bind("block", 0)
         for label in self.values.values():
             label.setObjectName("value")
 
-    def show_setting(self, setting: Setting) -> None:
-        """Show what is chosen."""
-        usual = EstimatorOptions()
-        blockers = [QSignalBlocker(box) for box in (self.solver, *self._boxes)]
-        self.solver.setCurrentText(setting.solver or DEFAULT)
-        scale, recasts = setting.pressure_scale, setting.recasts
-        self.pressure_scale.setValue(usual.pressure_scale if scale is None else scale)
-        self.recasts.setValue(usual.relinearisations if recasts is None else recasts)
-        self.nodes.setValue(setting.nodes or 0)
-        self.block.setValue(setting.block or 0)
-        del blockers
+    def _bind(self, name: str, usual: Any) -> None:
+        """Bind a control to the field of its name; what is usual stands for None."""
 
-    def setting(self) -> Setting:
-        """What is chosen here."""
-        return Setting(
-            solver=self.solver.currentText(),
-            pressure_scale=self.pressure_scale.value(),
-            recasts=self.recasts.value(),
-            nodes=self.nodes.value() or None,
-            block=self.block.value() or None,
-        )
+        def shown(settings: tuple[Setting, ...]) -> Any:
+            value = getattr(settings[self._number], name)
+            return usual if value is None else value
+
+        def chosen(value: Any) -> tuple[Setting, ...]:
+            settings = list(self._state.choices.compared)
+            new = replace(settings[self._number], **{name: None if value == usual else value})
+            settings[self._number] = new
+            return tuple(settings)
+
+        control = getattr(self, name)
+        if isinstance(control, QSpinBox | QDoubleSpinBox):
+            control.setKeyboardTracking(False)
+        bind(control, self._state, "compared", shown, chosen)
 
     def options(self) -> EstimatorOptions:
         """The setting as the estimator takes it."""
@@ -121,9 +112,6 @@ class Column(QObject):
             self.values["status"].setText("impossible")
         self.values["status"].setToolTip(measured if isinstance(measured, str) else "")
 
-    def _on_changed(self, _: object) -> None:
-        self.changed.emit()
-
 
 class ComparePanel(QWidget):
     """Two settings A and B; measures whenever the frame or a setting is another.
@@ -136,11 +124,8 @@ class ComparePanel(QWidget):
         self.setObjectName("compare")
         self._state, self._controller = state, controller
         self._answer: Compared | None = None
-        self.a, self.b = Column(self), Column(self)
+        self.a, self.b = Column(state, 0), Column(state, 1)
         self._lay_out()
-        self._show_settings()
-        for column in (self.a, self.b):
-            column.changed.connect(self._choose)
         controller.compared.connect(self._on_compared)
         keep_keys(self)
         state.frame_changed.connect(self._ask)
@@ -191,8 +176,6 @@ class ComparePanel(QWidget):
         return "compare" in self._state.choices.panels
 
     def _on_choices(self, names: frozenset[str]) -> None:
-        if "compared" in names:
-            self._show_settings()
         if "panels" in names and not self._seen:
             self._forget()
         elif names & {"kappa", "compared"} or self._answer is None:
@@ -205,13 +188,6 @@ class ComparePanel(QWidget):
         self._answer = None
         self._controller.compare(())
         self._show()
-
-    def _choose(self) -> None:
-        self._state.choose(compared=(self.a.setting(), self.b.setting()))
-
-    def _show_settings(self) -> None:
-        for column, setting in zip((self.a, self.b), self._state.choices.compared, strict=True):
-            column.show_setting(setting)
 
     def _ask(self) -> None:
         if self._seen and self._state.facts is not None:

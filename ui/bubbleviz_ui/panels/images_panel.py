@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
-from PySide6.QtGui import QAction, QPalette, QResizeEvent, QShowEvent
-from PySide6.QtWidgets import QLabel, QMenu, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtGui import QPalette, QResizeEvent, QShowEvent
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
@@ -39,11 +40,9 @@ class ImagesPanel(QWidget):
         self._due.setSingleShot(True)
         self._due.setInterval(EVERY_MS)
         self._due.timeout.connect(self._draw)
-        self.choose = QToolButton()
-        self.choose.setText("Images")
-        self.choose.setToolTip("What is shown, and so computed")
-        self.choose.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
-        self.boxes = self._menu()
+        titles = {name: picture.title for name, picture in PICTURES.items()}
+        tip = "What is shown, and so computed"
+        self.choose, self.boxes = menu_button("Images", tip, state, "images", titles)
         self.lines = [QLabel() for _ in range(3)]
         self._lay_out()
         controller.shown.connect(self._on_shown)
@@ -52,18 +51,6 @@ class ImagesPanel(QWidget):
         keep_keys(self)
         state.source_changed.connect(self._on_source)
         state.choices_changed.connect(self._on_choices)
-
-    def _menu(self) -> dict[str, QAction]:
-        menu, actions = QMenu(self.choose), {}
-        for name, picture in PICTURES.items():
-            action = QAction(picture.title, menu)
-            action.setCheckable(True)
-            action.setChecked(name in self._state.choices.images)
-            action.toggled.connect(lambda on, name=name: self._choose(name, on))
-            menu.addAction(action)
-            actions[name] = action
-        self.choose.setMenu(menu)
-        return actions
 
     def _lay_out(self) -> None:
         self._column = QVBoxLayout(self)
@@ -77,10 +64,6 @@ class ImagesPanel(QWidget):
         self._column.addLayout(text)
         self.setMinimumWidth(340)
 
-    def _choose(self, name: str, on: bool) -> None:
-        images = self._state.choices.images
-        self._state.choose(images=images | {name} if on else images - {name})
-
     # -- events -------------------------------------------------------------------------------
 
     def _on_source(self) -> None:
@@ -88,8 +71,6 @@ class ImagesPanel(QWidget):
             cell.forget_range()
 
     def _on_choices(self) -> None:
-        for name, action in self.boxes.items():
-            action.setChecked(name in self._state.choices.images)
         self._arrange()
         self._draw()
         self._on_hover(self._hover.place)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -23,10 +23,13 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.result import Patch, Result
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
 LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100
+BEFORE = 3.0
+"""κ shown before the automatic threshold of a frame is known."""
 
 
 class KappaPanel(QWidget):
@@ -41,7 +44,9 @@ class KappaPanel(QWidget):
             "By the physics of contact: each patch must somewhere reach the gas pressure"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setRange(_to_steps(LOWEST), _to_steps(HIGHEST))
+        self.slider.setRange(
+            *(round(STEPS_PER_DECADE * math.log10(end)) for end in (LOWEST, HIGHEST))
+        )
         self.slider.setPageStep(10)
         self.slider.setToolTip("κ: threshold as a multiple of the mean contact pressure (V-C)")
         self.box = QDoubleSpinBox()
@@ -51,19 +56,15 @@ class KappaPanel(QWidget):
         self.box.setToolTip(self.slider.toolTip())
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
-        self.solver = QComboBox()
-        self.solver.addItem("default", None)
-        for name in SOLVER_NAMES:
-            self.solver.addItem(name, name)
+        self.solver = options(
+            QComboBox(), {None: "default", **{name: name for name in SOLVER_NAMES}}
+        )
         self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
         self.threshold, self.area, self.force = (_value() for _ in range(3))
         self._lay_out()
         self._show_patch(None)
-        self._show_kappa(state.choices.kappa or 3.0)
-        self.automatic.setChecked(state.choices.kappa is None)
-        self._connect()
+        self._bind(state)
         keep_keys(self)
-        state.choices_changed.connect(self._on_choices)
 
     def show_result(self, result: Result) -> None:
         """Write the numbers of the patch; the automatic threshold as the κ it amounts to."""
@@ -73,7 +74,8 @@ class KappaPanel(QWidget):
             mean = mean_pressure(self._mesh, pressure) if pressure is not None else 0.0
             if mean > 0.0:
                 kappa = result.patch.threshold_pa / mean
-                self._show_kappa(min(max(kappa, LOWEST), HIGHEST))
+                for each in self._kappa:
+                    each.show(min(max(kappa, LOWEST), HIGHEST))
 
     def set_mesh(self, mesh: MembraneMesh) -> None:
         """Take the membrane of another sensor."""
@@ -96,31 +98,19 @@ class KappaPanel(QWidget):
         column.addLayout(form)
         column.addStretch(1)
 
-    def _connect(self) -> None:
-        self.slider.valueChanged.connect(lambda v: self._state.choose(kappa=_to_kappa(v)))
-        self.box.valueChanged.connect(lambda v: self._state.choose(kappa=v))
-        self.automatic.toggled.connect(self._on_automatic)
-        self.solver.activated.connect(
-            lambda row: self._state.choose(solver=self.solver.itemData(row))
+    def _bind(self, state: SessionState) -> None:
+        bind(self.solver, state, "solver")
+        bind(self.automatic, state, "kappa", lambda kappa: kappa is None, self._automatic)
+        self._kappa = (
+            bind(self.slider, state, "kappa", _to_steps, _to_kappa),
+            bind(self.box, state, "kappa"),
         )
+        if state.choices.kappa is None:
+            for each in self._kappa:
+                each.show(BEFORE)
 
-    def _on_automatic(self, automatic: bool) -> None:
-        self._state.choose(kappa=None if automatic else self.box.value())
-
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if "solver" in names:
-            self.solver.setCurrentIndex(self.solver.findData(self._state.choices.solver))
-        if "kappa" in names:
-            kappa = self._state.choices.kappa
-            with QSignalBlocker(self.automatic):
-                self.automatic.setChecked(kappa is None)
-            if kappa is not None:
-                self._show_kappa(kappa)
-
-    def _show_kappa(self, kappa: float) -> None:
-        with QSignalBlocker(self.slider), QSignalBlocker(self.box):
-            self.slider.setValue(_to_steps(kappa))
-            self.box.setValue(kappa)
+    def _automatic(self, on: bool) -> float | None:
+        return None if on else self.box.value()
 
     def _show_patch(self, patch: Patch | None) -> None:
         units = self._state.units
@@ -136,8 +126,8 @@ def _value() -> QLabel:
     return label
 
 
-def _to_steps(kappa: float) -> int:
-    return round(STEPS_PER_DECADE * math.log10(kappa))
+def _to_steps(kappa: float | None) -> int | None:
+    return None if kappa is None else round(STEPS_PER_DECADE * math.log10(kappa))
 
 
 def _to_kappa(steps: int) -> float:

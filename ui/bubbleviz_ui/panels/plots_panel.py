@@ -10,10 +10,8 @@ from PySide6.QtGui import QPalette, QResizeEvent, QShowEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
-    QMenu,
     QProgressBar,
     QPushButton,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -21,6 +19,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.demand import plotted
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
@@ -48,11 +47,9 @@ class PlotsPanel(QWidget):
         self._arranged: list[tuple[int, int, int]] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
-        self.choose = QToolButton()
-        self.choose.setText("Plots")
-        self.choose.setToolTip("What is plotted, and so computed")
-        self.choose.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
-        self.boxes = self._menu()
+        titles = {**{name: trace.title for name, trace in TRACES.items()}, "kappa": "κ-curve"}
+        tip = "What is plotted, and so computed"
+        self.choose, self.boxes = menu_button("Plots", tip, state, "plots", titles)
         self.analyse = QPushButton("Analyse all frames")
         self.analyse.setToolTip("Compute what these plots need of all frames, in the background")
         self.cancel = QPushButton("Cancel")
@@ -67,18 +64,6 @@ class PlotsPanel(QWidget):
         state.history_changed.connect(self._later)
         state.source_changed.connect(self._on_source)
         state.choices_changed.connect(self._on_choices)
-
-    def _menu(self) -> dict[str, Any]:
-        menu = QMenu(self.choose)
-        actions = {}
-        for name, title in {**{n: t.title for n, t in TRACES.items()}, "kappa": "κ-curve"}.items():
-            action = menu.addAction(title)
-            action.setCheckable(True)
-            action.setChecked(name in self._state.choices.plots)
-            action.toggled.connect(lambda on, name=name: self._choose(name, on))
-            actions[name] = action
-        self.choose.setMenu(menu)
-        return actions
 
     def _lay_out(self) -> None:
         self._column = QVBoxLayout(self)
@@ -102,10 +87,6 @@ class PlotsPanel(QWidget):
         self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._show_kappa)
 
-    def _choose(self, name: str, on: bool) -> None:
-        plots = self._state.choices.plots
-        self._state.choose(plots=plots | {name} if on else plots - {name})
-
     # -- events -------------------------------------------------------------------------------
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
@@ -116,8 +97,6 @@ class PlotsPanel(QWidget):
         self._draw()
 
     def _on_choices(self, names: frozenset[str]) -> None:
-        for name, action in self.boxes.items():
-            action.setChecked(name in self._state.choices.plots)
         if "plots" in names:
             self._arrange()
         self._draw()

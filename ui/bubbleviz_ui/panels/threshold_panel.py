@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from PySide6.QtCore import QEvent, QSignalBlocker, Qt
+from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QPalette, QShowEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -26,6 +26,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
+from bubbleviz_ui.panels.binding import bind_quantity
 from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
@@ -33,7 +34,7 @@ ROW = 20
 """Height of a row of the table, screen pixels."""
 HEIGHT = 300
 """Of both plots, screen pixels."""
-LARGEST_M2 = 0.01
+LARGEST_M2, STEP_M2 = 0.01, 5e-6
 COLUMNS = ("Area", "Force", "Peak p_c", "")
 
 
@@ -51,17 +52,15 @@ class ThresholdPanel(QWidget):
         self.table = QTableWidget(0, len(COLUMNS))
         self.least = QDoubleSpinBox()
         self.least.setSpecialValueText("nothing")
-        self.least.setKeyboardTracking(False)
         self.least.setToolTip("Parts of the patch smaller than this are not contact")
         self._lay_out()
-        self._show_least()
-        controller.opened.connect(self._on_opened)
-        controller.shown.connect(self._on_shown)
-        self.least.valueChanged.connect(
-            lambda v: state.choose(least_area_m2=state.units.area.to_si(v))
+        bind_quantity(
+            self.least, state, "least_area_m2", lambda u: u.area, LARGEST_M2, STEP_M2, zero=0.0
         )
+        controller.opened.connect(self._on_opened)
+        controller.shown.connect(self._draw)
         keep_keys(self)
-        state.choices_changed.connect(self._on_choices)
+        state.choices_changed.connect(self._draw)
 
     def _lay_out(self) -> None:
         self._column = QVBoxLayout(self)
@@ -117,13 +116,6 @@ class ThresholdPanel(QWidget):
     def _on_opened(self, opened: Opened) -> None:
         self._mesh = opened.mesh
 
-    def _on_shown(self, _: object) -> None:
-        self._draw()
-
-    def _on_choices(self) -> None:
-        self._show_least()
-        self._draw()
-
     def _on_dragged(self, line: Any) -> None:
         self._state.choose(kappa=kappa_at(line))
 
@@ -167,15 +159,6 @@ class ThresholdPanel(QWidget):
         if not parts:
             self.table.setRowCount(1)
             self.table.setItem(0, 0, QTableWidgetItem(NOTHING))
-
-    def _show_least(self) -> None:
-        unit = self._state.units.area
-        with QSignalBlocker(self.least):
-            self.least.setDecimals(unit.digits)
-            self.least.setRange(0.0, unit.of(LARGEST_M2))
-            self.least.setSingleStep(unit.of(5e-6))
-            self.least.setSuffix(f" {unit.symbol}")
-            self.least.setValue(unit.of(self._state.choices.least_area_m2))
 
     def _paint_theme(self) -> None:
         roles, palette = QPalette.ColorRole, self.palette()

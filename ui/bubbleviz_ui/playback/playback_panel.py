@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.playback.playback_icons import icon
 from bubbleviz_ui.playback.range_strip import RangeStrip
@@ -58,13 +59,9 @@ class PlaybackPanel(QWidget):
         self.strip = RangeStrip()
         self.strip.hide()
         self.readout = QLabel()
-        self.speed = QComboBox()
-        for speed in SPEEDS:
-            self.speed.addItem(f"{speed:g}×", speed)
+        self.speed = options(QComboBox(), {speed: f"{speed:g}×" for speed in SPEEDS})
         self.speed.setToolTip("Playback speed (Ctrl+↑, Ctrl+↓)")
-        self.mode = QComboBox()
-        for every_frame, title in MODES.items():
-            self.mode.addItem(title, every_frame)
+        self.mode = options(QComboBox(), MODES)
         self.mode.setToolTip(
             "Keep time and leave frames out, or wait for every frame however slow (E)"
         )
@@ -137,13 +134,10 @@ class PlaybackPanel(QWidget):
         self.back.clicked.connect(lambda: state.step(-1))
         self.forward.clicked.connect(lambda: state.step(1))
         self.play.clicked.connect(lambda: state.set_playing(not state.playing))
-        self.speed.currentIndexChanged.connect(
-            lambda _: state.choose(speed=self.speed.currentData())
-        )
-        self.mode.currentIndexChanged.connect(
-            lambda _: state.choose(every_frame=self.mode.currentData())
-        )
-        self.loop.clicked.connect(lambda on: state.choose(loop=on))
+        for control, field in (
+            (self.speed, "speed"), (self.mode, "every_frame"), (self.loop, "loop")
+        ):  # fmt: skip
+            bind(control, state, field)
         self.mark.clicked.connect(lambda: state.toggle_marker(state.frame))
         self.freeze.clicked.connect(state.freeze)
         self.now.clicked.connect(lambda: state.freeze(False))
@@ -162,12 +156,9 @@ class PlaybackPanel(QWidget):
             self._show_frame()
 
     def _show_all(self) -> None:
-        facts, choices, live = self._state.facts, self._state.choices, False
+        facts, live = self._state.facts, False
         self.setEnabled(facts is not None)
         self._show_icons()
-        self.speed.setCurrentIndex(self.speed.findData(choices.speed))
-        self.mode.setCurrentIndex(self.mode.findData(choices.every_frame))
-        self.loop.setChecked(choices.loop)
         self.freeze.setChecked(self._state.frozen)
         if facts is not None:
             live = facts.live

@@ -26,6 +26,7 @@ from bubbleviz.files.preset_files import presets_folder
 from bubbleviz_ui.model.choices import POSE_CHOICES
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import pose_words
@@ -119,8 +120,7 @@ class PosePanel(QWidget):
         for path in sorted(presets_folder("objects").glob("*.*")):
             self.object.addItem(path.stem.replace("_", " "), path.stem)
         self.object.addItem(FROM_FILE, FROM_FILE)
-        for title, value in (("unit by name", None), ("metres", "m"), ("millimetres", "mm")):
-            self.unit.addItem(title, value)
+        options(self.unit, {None: "unit by name", "m": "metres", "mm": "millimetres"})
         self.unit.setToolTip("Unit of a mesh file; by name: mm where it ends in _mm, else m")
         self.search.setChecked(True)
         self.search.setToolTip("Try the object's faces all around instead of a start")
@@ -132,8 +132,7 @@ class PosePanel(QWidget):
         self.track.setCheckable(True)
         self.track.setToolTip("Follow the object from frame to frame")
         self.reset.setToolTip("Forget every pose and stop tracking (X)")
-        self.stage.addItem("both stages", 2)
-        self.stage.addItem("stage one", 1)
+        options(self.stage, {2: "both stages", 1: "stage one"})
         self.stage.setToolTip("Which result the object is drawn at")
 
     def _lay_out(self) -> None:
@@ -164,7 +163,8 @@ class PosePanel(QWidget):
     def _connect(self) -> None:
         session, state = self.session, self._state
         self.object.activated.connect(lambda _: self._on_object())
-        self.unit.activated.connect(lambda _: state.choose(pose_unit=self.unit.currentData()))
+        bind(self.unit, state, "pose_unit")
+        bind(self.stage, state, "pose_stage")
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)
         self.move_it.toggled.connect(self.gizmo)
@@ -172,7 +172,6 @@ class PosePanel(QWidget):
         self.once.clicked.connect(lambda: session.fit_once())
         self.track.clicked.connect(lambda on: session.track(on))
         self.reset.clicked.connect(lambda: session.reset())
-        self.stage.activated.connect(lambda _: state.choose(pose_stage=self.stage.currentData()))
         self.csv.clicked.connect(lambda: self._export("csv"))
         self.tum.clicked.connect(lambda: self._export("tum"))
         session.changed.connect(lambda: self._on_changed())
@@ -200,11 +199,9 @@ class PosePanel(QWidget):
 
     def _show_object(self) -> None:
         name = self.session.object_name
-        with QSignalBlocker(self.object), QSignalBlocker(self.unit):
-            if name is not None and self.object.findData(name) < 0:
-                self.object.insertItem(self.object.count() - 1, Path(name).name, name)
-            self.object.setCurrentIndex(self.object.findData(name))
-            self.unit.setCurrentIndex(self.unit.findData(self._state.choices.pose_unit))
+        if name is not None and self.object.findData(name) < 0:
+            self.object.insertItem(self.object.count() - 1, Path(name).name, name)
+        self.object.setCurrentIndex(self.object.findData(name))  # which activates nothing
 
     def _show_start(self) -> None:
         start = self.session.start
@@ -251,8 +248,6 @@ class PosePanel(QWidget):
         for button in (self.csv, self.tum):
             button.setEnabled(idle and bool(session.rows))
         self.track.setChecked(self._state.choices.pose_track)
-        row = self.stage.findData(self._state.choices.pose_stage)
-        self.stage.setCurrentIndex(max(row, 0))
 
     def _write(self) -> None:
         """Numbers and curves of the pose that is shown."""

@@ -12,9 +12,10 @@ from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 
 from bubbleviz.files.defaults import SESSION_SUFFIX
 from bubbleviz.files.preset_files import preset_names
-from bubbleviz_ui.model.choices import LOOPBACK, ThemeName
+from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.scene_presets import Panel, load_scene
 from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.panels.binding import bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
@@ -154,35 +155,23 @@ class Menus:
     def _units(self, menu: QMenu) -> None:
         """A choice of each kind of unit, with a line between kinds."""
         menu.setObjectName("menu_units")
-        state = self._window.state
-        actions: dict[tuple[str, str], QAction] = {}
         for kind, system in SYSTEMS.items():
-            group = QActionGroup(menu)
-            for symbol in system:
-                action = self._add(menu, symbol, partial(state.choose, **{kind: symbol}))
-                action.setCheckable(True)
-                group.addAction(action)
-                actions[kind, symbol] = action
+            self._one_of(menu, kind, {symbol: symbol for symbol in system})
             menu.addSeparator()
-
-        def check() -> None:
-            for (kind, symbol), action in actions.items():
-                action.setChecked(getattr(state.choices, kind) == symbol)
-
-        menu.aboutToShow.connect(check)
 
     def _theme(self, menu: QMenu) -> None:
         menu.setObjectName("menu_theme")
-        state, group = self._window.state, QActionGroup(menu)
-        names: dict[ThemeName, str] = {
-            "system": "As the &system", "dark": "&Dark", "light": "&Light"
-        }  # fmt: skip
-        actions = {}
-        for name, title in names.items():
-            action = actions[name] = self._add(menu, title, partial(state.choose, theme=name))
+        self._one_of(
+            menu, "theme", {"system": "As the &system", "dark": "&Dark", "light": "&Light"}
+        )
+
+    def _one_of(self, menu: QMenu, field: str, titles: dict[str, str]) -> None:
+        """An action for each value of a choice."""
+        group = QActionGroup(menu)
+        for value, title in titles.items():
+            action = group.addAction(menu.addAction(title))
             action.setCheckable(True)
-            group.addAction(action)
-        menu.aboutToShow.connect(lambda: actions[state.choices.theme].setChecked(True))
+            bind_option(action, self._window.state, field, value)
 
     def _add(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.model.choices import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import Unit
+from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
 TITLES = {
@@ -53,20 +53,16 @@ class LayersPanel(QWidget):
         super().__init__()
         self._state = state
         self.boxes = {name: self._box(name) for name in LAYERS}
-        self.cloud_colour = QComboBox()
-        for value, title in CLOUD_COLOURS.items():
-            self.cloud_colour.addItem(title, value)
-        self.cloud_points = QComboBox()
-        for most, title in CLOUD_POINTS.items():
-            self.cloud_points.addItem(title, most)
+        self.cloud_colour = options(QComboBox(), CLOUD_COLOURS)
+        self.cloud_points = options(QComboBox(), CLOUD_POINTS)
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setRange(10, 100)
         self.pressure_max, self.residual_max = _range_box(), _range_box()
         self._lay_out()
-        self._show_choices()
-        self._connect()
+        self._bind(state)
+        self._enable()
         keep_keys(self)
-        state.choices_changed.connect(self._show_choices)
+        state.choices_changed.connect(self._enable)
 
     def _box(self, name: str) -> QCheckBox:
         title, tip = TITLES[name]
@@ -99,55 +95,33 @@ class LayersPanel(QWidget):
         self.pressure_max.setToolTip("Upper end of the pressure colours; lowest value: automatic")
         self.residual_max.setToolTip("Ends of the residual colours; lowest value: automatic")
 
-    def _connect(self) -> None:
-        state = self._state
+    def _bind(self, state: SessionState) -> None:
         for name, box in self.boxes.items():
-            box.toggled.connect(lambda on, name=name: state.choose_layer(name, on))
-        self.cloud_colour.currentIndexChanged.connect(
-            lambda _: state.choose(cloud_colour=self.cloud_colour.currentData())
+            bind_member(box, state, "layers", name)
+        bind(self.cloud_colour, state, "cloud_colour")
+        bind(self.cloud_points, state, "cloud_points")
+        bind(self.opacity, state, "membrane_opacity", lambda v: round(100 * v), lambda v: v / 100)
+        most = HIGHEST_PA
+        bind_quantity(
+            self.pressure_max, state, "pressure_max_pa", lambda u: u.pressure, most, most * STEP
         )
-        self.cloud_points.currentIndexChanged.connect(
-            lambda _: state.choose(cloud_points=self.cloud_points.currentData())
-        )
-        self.opacity.valueChanged.connect(lambda v: state.choose(membrane_opacity=v / 100))
-        units = state.units
-        self.pressure_max.valueChanged.connect(
-            lambda v: state.choose(pressure_max_pa=units.pressure.to_si(v) if v > 0 else None)
-        )
-        self.residual_max.valueChanged.connect(
-            lambda v: state.choose(residual_max_m=units.length.to_si(v) if v > 0 else None)
+        most = LARGEST_M
+        bind_quantity(
+            self.residual_max, state, "residual_max_m", lambda u: u.length, most, most * STEP
         )
 
-    def _show_choices(self) -> None:
+    def _enable(self) -> None:
+        """Let only what belongs to a visible layer be changed."""
         choices = self._state.choices
-        for name, box in self.boxes.items():
-            box.setChecked(name in choices.layers)
-        self.cloud_colour.setCurrentIndex(self.cloud_colour.findData(choices.cloud_colour))
-        self.cloud_points.setCurrentIndex(self.cloud_points.findData(choices.cloud_points))
-        self.cloud_points.setEnabled("cloud" in choices.layers)
-        self.opacity.setValue(round(100 * choices.membrane_opacity))
-        self.cloud_colour.setEnabled("cloud" in choices.layers)
-        self.opacity.setEnabled("membrane" in choices.layers)
-        units = self._state.units
-        _show_range(self.pressure_max, choices.pressure_max_pa, units.pressure, HIGHEST_PA)
-        _show_range(self.residual_max, choices.residual_max_m, units.length, LARGEST_M)
-        self.pressure_max.setEnabled("membrane" in choices.layers)
-        by_residual = choices.cloud_colour == "residual"
-        self.residual_max.setEnabled("cloud" in choices.layers and by_residual)
+        membrane, cloud = "membrane" in choices.layers, "cloud" in choices.layers
+        self.opacity.setEnabled(membrane)
+        self.pressure_max.setEnabled(membrane)
+        self.cloud_colour.setEnabled(cloud)
+        self.cloud_points.setEnabled(cloud)
+        self.residual_max.setEnabled(cloud and choices.cloud_colour == "residual")
 
 
 def _range_box() -> QDoubleSpinBox:
     box = QDoubleSpinBox()
     box.setSpecialValueText("automatic")
-    box.setKeyboardTracking(False)
     return box
-
-
-def _show_range(box: QDoubleSpinBox, value_si: float | None, unit: Unit, most_si: float) -> None:
-    """Show the end of a range in a unit; automatic without one."""
-    with QSignalBlocker(box):
-        box.setDecimals(unit.digits)
-        box.setRange(0.0, unit.of(most_si))
-        box.setSingleStep(unit.of(most_si) * STEP)
-        box.setSuffix(f" {unit.symbol}")
-        box.setValue(unit.of(value_si) if value_si is not None else 0.0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import (
     QButtonGroup,
@@ -29,6 +30,7 @@ from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
@@ -42,6 +44,7 @@ from bubbleviz_ui.view3d.tools.viewpoints import Viewpoint
 VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
+SECTIONS = {None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"}
 TOOLS = {"turn": "Turn", "pick": "Pick", "distance": "Distance"}
 LARGEST_PIXELS = 8192
 MOST_EXAGGERATED = 10.0
@@ -75,9 +78,9 @@ class ViewTools(QWidget):
         self._make_buttons()
         self._make_settings()
         self._lay_out()
+        self._bind(state)
         self._connect(controller)
-        self._show_choices()
-        self._say()
+        self._on_choices()
         keep_keys(self)
         state.choices_changed.connect(self._on_choices)
 
@@ -98,17 +101,14 @@ class ViewTools(QWidget):
         self.said = [QLabel() for _ in range(3)]
 
     def _make_settings(self) -> None:
-        self.colour_map = QComboBox()
-        self.colour_map.addItems(COLOUR_MAPS)
+        self.colour_map = options(QComboBox(), {name: name for name in COLOUR_MAPS})
         self.colour_map.setToolTip("Colours of the contact pressure, perceptually uniform")
         self.exaggeration = QDoubleSpinBox()
         self.exaggeration.setRange(0.0, MOST_EXAGGERATED)
         self.exaggeration.setSingleStep(0.5)
         self.exaggeration.setSuffix(" ×")
         self.exaggeration.setToolTip("Displacement u drawn so many times as large")
-        self.section = QComboBox()
-        for axis, title in ((None, "whole"), ("x", "cut ⊥ x"), ("y", "cut ⊥ y"), ("z", "cut ⊥ z")):
-            self.section.addItem(title, axis)
+        self.section = options(QComboBox(), SECTIONS)
         self.section_at = QSlider(Qt.Orientation.Horizontal)
         self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
         self.flipped = QCheckBox("other side")
@@ -143,23 +143,26 @@ class ViewTools(QWidget):
         self.setMinimumWidth(WIDTH)
         self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
 
+    def _bind(self, state: SessionState) -> None:
+        bind(self.colour_map, state, "colour_map")
+        bind(self.exaggeration, state, "exaggeration")
+        bind(self.section, state, "section_axis")
+        bind(self.flipped, state, "section_flipped")
+        self._at = bind(
+            self.section_at,
+            state,
+            "section_at_m",
+            lambda at_m: round(SECTION_STEPS * at_m / self._reach_m),
+            lambda step: self._reach_m * step / SECTION_STEPS,
+        )
+        for side, box in enumerate((self.width_box, self.height_box)):
+            bind(box, state, "picture_size", itemgetter(side), lambda _: self._picture_size())
+
     def _connect(self, controller: Controller) -> None:
-        state = self._state
         for viewpoint, button in self.views.items():
             button.clicked.connect(lambda _, name=viewpoint: self._scene.look(name))
         for name, button in self.tools.items():
             button.clicked.connect(lambda _, name=name: self.use_tool(name))
-        self.colour_map.currentTextChanged.connect(lambda name: state.choose(colour_map=name))
-        self.exaggeration.valueChanged.connect(lambda v: state.choose(exaggeration=v))
-        self.section.currentIndexChanged.connect(
-            lambda _: state.choose(section_axis=self.section.currentData())
-        )
-        self.section_at.valueChanged.connect(
-            lambda step: state.choose(section_at_m=self._reach_m * step / SECTION_STEPS)
-        )
-        self.flipped.toggled.connect(lambda on: state.choose(section_flipped=on))
-        for box in (self.width_box, self.height_box):
-            box.valueChanged.connect(lambda _: state.choose(picture_size=self._picture_size()))
         self.turn.toggled.connect(self.turntable.set_turning)
         self.save.clicked.connect(self._choose_file)
         self._view.clicked.connect(self._on_clicked)
@@ -221,30 +224,14 @@ class ViewTools(QWidget):
         self._marks.set_camera(opened.camera.center)
         self._reach_m = float(abs(opened.mesh.nodes).max())
         self.distance.clear()
-        self._show_choices()
+        self._at.refresh()
 
     def _on_choices(self) -> None:
-        self._show_choices()
-        self._say()
-
-    def _show_choices(self) -> None:
         choices, length = self._state.choices, self._state.units.length
-        controls = (self.colour_map, self.exaggeration, self.section, self.section_at,
-                    self.flipped, self.width_box, self.height_box)  # fmt: skip
-        blockers = [QSignalBlocker(control) for control in controls]
-        self.colour_map.setCurrentText(choices.colour_map)
-        self.exaggeration.setValue(choices.exaggeration)
-        self.section.setCurrentIndex(self.section.findData(choices.section_axis))
-        self.section_at.setValue(round(SECTION_STEPS * choices.section_at_m / self._reach_m))
-        self.flipped.setChecked(choices.section_flipped)
-        for box, pixels in zip(
-            (self.width_box, self.height_box), choices.picture_size, strict=True
-        ):
-            box.setValue(pixels)
-        del blockers
         self.section_text.setText(f"at {length.text(choices.section_at_m)}")
         for control in (self.section_at, self.flipped):
             control.setEnabled(choices.section_axis is not None)
+        self._say()
 
     # -- pictures -----------------------------------------------------------------------------
 

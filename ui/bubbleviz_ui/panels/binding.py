@@ -1,0 +1,194 @@
+"""Widgets bound to choices: each shows its field of `Choices`, and what the user sets is chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from PySide6.QtCore import QObject
+from PySide6.QtGui import QAction
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSlider,
+    QComboBox,
+    QDoubleSpinBox,
+    QMenu,
+    QSpinBox,
+    QToolButton,
+)
+
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
+
+Control = QAbstractButton | QAction | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+class Binding(QObject):
+    """A control and its field of the choices, see `bind`; it lives as long as the control."""
+
+    def __init__(
+        self,
+        control: Control,
+        state: SessionState,
+        field: str,
+        shown: Callable[[Any], Any],
+        chosen: Callable[[Any], Any],
+    ) -> None:
+        super().__init__(control)
+        self._control, self._state, self._field = control, state, field
+        self._shown, self._chosen = shown, chosen
+        self._showing = False
+        self.refresh()
+        _changed(control).connect(self._on_set)
+        state.choices_changed.connect(self._on_choices)
+
+    def refresh(self) -> None:
+        """Show the present choice: the control means something else by it now."""
+        self.show(getattr(self._state.choices, self._field))
+
+    def show(self, value: Any) -> None:
+        """Show a value, which is not chosen by that."""
+        self._showing = True
+        _put(self._control, self._shown(value))
+        self._showing = False
+
+    def _on_set(self) -> None:
+        if not self._showing:
+            self._state.choose(**{self._field: self._chosen(_get(self._control))})
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if self._field in names or names & SYSTEMS.keys():
+            self.refresh()
+
+
+def bind(
+    control: Control,
+    state: SessionState,
+    field: str,
+    shown: Callable[[Any], Any] = _same,
+    chosen: Callable[[Any], Any] = _same,
+) -> Binding:
+    """Keep a control and a field of the choices the same.
+
+    Parameters
+    ----------
+    control : button, action, slider, spin box or combo box
+        The items of a combo box have the values as their data.
+    state : SessionState
+    field : str
+        Of `Choices`.
+    shown : callable
+        What the control shows of a value; None leaves a button or a number as it is.
+    chosen : callable
+        Value to choose for what the user has set.
+    """
+    return Binding(control, state, field, shown, chosen)
+
+
+def bind_member(control: Control, state: SessionState, field: str, name: str) -> None:
+    """Have a button or action say whether a name is in a field that is a set."""
+
+    def chosen(on: bool) -> frozenset[str]:
+        names: frozenset[str] = getattr(state.choices, field)
+        return names | {name} if on else names - {name}
+
+    bind(control, state, field, lambda names: name in names, chosen)
+
+
+def bind_option(control: Control, state: SessionState, field: str, option: str) -> None:
+    """Have one of several exclusive buttons or actions stand for one value of a field."""
+
+    def chosen(on: bool) -> str:
+        return option if on else getattr(state.choices, field)
+
+    bind(control, state, field, lambda value: value == option, chosen)
+
+
+def bind_quantity(
+    box: QDoubleSpinBox,
+    state: SessionState,
+    field: str,
+    unit: Callable[[Units], Unit],
+    most_si: float,
+    step_si: float,
+    zero: float | None = None,
+) -> None:
+    """Bind a box to a field in SI, shown in the operator's unit.
+
+    Parameters
+    ----------
+    box : QDoubleSpinBox
+    state : SessionState
+    field : str
+        Of `Choices`.
+    unit : callable
+        Its unit among the operator's.
+    most_si, step_si : float
+        Largest value and a step; the smallest is 0.
+    zero : float or None
+        What is chosen at 0.
+    """
+
+    def shown(value: float | None) -> float:
+        now = unit(state.units)
+        box.setDecimals(now.digits)
+        box.setRange(0.0, now.of(most_si))
+        box.setSingleStep(now.of(step_si))
+        box.setSuffix(f" {now.symbol}")
+        return now.of(value or 0.0)
+
+    def chosen(number: float) -> float | None:
+        return unit(state.units).to_si(number) if number > 0 else zero
+
+    box.setKeyboardTracking(False)
+    bind(box, state, field, shown, chosen)
+
+
+def menu_button(
+    text: str, tip: str, state: SessionState, field: str, titles: Mapping[str, str]
+) -> tuple[QToolButton, dict[str, QAction]]:
+    """Button with a menu whose actions say which names are in a field that is a set."""
+    button, actions = QToolButton(), dict[str, QAction]()
+    button.setText(text)
+    button.setToolTip(tip)
+    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+    menu = QMenu(button)
+    for name, title in titles.items():
+        actions[name] = action = menu.addAction(title)
+        action.setCheckable(True)
+        bind_member(action, state, field, name)
+    button.setMenu(menu)
+    return button, actions
+
+
+def options(box: QComboBox, titles: Mapping[Any, str]) -> QComboBox:
+    """Fill a combo box with values by their titles."""
+    for value, title in titles.items():
+        box.addItem(title, value)
+    return box
+
+
+def _changed(control: Control) -> Any:
+    if isinstance(control, QComboBox):
+        return control.currentIndexChanged
+    return control.toggled if isinstance(control, _SWITCHES) else control.valueChanged
+
+
+def _get(control: Control) -> Any:
+    if isinstance(control, QComboBox):
+        return control.currentData()
+    return control.isChecked() if isinstance(control, _SWITCHES) else control.value()
+
+
+def _put(control: Control, value: Any) -> None:
+    if isinstance(control, QComboBox):
+        control.setCurrentIndex(control.findData(value))
+    elif value is not None and value != _get(control):  # else what is being typed stays
+        control.setChecked(value) if isinstance(control, _SWITCHES) else control.setValue(value)
+
+
+_SWITCHES = (QAbstractButton, QAction)
