@@ -281,7 +281,7 @@ def test_closing_a_source_for_another(drive: Drive, sensor: Sensor) -> None:
     first = DentSource(sensor)
     driver = drive(lambda _: first)
     driver.window.controller.opening.open("two", DentSource, lambda: sensor, frame=5, playing=False)
-    driver.wait(lambda: driver.window.controller.solved_session == 2)
+    driver.wait(lambda: driver.window.controller.client.session == 2)
     driver.settle()
     assert first.closed
 

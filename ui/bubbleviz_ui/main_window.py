@@ -390,6 +390,8 @@ class MainWindow(QMainWindow):
         now = time.perf_counter()
         controller, view = self.controller, self.view
         self.status.show_rates(
-            Rates(controller.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped)
+            Rates(
+                controller.client.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped
+            )
         )
         self.status.show_latency(self.picture_age.report())

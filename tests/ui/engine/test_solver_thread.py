@@ -22,14 +22,17 @@ from bubbleviz_ui.engine.requests import (
 )
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.model.demand import Demand
+
+CLOUD = Demand(frozenset({"cloud"}))
 
 
-def frame(number: int, index: int = 0, session: int = 1) -> FrameRequest:
-    return FrameRequest(session, number, index, frozenset({"cloud"}), None)
+def frame(index: int = 0, session: int = 1) -> FrameRequest:
+    return FrameRequest(session, CLOUD, index)
 
 
 def opening(sensor: Sensor, session: int = 1, at: int = 0) -> OpenRequest:
-    return OpenRequest(session, "dent", DentSource, lambda: sensor, at, frozenset({"cloud"}), None)
+    return OpenRequest(session, "dent", DentSource, lambda: sensor, at, CLOUD)
 
 
 def test_one_slot_a_kind(sensor: Sensor) -> None:
@@ -49,7 +52,7 @@ def test_server_opens_and_solves(sensor: Sensor) -> None:
     assert server.serve(frame(1)) is None
     opened = server.serve(opening(sensor, at=99))
     assert isinstance(opened, Opened) and opened.frame == opened.facts.frames - 1
-    solved = server.serve(frame(1, index=3))
+    solved = server.serve(frame(3))
     assert isinstance(solved, Solved) and solved.result.frame.index == 3
     assert solved.result.estimate is None
     server.close()
@@ -66,7 +69,7 @@ def test_requests_of_a_session_that_is_gone_are_not_served(sensor: Sensor) -> No
 def test_a_failed_opening_keeps_the_open_source(sensor: Sensor) -> None:
     server = Server()
     server.serve(opening(sensor))
-    request = OpenRequest(2, "x", _no_source, lambda: sensor, 0, frozenset(), None)
+    request = OpenRequest(2, "x", _no_source, lambda: sensor, 0, CLOUD)
     failed = server.serve(request)
     assert isinstance(failed, Failed) and "ValueError: no" in failed.message
     assert isinstance(server.serve(frame(1)), Solved)
@@ -110,7 +113,7 @@ def test_frames_asked_for_meanwhile_are_dropped(qtbot: QtBot, held: tuple[Worker
         worker.ask(frame(number))
     server.go.set()
     qtbot.waitUntil(lambda: len(answers) == 2, timeout=240_000)
-    assert [r.id for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
+    assert [r.index for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
     assert worker.dropped == 3
 
 

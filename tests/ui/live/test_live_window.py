@@ -52,7 +52,7 @@ def test_frames_are_followed_and_nothing_of_two_sensors_is_there(open_bench: Ope
     live = connected(open_bench)
     live.wait(lambda: live.window.live.state.text().endswith("Hz"))
     assert "live" in live.window.live.state.text() and "messages" in live.window.live.counts.text()
-    assert not live.window.live.sensors and live.window.pair.second_sensor is None
+    assert not live.window.live.sensors and live.window.pair.second is None
     assert live.window.pair.drawing is None
     import threading
 
@@ -168,7 +168,7 @@ def test_results_go_out_only_when_asked_for(open_bench: Open) -> None:
         source.stop()
     live.window.live.publish.click()
     live.wait(lambda: not _listens(port))
-    live.wait(lambda: not live.window.controller.extra)
+    live.wait(lambda: not live.window.controller.client.extra)
 
 
 def _listens(port: int) -> bool:

@@ -18,14 +18,13 @@ def paired(open_bench: Open) -> Bench:
     """A window on two sensors, both of which have shown something."""
     bench = open_bench()
     bench.connect(two(bench.folder))
-    bench.wait(lambda: bench.window.pair.second_sensor.open is not None)
+    bench.wait(lambda: bench.window.pair.second.opened is not None)
     return bench
 
 
 def other(bench: Bench) -> int:
     """Number of the frame that the other sensor shows."""
-    opened = bench.window.pair.second_sensor.open
-    return opened.result.frame.index
+    return bench.window.pair.second.result.frame.index
 
 
 def world_camera(bench: Bench) -> np.ndarray:
@@ -143,7 +142,7 @@ def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: O
     bench.connect(alone.model_copy(update={"sensors": alone.sensors[:1]}))
     bench.wait(lambda: bench.state.facts.title.startswith("synthetic:"))
     bench.follow(3)
-    assert bench.window.pair.second_sensor is None and not bench.window.live.sensors
+    assert bench.window.pair.second is None and not bench.window.live.sensors
     assert not drawing(bench).GetVisibility()
     assert sum(t.name == "solver" for t in threading.enumerate()) == 1
     bench.window.scene.reset_view()  # with nothing beside it in view

@@ -181,9 +181,9 @@ def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> N
     )
     assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml"]
     driver.state.choose_markers((1,))
-    gone = window.controller.solved_session
+    gone = window.controller.client.session
     window.shortcuts.actions["File › Reload"].trigger()
-    driver.wait(lambda: window.controller.solved_session > gone)
+    driver.wait(lambda: window.controller.client.session > gone)
     driver.settle()
     assert driver.state.frame == 5 and driver.state.markers == (1,)
     copy.unlink()
@@ -301,9 +301,9 @@ def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
     with window_session(sensor, files / "press.mcap", 3) as session:
         controller = session.controller
         for frame in (1, 2, 3, 4):
-            before = controller.solved_session
+            before = controller.client.session
             controller.opening.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
-            session.wait_for(lambda before=before: controller.solved_session > before, "opening")
+            session.wait_for(lambda before=before: controller.client.session > before, "opening")
         gc.collect()
         kept = sum(isinstance(thing, Opened) for thing in gc.get_objects())
         assert kept <= 1

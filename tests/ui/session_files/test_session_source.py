@@ -173,8 +173,8 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
             assert "press.mcap" in message.label.text()
             assert not session.state.facts.grows and session.controller.result is not None
             session.state.choose(solver="fast")  # opens the same press again
-            gone = session.controller.solved_session
-            session.wait_for(lambda gone=gone: session.controller.solved_session > gone, "again")
+            gone = session.controller.client.session
+            session.wait_for(lambda gone=gone: session.controller.client.session > gone, "again")
             session.state.choose(solver=None)
     (tmp_path / "away.mcap").rename(rec)
     with start(config) as session:

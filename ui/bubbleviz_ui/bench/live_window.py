@@ -34,9 +34,9 @@ def run_of(session: WindowSession) -> LiveRun:
     live, pair = session.window.live_controller, session.window.pair
 
     def shown() -> bool:
-        run, second = live.run, pair.second_sensor
+        run, second = live.run, pair.second
         alone = run is not None and len(run.frames) == 1
-        return alone or (second is not None and second.open is not None)
+        return alone or (second is not None and second.opened is not None)
 
     session.wait_for(shown, "connecting")
     if live.run is None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
+from bubbleviz.pipeline import FrameOptions, Product
 from bubbleviz_ui.engine.requests import Analysed, AnalyseRequest
-from bubbleviz_ui.model.choices import rule_of
+from bubbleviz_ui.model.demand import Demand, plotted
 from bubbleviz_ui.model.session_state import SessionState
-
-if TYPE_CHECKING:
-    from bubbleviz.pipeline import Product
 
 
 class Analysis(QObject):
@@ -46,10 +43,12 @@ class Analysis(QObject):
         """It goes on."""
         return bool(self._frames)
 
-    def start(self, needed: frozenset[Product]) -> None:
-        """Compute what is not known yet of all frames."""
-        self._frames = tuple(int(k) for k in self._state.history.missing(needed))
-        self._count, self._products = len(self._frames), needed
+    def start(self) -> None:
+        """Compute what the chosen plots need and is not known yet, of all frames."""
+        self._products = plotted(self._state.choices)
+        missing = self._state.history.missing(self._products)
+        self._frames = tuple(int(k) for k in missing)
+        self._count = len(self._frames)
         self._ask_rest()
 
     def stop(self) -> None:
@@ -65,7 +64,7 @@ class Analysis(QObject):
     def take(self, answer: Analysed) -> None:
         """Remember numbers, and ask for more; anew where κ is another by now."""
         frames, count = answer.request.frames, len(answer.numbers)
-        same = rule_of(answer.request) == rule_of(self._state.choices)
+        same = answer.request.demand.rule == self._state.choices.rule
         self._state.remember(frames[:count], answer.numbers, same_patch=same)
         if frames is self._frames:
             self._frames = frames[count:] if same else frames
@@ -74,5 +73,6 @@ class Analysis(QObject):
     def _ask_rest(self) -> None:
         self.progressed.emit(self._count - len(self._frames), self._count)
         if self._frames:
-            rule = rule_of(self._state.choices)
-            self._ask(AnalyseRequest(self._session, self._frames, self._products, *rule))
+            options = FrameOptions(*self._state.choices.rule)
+            demand = Demand(self._products, options=options)
+            self._ask(AnalyseRequest(self._session, demand, self._frames))

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.diagnostics.inspector import Inspection, Look
+from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.analysis import Analysis
 from bubbleviz_ui.engine.opening import Opening
-from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.engine.requests import (
     Analysed,
     AnalyseRequest,
@@ -28,31 +24,25 @@ from bubbleviz_ui.engine.requests import (
     Failed,
     Followed,
     FollowRequest,
-    FrameRequest,
     NewestRequest,
     Opened,
-    PatchRequest,
     Request,
     Solved,
     Thresholded,
     Waited,
 )
-from bubbleviz_ui.engine.sensor_state import SensorState
+from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver_thread import Worker
-from bubbleviz_ui.model.choices import PATCH_CHOICES, Rule, rule_of
-from bubbleviz_ui.model.demand import looks, products
-from bubbleviz_ui.model.frame_history import History
-from bubbleviz_ui.model.rate_meter import RateMeter
+from bubbleviz_ui.model.choices import PATCH_CHOICES
+from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.playback.player import Player
 
 POSE: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
-LOOK_EVERY_S = 0.15
-"""How often closer looks are taken while playing."""
 
 
 class Controller(QObject):
-    """Asks the solver thread for what the visible things need of the frame at the cursor.
+    """Asks for what the visible things need of the frame at the cursor.
 
     Attributes
     ----------
@@ -66,18 +56,14 @@ class Controller(QObject):
         A `Followed`: another object is looked for, or none.
     compared : Signal
         A `Compared`: two settings on one frame.
+    client : SensorClient
+        The sensor that the panels show.
     opening : Opening
         Opens other things.
     analysis : Analysis
         Of all frames.
     player : Player
         Of recordings.
-    solves : RateMeter
-        Frames that came back from the solver.
-    inspection : Inspection
-        Closer look at the frame that is shown.
-    extra : frozenset of Product
-        Asked of every live frame besides what is visible.
     """
 
     opened = Signal(object)
@@ -89,26 +75,30 @@ class Controller(QObject):
     def __init__(self, state: SessionState, worker: Worker) -> None:
         super().__init__()
         self.state = state
-        self.worker = worker
+        self.client = SensorClient(state, worker)
         self.opening = Opening(state, self._ask)
         self.analysis = Analysis(state, self._ask)
         self.player = Player(state)
-        self.result: Result | None = None
-        self.inspection = Inspection()
-        self.solves = RateMeter()
-        self.extra: frozenset[Product] = frozenset()
-        self._session = self._requests = 0
-        self._asked: frozenset[Product] = frozenset()
-        self._looked: frozenset[Look] = frozenset()
-        self._looked_s = 0.0
-        self._numbers = Numbers()
-        self._awaiting = False
-        self._request_delay = RequestDelay()
-        worker.answered.connect(self._on_answer)
+        self.client.answered.connect(self._on_answer)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
         state.frozen_changed.connect(self._ask_newest)
         state.choices_changed.connect(self._on_choices)
+
+    @property
+    def worker(self) -> Worker:
+        """Solver thread of the sensor that the panels show."""
+        return self.client.worker
+
+    @property
+    def result(self) -> Result | None:
+        """What is shown; None before the first source."""
+        return self.client.result
+
+    @property
+    def inspection(self) -> Inspection:
+        """Closer look at the frame that is shown."""
+        return self.client.inspection
 
     @property
     def dropped(self) -> int:
@@ -120,15 +110,10 @@ class Controller(QObject):
         """The sensor in use; None before the first."""
         return self.opening.sensor
 
-    @property
-    def solved_session(self) -> int:
-        """Generation of the session that is open; 0 before the first."""
-        return self._session
-
     def close(self) -> None:
         """Stop playback and the solver thread."""
         self.player.close()
-        self.worker.close()
+        self.client.close()
 
     def follow(
         self,
@@ -141,15 +126,26 @@ class Controller(QObject):
         """Look for another object, or for none; `fit` it to the frame at the cursor at once."""
         if self.state.facts is None:
             return
-        needed = products(self.state.choices) | POSE
-        request = self._frame_request(needed) if fit else None
-        kappa = self.state.choices.kappa
-        self.worker.ask(FollowRequest(self._session, object_name, unit, start, kappa, request))
+        client, demand = self.client, Demand.of(self.state.choices)
+        demand = replace(demand, products=demand.products | POSE)
+        frame = client.frame_request(self.state.frame, demand) if fit else None
+        self._ask(FollowRequest(client.session, demand, object_name, unit, start, frame))
 
     def compare(self, settings: tuple[EstimatorOptions, ...]) -> None:
         """Measure two settings, or none, on the frame at the cursor when there is time."""
-        kappa, _ = rule_of(self.state.choices)
-        self.worker.ask(CompareRequest(self._session, self.state.frame, settings, kappa))
+        demand = Demand.of(self.state.choices)
+        self._ask(CompareRequest(self.client.session, demand, self.state.frame, settings))
+
+    def turn_to(self, client: SensorClient) -> SensorClient:
+        """Have the panels show the other sensor of a session; gives back the one they showed."""
+        before, self.client = self.client, client
+        playing, frozen = self.state.playing, self.state.frozen
+        before.answered.disconnect(self._on_answer)
+        client.answered.connect(self._on_answer)
+        self._present(playing=playing)
+        self.state.freeze(frozen)
+        self._ask_frame()
+        return before
 
     # -- the model changed --------------------------------------------------------------------
 
@@ -158,237 +154,102 @@ class Controller(QObject):
             self._ask_frame()
 
     def _on_playing(self, playing: bool) -> None:
-        if not playing and self._looked and self.result is not None:
+        if not playing and self.client.demand.looks:  # some were left out
             self._ask_frame()
         self._ask_newest()
 
     def _on_choices(self, names: frozenset[str]) -> None:
-        sensor = self.sensor
+        choices, sensor = self.state.choices, self.sensor
         if "solver" in names and sensor is not None:
-            self.opening.reopen(self.state.choices.solver or "default solver", lambda: sensor)
-        elif "cloud_points" in names or self._lacks_something:
+            self.opening.reopen(choices.solver or "default solver", lambda: sensor)
+        elif "cloud_points" in names or not self.client.demand.covers(Demand.of(choices)):
             self._ask_frame()
         elif names & PATCH_CHOICES:
-            self._ask_patch()
+            self.client.ask_patch()
 
-    @property
-    def _lacks_something(self) -> bool:
-        """Something is visible that was not asked for."""
-        choices = self.state.choices
-        return not (products(choices) <= self._asked and looks(choices) <= self._looked)
-
-    def swap_sensor(self, other: SensorState, placed: Callable[[], None]) -> SensorState:
-        """Turn to the other sensor of a session; gives back the one the panels showed.
-
-        Parameters
-        ----------
-        other : SensorState
-        placed : callable
-            Called before anything is drawn.
-        """
-        opened = self.opening.present
-        if opened is None or self.result is None or self.state.facts is None:
-            raise RuntimeError("nothing is open yet")
-        playing, frozen = self.state.playing, self.state.frozen
-        shown = replace(
-            opened,
-            facts=self.state.facts,
-            frame=self.result.frame.index,
-            result=self.result,
-            numbers=self._numbers,
-            inspection=self.inspection,
-        )
-        mine = SensorState(self.worker, shown, self.state.history, self._awaiting)
-        self.worker.answered.disconnect(self._on_answer)
-        self.worker = other.worker
-        self.worker.answered.connect(self._on_answer)
-        placed()
-        self._change(other.opened, other.history, awaiting=other.awaiting)
-        self._show(other.opened.result)
-        self.state.set_playing(playing)
-        self.state.freeze(frozen)
-        self._ask_frame()
-        return mine
-
-    # -- live sources -----------------------------------------------------------------------
+    # -- requests -----------------------------------------------------------------------------
 
     @property
     def _grows(self) -> bool:
         return self.state.facts is not None and self.state.facts.grows
 
-    def _ask_newest(self) -> None:
-        """Ask for the newest frame of a live source, unless that is asked for or unwanted now."""
-        state = self.state
-        if self._awaiting or not self._grows or not state.playing or state.frozen:
-            return
-        self._awaiting = True
-        choices, now = state.choices, time.perf_counter()
-        self._asked, self._looked = products(choices), looks(choices)
-        self.worker.ask(
-            NewestRequest(
-                self._session,
-                self._asked | self.extra,
-                choices.kappa,
-                choices.cloud_points,
-                now,
-                self._looks_due(),
-                choices.least_area_m2,
-                now + self._request_delay.hold_s,
-            )
-        )
-
-    def _on_newest(self, answer: Solved) -> None:
-        """Ask for the next before this one is drawn, so that the solver has work meanwhile."""
-        frame, state = answer.result.frame, self.state
-        self._awaiting, now = False, time.perf_counter()
-        self.solves.tick(now)
-        self._request_delay.waited(now - answer.done_s)
-        state.grow(frame.time_s)
-        self._ask_newest()
-        waited_s = (time.time_ns() - frame.arrival_ns) * 1e-9
-        numbers = replace(answer.numbers, latency_ms=1e3 * waited_s)
-        self._remember(frame.index, numbers, rule_of(answer.request))
-        if state.frame == frame.index:
-            self.inspection, self._numbers = self._newest_look(answer), answer.numbers
-            self._show(answer.result)
-
-    # -- requests and answers ---------------------------------------------------------------
-
     def _ask(self, request: Request) -> None:
         """Ask the solver thread that is in use now."""
-        self.worker.ask(request)
+        self.client.worker.ask(request)
 
     def _ask_frame(self) -> None:
-        if self.state.facts is None:
-            return
-        self._asked, self._looked = products(self.state.choices), looks(self.state.choices)
-        self.worker.ask(self._frame_request(self._asked))
+        """Ask for the frame at the cursor, unless another source is just being taken."""
+        if self.state.facts is not None and self.state.facts is self.client.facts:
+            self.client.ask_frame(self.state.frame, Demand.of(self.state.choices))
 
-    def _frame_request(self, needed: frozenset[Product]) -> FrameRequest:
-        """Request for products of the frame at the cursor."""
-        self._requests += 1
-        return FrameRequest(
-            self._session,
-            self._requests,
-            self.state.frame,
-            needed,
-            self.state.choices.kappa,
-            self.state.choices.cloud_points,
-            time.perf_counter(),
-            self._looks_due(),
-            self.state.choices.least_area_m2,
-        )
+    def _ask_newest(self) -> None:
+        """Ask for the newest frame of a live source, unless nobody wants it now."""
+        state = self.state
+        if self._grows and state.playing and not state.frozen:
+            self.client.ask_newest(Demand.of(state.choices))
 
-    def _looks_due(self) -> frozenset[Look]:
-        """Closer looks to ask for now: while playing not at every frame, nobody sees so many."""
-        now = time.perf_counter()
-        if self.state.playing and now - self._looked_s < LOOK_EVERY_S:
-            return frozenset()
-        self._looked_s = now
-        return looks(self.state.choices)
-
-    def _newest_look(self, answer: Solved) -> Inspection:
-        """Closer look of an answer, or the last one where it was left out."""
-        left_out = bool(self._looked) and not answer.request.looks
-        return self.inspection if left_out else answer.inspection
-
-    def _ask_patch(self) -> None:
-        result = self.result
-        if result is None or result.estimate is None or "patch" not in self._asked:
-            return
-        self._requests += 1
-        self.worker.ask(
-            PatchRequest(
-                self._session,
-                self._requests,
-                result,
-                self.state.choices.kappa,
-                pixel_mask="pixel_mask" in self._asked,
-                looks=self._looked & {"components"},
-                least_area_m2=self.state.choices.least_area_m2,
-            )
-        )
+    # -- answers ------------------------------------------------------------------------------
 
     def _on_answer(self, answer: Answer) -> None:
         self.opening.look_at(answer)
         if isinstance(answer, Failed):
-            self._awaiting &= not isinstance(answer.request, NewestRequest)
             if isinstance(answer.request, AnalyseRequest):
                 self.analysis.stop()
             self.failed.emit(answer)
         elif isinstance(answer, Opened):
             self._on_opened(answer)
-        elif answer.request.session != self._session:
-            return
+        elif isinstance(answer, Waited):
+            self._ask_newest()
         elif isinstance(answer, Followed):
             self.followed.emit(answer)
             if answer.solved is not None:
                 self._on_solved(answer.solved)
-        elif isinstance(answer, Waited):
-            self._awaiting = False
-            self._ask_newest()
         elif isinstance(answer, Solved):
-            newest = isinstance(answer.request, NewestRequest)
-            self._on_newest(answer) if newest else self._on_solved(answer)
+            self._on_solved(answer)
+        elif isinstance(answer, Thresholded):
+            self._show(answer.result)
         elif isinstance(answer, Analysed):
             self.analysis.take(answer)
         elif isinstance(answer, Compared):
             self.compared.emit(answer)
-        elif (
-            isinstance(answer, Thresholded)
-            and self.result is not None
-            and self.result.estimate is answer.request.result.estimate
-        ):
-            self._remember(answer.result.frame.index, answer.numbers, rule_of(answer.request))
-            if "components" in answer.request.looks:
-                parts = answer.inspection.components
-                self.inspection = replace(self.inspection, components=parts)
-            self._show(replace(self.result, patch=answer.result.patch))
 
     def _on_solved(self, answer: Solved) -> None:
-        now = time.perf_counter()
-        self.solves.tick(now)
-        frame, request, numbers = answer.result.frame, answer.request, answer.numbers
-        self.player.came(frame.index)
-        if frame.arrival_ns:
-            numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
-        elif request.asked_s is not None:
-            numbers = replace(numbers, latency_ms=1e3 * (now - request.asked_s))
-        self._remember(frame.index, numbers, rule_of(request))
-        self.inspection, self._numbers = self._newest_look(answer), answer.numbers
+        """Ask for what comes next before this is drawn, so that the solver has work meanwhile."""
+        if isinstance(answer.request, NewestRequest) and self.client.facts is not None:
+            self.state.grow(self.client.facts)
+            self._ask_newest()
+        else:
+            self.player.came(answer.result.frame.index)
         self._show(answer.result)
-        if rule_of(request) != rule_of(self.state.choices):
-            self._ask_patch()
-
-    def _remember(self, frame: int, numbers: Numbers, rule: Rule) -> None:
-        self.state.remember([frame], [numbers], same_patch=rule == rule_of(self.state.choices))
+        if answer.request.demand.rule != self.state.choices.rule:
+            self.client.ask_patch()
 
     def _on_opened(self, answer: Opened) -> None:
-        """Show what was opened."""
-        self._change(answer, None, awaiting=False)
-        self._remember(answer.frame, answer.numbers, (answer.request.kappa, 0.0))
-        self._show(answer.result)
-        if self._lacks_something:
+        self._present(playing=answer.request.playing)
+        choices, asked = self.state.choices, answer.request.demand
+        if not asked.covers(Demand.of(choices)):
             self._ask_frame()
-        elif self.state.choices.least_area_m2 > 0.0:
-            self._ask_patch()
+        elif asked.rule != choices.rule:
+            self.client.ask_patch()
 
-    def _change(self, answer: Opened, history: History | None, *, awaiting: bool) -> None:
-        """Turn to another source, of which a history may be known."""
-        self._numbers = answer.numbers
-        self._session, self._awaiting = answer.request.session, awaiting
-        self.result = None  # the old source's: nothing may show it on the new sensor
-        self._asked, self._looked = answer.request.products, answer.request.looks
-        self.opening.turn_to(answer)
-        self.analysis.turn_to(self._session)
-        self.player.turn_to(answer.frame)
-        self.worker.dropped = 0
-        self.opened.emit(answer)
+    def _present(self, *, playing: bool) -> None:
+        """Show what is open now: another source, or the other sensor."""
+        client = self.client
+        opened, facts, result = client.opened, client.facts, client.result
+        if opened is None or facts is None or result is None:
+            raise RuntimeError("nothing is open yet")
+        self.opening.turn_to(opened)
+        self.analysis.turn_to(client.session)
+        self.player.turn_to(result.frame.index)
+        client.worker.dropped = 0
+        self.opened.emit(opened)
         self.state.set_playing(False)
-        self.state.open(answer.facts, answer.frame, playing=False, history=history)
-        self.state.set_playing(answer.request.playing)
-        self.inspection = answer.inspection
+        self.state.open(facts, result.frame.index, playing=playing, history=client.history)
+        self._show(result)
 
     def _show(self, result: Result) -> None:
-        self.result = result
-        self.shown.emit(result)
+        """Draw a result that came, if the client shows it."""
+        self.state.history_changed.emit()
+        shown = self.client.result
+        if shown is not None and shown.frame is result.frame:
+            self.shown.emit(shown)

@@ -12,7 +12,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for
-from bubbleviz_ui.model.demand import looks, products
+from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 
 if TYPE_CHECKING:
@@ -81,11 +81,8 @@ class Opening(QObject):
             open_source=open_source,
             open_sensor=open_sensor,
             frame=frame,
-            products=products(choices),
-            kappa=choices.kappa,
-            cloud_points=choices.cloud_points,
+            demand=Demand.of(choices),
             solver=choices.solver,
-            looks=looks(choices),
             playing=playing,
             live=live,
         )

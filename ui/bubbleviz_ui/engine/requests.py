@@ -11,15 +11,15 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.diagnostics.inspector import Inspection, Look
+from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
 
 
@@ -37,9 +37,9 @@ class OpenRequest:
         Make the source and the sensor; called in the solver thread.
     frame : int
         Frame to show first; proof that the source can be used with the sensor.
-    products, looks : frozenset
-        Products of that frame, and closer looks at it.
-    kappa, cloud_points, solver
+    demand : Demand
+        Of that frame.
+    solver : str or None
         As in `Choices`.
     playing, live : bool
         Play once it is open; it is a live source.
@@ -52,11 +52,8 @@ class OpenRequest:
     open_source: Callable[[Sensor], FrameSource]
     open_sensor: Callable[[], Sensor]
     frame: int
-    products: frozenset[Product]
-    kappa: float | None
-    cloud_points: int | None = None
+    demand: Demand
     solver: str | None = None
-    looks: frozenset[Look] = frozenset()
     playing: bool = False
     live: bool = False
     cancelled: Event = field(default_factory=Event, compare=False)
@@ -64,20 +61,15 @@ class OpenRequest:
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """Make products of one frame; `id` counts up, so newer answers are told from older ones.
+    """Make products of one frame.
 
     `asked_s` is when it was asked for, by `time.perf_counter`; None where nobody waits.
     """
 
     session: int
-    id: int
+    demand: Demand
     index: int
-    products: frozenset[Product]
-    kappa: float | None
-    cloud_points: int | None = None
     asked_s: float | None = None
-    looks: frozenset[Look] = frozenset()
-    least_area_m2: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -93,16 +85,15 @@ class FollowRequest:
         Of the file; None: by its name.
     start : (4, 4) array or None
         T_B_O to begin at; None to search.
-    kappa : float or None
     fit : FrameRequest or None
         Frame to fit at once.
     """
 
     session: int
+    demand: Demand
     object_name: str | None
     unit: Literal["m", "mm"] | None
     start: np.ndarray | None
-    kappa: float | None
     fit: FrameRequest | None = None
 
 
@@ -114,12 +105,7 @@ class NewestRequest:
     """
 
     session: int
-    products: frozenset[Product]
-    kappa: float | None
-    cloud_points: int | None = None
-    asked_s: float | None = None
-    looks: frozenset[Look] = frozenset()
-    least_area_m2: float = 0.0
+    demand: Demand
     from_s: float = 0.0
 
 
@@ -128,10 +114,8 @@ class AnalyseRequest:
     """Compute the numbers of frames nobody looks at; a part of them at a time."""
 
     session: int
+    demand: Demand
     frames: tuple[int, ...]
-    products: frozenset[Product]
-    kappa: float | None
-    least_area_m2: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -139,9 +123,9 @@ class CompareRequest:
     """Measure two settings on one frame; none: let go of what was built for that."""
 
     session: int
+    demand: Demand
     index: int
     settings: tuple[EstimatorOptions, ...]
-    kappa: float | None
 
 
 @dataclass(frozen=True)
@@ -149,12 +133,8 @@ class PatchRequest:
     """Threshold the estimate of a result anew at another κ, without solving."""
 
     session: int
-    id: int
+    demand: Demand
     result: Result
-    kappa: float | None
-    pixel_mask: bool
-    looks: frozenset[Look] = frozenset()
-    least_area_m2: float = 0.0
 
 
 Request = (

@@ -14,7 +14,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation.synthetic_source import truth_of
@@ -38,6 +38,7 @@ from bubbleviz_ui.engine.requests import (
     Waited,
 )
 from bubbleviz_ui.live.live_frames import LiveFrames
+from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
 
 WAIT_S = 0.05
@@ -116,11 +117,10 @@ class Server:
     def _solved(
         self, session: Session, request: FrameRequest | NewestRequest, frame: Frame
     ) -> Solved:
-        options = FrameOptions(request.kappa, request.least_area_m2, request.cloud_points)
-        result = _process(session.source, session.pipeline, frame, request.products, options)
+        result = _process(session.source, session.pipeline, frame, request.demand)
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
-        inspection = _look(session, result, request.looks, request.kappa)
+        inspection = _look(session, result, request.demand)
         numbers, done_s = numbers_of(result, session.pipeline.model.gas), time.perf_counter()
         return Solved(request, result, numbers, inspection, done_s)
 
@@ -136,21 +136,22 @@ class Server:
         estimate = request.result.estimate
         if estimate is None:
             raise ValueError("no estimate to threshold")
-        options = FrameOptions(request.kappa, request.least_area_m2)
-        patch = session.pipeline.patch(estimate, options, pixel_mask=request.pixel_mask)
+        demand = request.demand
+        masked = "pixel_mask" in demand.products
+        patch = session.pipeline.patch(estimate, demand.options, pixel_mask=masked)
         result = replace(request.result, patch=patch)
-        inspection = _look(session, result, request.looks, request.kappa)
+        inspection = _look(session, result, demand)
         numbers = numbers_of(result, session.pipeline.model.gas)
         return Thresholded(request, result, numbers, inspection)
 
     def _analyse(self, session: Session, request: AnalyseRequest) -> Analysed:
         """As many frames as there is time for, and one at least."""
         end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
-        pipeline, options = session.pipeline, FrameOptions(request.kappa, request.least_area_m2)
+        pipeline = session.pipeline
         for index in request.frames:
             try:
                 frame = session.source[index]
-                result = _process(session.source, pipeline, frame, request.products, options)
+                result = _process(session.source, pipeline, frame, request.demand)
                 numbers.append(numbers_of(result, pipeline.model.gas))
             except InputError:
                 numbers.append(Numbers())  # it says so when somebody looks at it
@@ -167,7 +168,7 @@ class Server:
         for options in request.settings:
             try:
                 measure = session.side_by_side.measure
-                measured.append(measure(options, frame, request.kappa, truth))
+                measured.append(measure(options, frame, request.demand.options.kappa, truth))
             except InputError as error:
                 measured.append(str(error))
         return Compared(request, (measured[0], measured[1]))
@@ -184,9 +185,8 @@ class Server:
             frame = source[index]
             solver = EstimatorOptions.named(request.solver)
             pipeline = Pipeline.of(sensor, frame.intrinsics, solver)
-            pipeline.prepare(request.products)  # apart: its time says nothing about a frame
-            options = FrameOptions(request.kappa, cloud_points=request.cloud_points)
-            result = _process(source, pipeline, frame, request.products, options)
+            pipeline.prepare(request.demand.products)  # apart: says nothing about a frame
+            result = _process(source, pipeline, frame, request.demand)
         except BaseException:
             source.close()
             if request.cancelled.is_set():
@@ -204,33 +204,25 @@ class Server:
         remark = str(getattr(source, "remark", ""))  # recordings have one
         facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows, remark)
         numbers = numbers_of(result, pipeline.model.gas)
-        inspection = _look(session, result, request.looks, request.kappa)
+        inspection = _look(session, result, request.demand)
         camera, mesh = pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
 
 
-def _look(
-    session: Session, result: Result, looks: frozenset[Look], kappa: float | None
-) -> Inspection:
+def _look(session: Session, result: Result, demand: Demand) -> Inspection:
     """A closer look at a result, beside the truth where the source knows it."""
     truth = None
-    if "kappa_curve" in looks:
+    if "kappa_curve" in demand.looks:
         truth = truth_of(session.source, result.frame.index)
     mask = truth.patch_mask if truth is not None else None
-    return session.inspector.look(result, looks, kappa, mask)
+    return session.inspector.look(result, demand.looks, demand.options.kappa, mask)
 
 
-def _process(
-    source: FrameSource,
-    pipeline: Pipeline,
-    frame: Frame,
-    products: frozenset[Product],
-    options: FrameOptions,
-) -> Result:
+def _process(source: FrameSource, pipeline: Pipeline, frame: Frame, demand: Demand) -> Result:
     """Products of a frame; a live one's gas pressure is zeroed."""
     if isinstance(source, LiveFrames):
         frame = zeroed(frame, source.zero, pipeline)
-    return pipeline.process(frame, products, options)
+    return pipeline.process(frame, demand.products, demand.options)
 
 
 def _in_words(error: Exception) -> str:

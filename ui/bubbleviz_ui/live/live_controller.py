@@ -64,7 +64,7 @@ class LiveController(QObject):
         controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
         controller.failed.connect(self._on_failed)
-        pair.failed.connect(self._on_companion_failed)
+        pair.failed.connect(self._on_second_failed)
         self.state.choices_changed.connect(self._on_choices)
         self.state.markers_changed.connect(self._on_markers)
 
@@ -153,7 +153,7 @@ class LiveController(QObject):
     def _say(self, text: str) -> None:
         self.said.emit(text, "")
 
-    def _on_companion_failed(self, failed: Failed) -> None:
+    def _on_second_failed(self, failed: Failed) -> None:
         self.said.emit(failed.message, failed.details)
 
     def _on_tick(self) -> None:
@@ -243,5 +243,4 @@ class LiveController(QObject):
             self.recording.mark(f"marker at frame {frame}", at_ns)
 
     def _ask_what_goes_out(self) -> None:
-        self._controller.extra = PRODUCTS if self.publishing.on else frozenset()
-        self._pair.ask_besides()
+        self._pair.ask_besides(PRODUCTS if self.publishing.on else frozenset())

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.result import Result
+from bubbleviz.pipeline import Product
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Answer, Failed, Opened, OpenRequest, Solved, Waited
+from bubbleviz_ui.engine.sensor_client import SensorClient
+from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.live.second_sensor import SecondSensor
+from bubbleviz_ui.live.live_frames import LiveOpener
+from bubbleviz_ui.model.choices import PATCH_CHOICES
+from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.second_scene import SecondScene
@@ -20,13 +26,15 @@ ALONE_S = 0.15
 
 
 class SensorPair(QObject):
-    """The second sensor of a session, while it has one.
+    """The second sensor of a session, while it has one: asked for what is visible in the view.
+
+    Time is the session's: while that stands still, it shows the frame of the same moment.
 
     Attributes
     ----------
     failed : Signal
         A `Failed` of the second sensor.
-    second : SecondSensor or None
+    second : SensorClient or None
         The one the panels do not show.
     chosen : int
         Number of the one they show.
@@ -37,13 +45,13 @@ class SensorPair(QObject):
     def __init__(self, controller: Controller, scene: Scene, view: View) -> None:
         super().__init__()
         self._controller, self._scene, self._view = controller, scene, view
-        self.second_sensor: SecondSensor | None = None
+        self._state = state = controller.state
+        self.second: SensorClient | None = None
         self.drawing: SecondScene | None = None
         self._run: LiveRun | None = None
         self.chosen = 0
         self._shown_s = 0.0
         controller.shown.connect(self._on_shown)
-        state = controller.state
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._follow)
         state.frozen_changed.connect(self._follow)
@@ -57,48 +65,117 @@ class SensorPair(QObject):
 
     def begin(self) -> None:
         """The first sensor is open: start the second, where there is one."""
-        run = self._run
-        if run is None or len(run.frames) < 2 or self.second_sensor is not None:
+        run, state = self._run, self._state
+        if run is None or len(run.frames) < 2 or self.second is not None:
             return
         if self.drawing is None:
-            state = self._controller.state
             self.drawing = SecondScene(self._view, state.units, self._scene.ranges)
-        state, live = self._controller.state, run.session.sensors[1]
-        self.second_sensor = second = SecondSensor(state, live.sensor, run.frames[1])
-        second.extra = self._controller.extra
-        second.opened.connect(self._on_second_open)
-        second.shown.connect(self._show)
-        second.failed.connect(self.failed)
+        sensor, frames = run.session.sensors[1].sensor, run.frames[1]
+        self.second = second = SensorClient(state, Worker())
+        second.extra = self._controller.client.extra
+        second.answered.connect(self._on_second)
+        second.worker.ask(
+            OpenRequest(
+                session=1,
+                what=frames.name,
+                open_source=LiveOpener(frames),
+                open_sensor=lambda: sensor,
+                frame=0,
+                demand=self._demand,
+                solver=state.choices.solver,
+                playing=True,
+                live=True,
+            )
+        )
 
     def choose(self, number: int) -> bool:
         """Have the panels show the other sensor; whether they do."""
-        second = self.second_sensor
-        if second is None or second.open is None or number == self.chosen:
+        other = self.second
+        if other is None or other.opened is None or number == self.chosen:
             return False
-        other, before = second.give_up(), self._T_W_B(self.chosen)
-        looked = self._scene.moved_by_user
-        self.chosen = number
-        second.take(self._controller.swap_sensor(other, self._place))
-        self._draw_companion()
+        before, looked = self._T_W_B(self.chosen), self._scene.moved_by_user
+        other.answered.disconnect(self._on_second)
+        self.chosen, self.second = number, self._controller.client
+        self._place()
+        self._controller.turn_to(other)
+        self.second.answered.connect(self._on_second)
+        self._draw_second()
+        self._follow()
         if looked:
             self._scene.move_camera(np.linalg.inv(self._T_W_B(number)) @ before)
         return True
 
-    def ask_besides(self) -> None:
-        """Have the second sensor make what goes out, too."""
-        if self.second_sensor is not None:
-            self.second_sensor.extra = self._controller.extra
+    def ask_besides(self, products: frozenset[Product]) -> None:
+        """Have both sensors make what goes out, too."""
+        self._controller.client.extra = products
+        if self.second is not None:
+            self.second.extra = products
 
     def end(self) -> None:
         """One sensor again, or none."""
-        second, self.second_sensor, self._run = self.second_sensor, None, None
+        second, self.second, self._run = self.second, None, None
         if second is not None:
             second.close()
         if self.drawing is not None:
             self.drawing.hide()
         self._scene.place(np.eye(4), np.empty((0, 3)), None)
 
-    # -- inside -------------------------------------------------------------------------------
+    # -- what the second sensor does ----------------------------------------------------------
+
+    @property
+    def _demand(self) -> Demand:
+        """What is visible in the view."""
+        return Demand.of(replace(self._state.choices, panels=frozenset()))
+
+    @property
+    def _playing(self) -> bool:
+        return self._state.playing and not self._state.frozen
+
+    def _follow(self) -> None:
+        """Go on with the session, or show the frame of its moment."""
+        second, run, facts = self.second, self._run, self._state.facts
+        if second is None or second.opened is None or run is None or facts is None:
+            return
+        if self._playing:
+            second.ask_newest(self._demand)
+        else:
+            time_s = float(facts.times_s[self._state.frame])
+            second.ask_frame(run.frames[1 - self.chosen].at(time_s), self._demand)
+
+    def _on_second(self, answer: Answer) -> None:
+        if isinstance(answer, Opened):
+            self._on_second_open()
+            self._follow()
+        elif isinstance(answer, Failed):
+            self.failed.emit(answer)
+        elif isinstance(answer, Waited) and self._playing:
+            self._follow()
+        elif isinstance(answer, Solved):
+            self._show()
+
+    def look(self) -> None:
+        """Let the other sensor go on alone while the chosen one sends nothing."""
+        if self._playing and time.perf_counter() - self._shown_s > ALONE_S:
+            self._follow()
+
+    def _on_shown(self) -> None:
+        """Let both go on at once: neither takes the other's time."""
+        self._shown_s = time.perf_counter()
+        if self._playing:
+            self._follow()
+
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        if not by_playback:
+            self._follow()
+
+    def _on_choices(self, names: frozenset[str]) -> None:
+        if self.second is not None:
+            if names & PATCH_CHOICES:
+                self.second.history.forget_patches()
+            self._show()
+            self._follow()
+
+    # -- where it is --------------------------------------------------------------------------
 
     def _T_W_B(self, number: int) -> np.ndarray:
         if self._run is None:
@@ -110,7 +187,7 @@ class SensorPair(QObject):
 
     def _place(self) -> None:
         """Tell the scene where the chosen sensor is, and the room the other one takes."""
-        run, opened = self._run, None if self.second_sensor is None else self.second_sensor.open
+        run, opened = self._run, None if self.second is None else self.second.opened
         if run is None or len(run.frames) < 2:
             self._scene.place(np.eye(4), np.empty((0, 3)), None)
             return
@@ -125,51 +202,22 @@ class SensorPair(QObject):
         self._place()
         if not looked:
             self._scene.reset_view()
-        self._draw_companion()
+        self._draw_second()
 
-    def _draw_companion(self) -> None:
+    def _draw_second(self) -> None:
         """Place the second sensor in the view, and draw it."""
-        run, second, drawing = self._run, self.second_sensor, self.drawing
-        if run is None or second is None or drawing is None or second.open is None:
+        run, second, drawing = self._run, self.second, self.drawing
+        if run is None or second is None or drawing is None or second.opened is None:
             return
-        opened, place = second.open, run.preset.sensors[1 - self.chosen]
+        opened, place = second.opened, run.preset.sensors[1 - self.chosen]
         drawing.set_sensor(opened.sensor, opened.mesh, self._T_chosen_other(), place.colour)
-        self._show(opened.result)
+        self._show()
 
-    def _show(self, result: Result) -> None:
+    def _show(self) -> None:
         """Draw with the chosen sensor's next picture: two sensors cost one picture, not two."""
-        if self.drawing is None or self.second_sensor is None:
+        result = None if self.second is None else self.second.result
+        if self.drawing is None or result is None:
             return
-        self.drawing.show(result, self._controller.state.choices)
+        self.drawing.show(result, self._state.choices)
         if time.perf_counter() - self._shown_s > ALONE_S:
             self._view.refresh()
-
-    def _on_shown(self, _: object) -> None:
-        """Let both go on at once: neither takes the other's time."""
-        self._shown_s = time.perf_counter()
-        if self.second_sensor is not None and self._playing:
-            self.second_sensor.follow()
-
-    @property
-    def _playing(self) -> bool:
-        state = self._controller.state
-        return state.playing and not state.frozen
-
-    def look(self) -> None:
-        """Let the other sensor go on alone while the chosen one sends nothing."""
-        alone = time.perf_counter() - self._shown_s > ALONE_S
-        if self.second_sensor is not None and alone and self._playing:
-            self.second_sensor.follow()
-
-    def _follow(self) -> None:
-        if self.second_sensor is not None:
-            self.second_sensor.follow()
-
-    def _on_frame(self, _: int, by_playback: bool) -> None:
-        if not by_playback:
-            self._follow()
-
-    def _on_choices(self) -> None:
-        if self.second_sensor is not None and self.second_sensor.open is not None:
-            self._show(self.second_sensor.open.result)
-            self._follow()

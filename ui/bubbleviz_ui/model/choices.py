@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 CloudColour = Literal["residual", "patch", "plain"]
 Axis = Literal["x", "y", "z"]
@@ -162,22 +162,10 @@ class Choices:
     duration_unit: Literal["ms", "s"] = "ms"
     theme: ThemeName = "system"
 
-
-class HasRule(Protocol):
-    """What says what makes a patch of a contact pressure: choices, and requests made of them."""
-
     @property
-    def kappa(self) -> float | None:
-        """See `Choices`."""
-
-    @property
-    def least_area_m2(self) -> float:
-        """See `Choices`."""
+    def rule(self) -> Rule:
+        """What makes a patch of a contact pressure: κ and the least area."""
+        return self.kappa, self.least_area_m2
 
 
 Rule = tuple[float | None, float]
-
-
-def rule_of(thing: HasRule) -> Rule:
-    """What makes a patch of a contact pressure."""
-    return thing.kappa, thing.least_area_m2

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from bubbleviz.diagnostics.inspector import NEEDS
+from bubbleviz.pipeline import FrameOptions
 
 if TYPE_CHECKING:
     from bubbleviz.diagnostics.inspector import Look
     from bubbleviz.pipeline import Product
-    from bubbleviz_ui.model.choices import Choices
+    from bubbleviz_ui.model.choices import Choices, Rule
 
 CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
     {
@@ -62,6 +64,39 @@ CLOUD_COLOURS: Mapping[str, frozenset[Product]] = MappingProxyType(
     }
 )
 """Products a colouring of the cloud needs on top of the cloud itself."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What is asked of a frame; part of every request.
+
+    Attributes
+    ----------
+    products : frozenset of Product
+    looks : frozenset of Look
+        Closer looks at the frame.
+    options : FrameOptions
+        What makes its patch and its cloud.
+    """
+
+    products: frozenset[Product]
+    looks: frozenset[Look] = frozenset()
+    options: FrameOptions = FrameOptions()
+
+    @classmethod
+    def of(cls, choices: Choices) -> Demand:
+        """What the visible things need."""
+        options = FrameOptions(*choices.rule, choices.cloud_points)
+        return cls(products(choices), looks(choices), options)
+
+    @property
+    def rule(self) -> Rule:
+        """What makes a patch of a contact pressure: κ and the least area."""
+        return self.options.kappa, self.options.least_area_m2
+
+    def covers(self, other: Demand) -> bool:
+        """Whether all that another asks for is asked for here."""
+        return other.products <= self.products and other.looks <= self.looks
 
 
 def products(choices: Choices) -> frozenset[Product]:

@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz_ui.model.choices import PATCH_CHOICES, Choices
-from bubbleviz_ui.model.frame_history import History, grown
+from bubbleviz_ui.model.frame_history import History
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import SYSTEMS, Units
 
@@ -121,16 +121,10 @@ class SessionState(QObject):
         away = nearest - self.frame
         self.step(away if away * seconds > 0 else int(np.sign(seconds)))
 
-    def grow(self, time_s: float) -> None:
-        """Take one more frame of a live source, and go on to it."""
-        facts = self.facts
-        if facts is not None:
-            count = facts.frames + 1
-            times = grown(facts.times_s, count, np.nan)
-            times[-1] = time_s
-            self.facts = replace(facts, times_s=times)
-            self.history.grow(count)
-            self.go_on(count - 1)
+    def grow(self, facts: SourceFacts) -> None:
+        """Take the facts of a live source that has one more frame, and go on to that."""
+        self.facts = facts
+        self.go_on(facts.frames - 1)
 
     def go_on(self, index: int) -> None:
         """Take the frame that playback, or a live source, is at now."""

@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.demand import plotted
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
@@ -80,9 +79,7 @@ class PlotsPanel(QWidget):
         self.cancel.hide()
 
     def _connect(self) -> None:
-        self.analyse.clicked.connect(
-            lambda: self._controller.analysis.start(plotted(self._state.choices))
-        )
+        self.analyse.clicked.connect(lambda: self._controller.analysis.start())
         self.cancel.clicked.connect(lambda: self._controller.analysis.stop())
         self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._show_kappa)
