@@ -27,9 +27,11 @@ from bubbleviz_ui.live.live_bar import LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.picture_age import PictureAge
 from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.model.choices import PATCH_CHOICES, PLAYBACK_CHOICES
 from bubbleviz_ui.model.costs import Costs
 from bubbleviz_ui.model.hover import Hover
-from bubbleviz_ui.model.scene_presets import PANELS_THAT_ASK, ScenePreset
+from bubbleviz_ui.model.registry import PANELS
+from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.undo import SettingsHistory
@@ -66,8 +68,13 @@ STEPS = 200
 """That can be undone; some hold collected frames."""
 NUMBERS_EVERY_S = 0.1
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
-UNSEEN = frozenset({"kappa", "speed", "loop", "every_frame"})
+UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
 """Choices that draw nothing by themselves."""
+SIDES = {
+    "right": Qt.DockWidgetArea.RightDockWidgetArea,
+    "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
+    "left": Qt.DockWidgetArea.LeftDockWidgetArea,
+}
 
 
 class MainWindow(QMainWindow):
@@ -135,7 +142,7 @@ class MainWindow(QMainWindow):
             self.controller.opening.sensor_file(path)
         elif path.suffix.lower() in SUFFIXES:
             with self.settings.one_step("object"):
-                self.pose_dock.show()
+                self.panels["pose"].show()
                 self.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.session_saver.open(path)
@@ -226,54 +233,40 @@ class MainWindow(QMainWindow):
         column.addWidget(self.view, 1)
         self.setCentralWidget(centre)
         self.setStatusBar(self.status)
-        right = Qt.DockWidgetArea.RightDockWidgetArea
-        bottom = Qt.DockWidgetArea.BottomDockWidgetArea
-        self.layers_dock = self._dock("Layers", scrolled(self.layers), right)
-        self.kappa_dock = self._dock("Contact patch", self.kappa, right)
-        self.threshold_dock = self._dock("Threshold", scrolled(self.threshold), right)
-        self.compare_dock = self._dock("Compare", scrolled(self.compare), right)
-        self.tools_dock = self._dock("3-D tools", scrolled(self.tools), right)
-        for dock, neighbour in (
-            (self.threshold_dock, self.kappa_dock),
-            (self.compare_dock, self.kappa_dock),
-            (self.tools_dock, self.layers_dock),
-        ):
-            dock.tab_of(neighbour)
-            dock.hide()
-        self.pose_dock = self._dock("Pose", self.pose, right)
-        self.pose_dock.hide()
-        self.gamma0_dock = self._dock("Calibration", self.gamma0, right)
-        self.gamma0_dock.hide()
-        self.plots_dock = self._dock("Plots", self.plots, bottom)
-        self.playback_dock = self._dock("Playback", self.playback, bottom)
-        self.splitDockWidget(self.plots_dock, self.playback_dock, Qt.Orientation.Vertical)
-        self.plots_dock.hide()
-        left = Qt.DockWidgetArea.LeftDockWidgetArea
-        self.images_dock = self._dock("Images", self.images, left)
-        self.images_dock.hide()
-        self.panels: dict[str, QWidget] = {
-            "layers": self.layers_dock,
-            "kappa": self.kappa_dock,
-            "threshold": self.threshold_dock,
-            "compare": self.compare_dock,
-            "tools": self.tools_dock,
-            "pose": self.pose_dock,
-            "calibration": self.gamma0_dock,
-            "plots": self.plots_dock,
-            "images": self.images_dock,
-            "playback": self.playback_dock,
-            "status": self.status,
-        }
+        self.panels = self._make_docks()
         self.open_panels = OpenPanels(self.panels, self.state, self)
-        self.setCorner(Qt.Corner.BottomRightCorner, right)
-        self.resizeDocks([self.layers_dock], [270], Qt.Orientation.Horizontal)
 
-    def _dock(self, title: str, panel: QWidget, area: Qt.DockWidgetArea) -> Dock:
-        dock = Dock(title, self)
-        dock.setObjectName(title)
-        dock.setWidget(panel)
-        self.addDockWidget(area, dock)
-        return dock
+    def _make_docks(self) -> dict[str, QWidget]:
+        """A dock for every panel but the status bar, each where it begins."""
+        shown: dict[str, QWidget] = {
+            "layers": scrolled(self.layers),
+            "kappa": self.kappa,
+            "threshold": scrolled(self.threshold),
+            "compare": scrolled(self.compare),
+            "tools": scrolled(self.tools),
+            "pose": self.pose,
+            "calibration": self.gamma0,
+            "plots": self.plots,
+            "images": self.images,
+            "playback": self.playback,
+        }
+        docks: dict[str, Dock] = {}
+        for name, widget in shown.items():
+            kind = PANELS[name]
+            docks[name] = dock = Dock(kind.title, self)
+            dock.setObjectName(kind.title)
+            dock.setWidget(widget)
+            self.addDockWidget(SIDES[kind.side or "right"], dock)
+            if kind.tab_of:
+                dock.tab_of(docks[kind.tab_of])
+            if not kind.at_first:
+                dock.hide()
+            if kind.choice:
+                dock.visibilityChanged.connect(partial(self.state.choose_panel, kind.choice))
+        self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
+        self.setCorner(Qt.Corner.BottomRightCorner, SIDES["right"])
+        self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
+        return {**docks, "status": self.status}
 
     def _connect(self) -> None:
         self.controller.opened.connect(self._on_opened)
@@ -283,10 +276,6 @@ class MainWindow(QMainWindow):
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.view.dropped_files.connect(self._open_dropped)
-        for name, asks_as in PANELS_THAT_ASK.items():
-            dock = self.panels[name]
-            if isinstance(dock, Dock):
-                dock.visibilityChanged.connect(partial(self.state.choose_panel, asks_as))
         panels, keys = self.open_panels, self.shortcuts
         watch = self.settings.watch
         watch("open panels", panels.changed, lambda: panels.names, panels.show_only)

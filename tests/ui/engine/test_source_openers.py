@@ -44,7 +44,7 @@ def files(sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def opened(drive: Drive, sensor: Sensor, path: Path) -> Driver:
     """A window on a recording with the Threshold panel open."""
     driver = drive(recording(path), sensor, frame=2)
-    driver.window.threshold_dock.show()
+    driver.window.panels["threshold"].show()
     driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
     return driver
 
@@ -72,7 +72,7 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     assert driver.state.frame == 2
     curve = driver.window.controller.inspection.kappa_curve
     assert curve.iou.max() > 0.7  # of a coarse mesh
-    driver.window.compare_dock.show()
+    driver.window.panels["compare"].show()
     values = driver.window.compare.a.values
     driver.wait(lambda: values["iou"].text() not in ("", "–"))
     assert float(values["iou"].text()) > 0.5
@@ -80,7 +80,7 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     other = drive()
     other.window.open_file(files / "look.bubbleviz")
     other.wait(lambda: other.state.facts.frames == FRAMES)
-    other.window.threshold_dock.raise_()  # above Compare
+    other.window.panels["threshold"].raise_()  # above Compare
     other.wait(lambda: other.window.threshold.curve is not None and says_iou(other))
 
 
@@ -95,7 +95,7 @@ def test_a_truth_named_after_the_recording_is_found(
 
 def test_recording_sensor_and_truth_are_dropped_together(drive: Drive, files: Path) -> None:
     driver = drive()
-    driver.window.threshold_dock.show()
+    driver.window.panels["threshold"].show()
     drop(driver, files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     driver.state.set_playing(False)
@@ -130,7 +130,7 @@ def test_the_command_line_takes_a_truth(qtbot: object, sensor: Sensor, files: Pa
     rec, truth = files / "sim.mcap", files / "what_is_true.npz"
     with window_session(sensor, rec, 2, None, truth=truth) as session:
         session.window.show()
-        session.window.threshold_dock.show()
+        session.window.panels["threshold"].show()
         curve = lambda: session.controller.inspection.kappa_curve  # noqa: E731
         session.wait_for(lambda: curve() is not None and curve().iou is not None, "IoU")
     done = bubbleviz("open", str(rec), "--sensor", str(files / "dome.toml"), "--truth", str(rec))

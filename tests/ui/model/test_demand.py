@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bubbleviz_ui.model.choices import LAYERS, Choices
-from bubbleviz_ui.model.demand import CONSUMERS, products
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.demand import products
+from bubbleviz_ui.model.registry import LAYERS
+from bubbleviz_ui.view3d.layers.drawn_layers import CLASSES
 
 NOTHING = Choices(layers=frozenset(), panels=frozenset())
 
 
-def test_every_layer_has_its_needs() -> None:
-    assert set(LAYERS) <= set(CONSUMERS)
+def test_a_layer_is_asked_for_by_its_name_in_the_registry() -> None:
+    assert [made.name for made in CLASSES] == list(LAYERS)
 
 
 def test_nothing_visible_needs_nothing() -> None:

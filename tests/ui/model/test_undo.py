@@ -127,13 +127,15 @@ def test_a_scene_is_one_step(drive: Drive) -> None:
     driver.window.use_scene(load_scene("residual"))
     assert driver.state.choices.layers != Choices().layers
     assert driver.window.undo_stack.index() == 1
-    assert driver.window.threshold_dock.isHidden() and driver.window.layers_dock.isVisible()
+    assert (
+        driver.window.panels["threshold"].isHidden() and driver.window.panels["layers"].isVisible()
+    )
     driver.window.use_scene(load_scene("review"))
-    assert driver.window.plots_dock.isVisible()
+    assert driver.window.panels["plots"].isVisible()
     driver.window.use_scene(load_scene("review"))  # nothing changes: no step
     assert driver.window.undo_stack.index() == 2
     undo(driver)
-    assert driver.window.plots_dock.isHidden()
+    assert driver.window.panels["plots"].isHidden()
     undo(driver)
     assert driver.state.choices.layers == Choices().layers
     assert driver.state.choices.view_from == Choices().view_from
@@ -174,14 +176,14 @@ def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) 
     driver = drive(frame=3)
     window = driver.window
     window.shortcuts.actions["View › Threshold"].trigger()
-    window.kappa_dock.raise_()
+    window.panels["kappa"].raise_()
     driver.wait(lambda: "threshold" not in driver.state.choices.panels)
     assert window.undo_stack.index() == 1 and window.undo_stack.undoText() == "open panels"
-    cross = window.layers_dock.findChild(QAbstractButton, "qt_dockwidget_closebutton")
+    cross = window.panels["layers"].findChild(QAbstractButton, "qt_dockwidget_closebutton")
     driver.bot.mouseClick(cross, LEFT)
-    assert window.layers_dock.isHidden() and window.undo_stack.index() == 2
+    assert window.panels["layers"].isHidden() and window.undo_stack.index() == 2
     undo(driver)
-    assert window.layers_dock.isVisible()
+    assert window.panels["layers"].isVisible()
     window.hide()
     window.show()
     assert window.undo_stack.index() == 1 and window.undo_stack.canRedo()
@@ -190,7 +192,7 @@ def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) 
 def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
     driver = drive(frame=3)
     window, state = driver.window, driver.state
-    window.tools_dock.show()
+    window.panels["tools"].show()
 
     def shown() -> list[object]:
         playback, layers, tools, kappa = window.playback, window.layers, window.tools, window.kappa
@@ -253,14 +255,14 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
     undo(driver)
     driver.wait(lambda: driver.window.pose.session.obj is None)
-    assert driver.window.pose_dock.isHidden()
+    assert driver.window.panels["pose"].isHidden()
     redo(driver)
     driver.wait(lambda: driver.window.pose.session.obj is not None)
 
 
 def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
     driver = drive(frame=6)
-    driver.window.compare_dock.show()
+    driver.window.panels["compare"].show()
     panel = driver.window.compare
     panel.b.nodes.setFocus()
     panel.b.nodes.selectAll()

@@ -75,8 +75,8 @@ def test_every_label_follows_the_units(drive: Drive) -> None:
     window = driver.window
     window.resize(1280, 800)
     driver.state.choose(plots=frozenset({"force", "center"}), images=frozenset({"depth"}))
-    window.images_dock.show()
-    window.plots_dock.show()
+    window.panels["images"].show()
+    window.panels["plots"].show()
     driver.wait(lambda: "depth" in window.controller.inspection.images)
     window.hover.at_pixel(24, 44)
     driver.settle()

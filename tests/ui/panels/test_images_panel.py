@@ -22,7 +22,7 @@ CONTACT = 75
 def opened(driver: Driver, *images: str) -> ImagesPanel:
     driver.window.resize(1280, 800)
     driver.state.choose(images=frozenset(images))
-    driver.window.images_dock.show()
+    driver.window.panels["images"].show()
     driver.wait(lambda: bool(driver.window.images.cells))
     driver.wait(lambda: set(driver.window.controller.inspection.images) >= set(images) - {"patch"})
     QApplication.processEvents()
@@ -113,7 +113,7 @@ def test_only_chosen_images_are_computed(drive: Drive) -> None:
     panel.boxes["residual"].trigger()
     panel.boxes["patch"].trigger()
     driver.wait(lambda: counts["look residual"] > 0 and counts["pixel_mask"] > 0)
-    driver.window.images_dock.hide()
+    driver.window.panels["images"].hide()
     driver.wait(lambda: "images" not in driver.state.choices.panels)
     driver.seek(CONTACT + 2)  # behind it nothing that was asked for before is left to do
     before = counts["look change"], counts["look residual"], counts["pixel_mask"]

@@ -32,9 +32,9 @@ TWO_PARTS = 66
 
 def threshold(driver: Driver) -> ThresholdPanel:
     driver.window.resize(1280, 800)
-    driver.window.layers_dock.hide()
-    driver.window.threshold_dock.show()
-    driver.window.threshold_dock.raise_()
+    driver.window.panels["layers"].hide()
+    driver.window.panels["threshold"].show()
+    driver.window.panels["threshold"].raise_()
     driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
     QApplication.processEvents()
     driver.settle()
@@ -43,9 +43,9 @@ def threshold(driver: Driver) -> ThresholdPanel:
 
 def compare(driver: Driver) -> ComparePanel:
     driver.window.resize(1280, 800)
-    driver.window.layers_dock.hide()
-    driver.window.compare_dock.show()
-    driver.window.compare_dock.raise_()
+    driver.window.panels["layers"].hide()
+    driver.window.panels["compare"].show()
+    driver.window.panels["compare"].raise_()
     driver.wait(lambda: driver.window.compare.a.values["status"].text() == "ok")
     return driver.window.compare
 
@@ -100,7 +100,7 @@ def test_in_a_simulation_the_curve_has_the_iou(drive: Drive, press: FrameSource)
     threshold(driver)
     curve = driver.window.controller.inspection.kappa_curve
     driver.state.choose(kappa=float(curve.kappa[30]), images=frozenset({"patch"}))
-    driver.window.images_dock.show()
+    driver.window.panels["images"].show()
     patch = lambda: driver.window.controller.result.patch  # noqa: E731
     driver.wait(lambda: patch().pixel_mask is not None and patch().threshold_pa > 0)
     driver.wait(driver.thresholded)
@@ -190,12 +190,12 @@ def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive)
     driver.wait(lambda: panel.a.values["status"].text() == "no_contact")
     driver.settle()
     assert driver.pipeline.counts["estimate"] == own + 1
-    driver.window.kappa_dock.raise_()  # behind a tab is hidden, too
+    driver.window.panels["kappa"].raise_()  # behind a tab is hidden, too
     driver.wait(lambda: panel.a.values["status"].text() == "–")
     driver.wait(lambda: not bench.pipelines)
-    driver.window.compare_dock.raise_()
+    driver.window.panels["compare"].raise_()
     driver.wait(lambda: panel.a.values["status"].text() == "no_contact")
-    driver.window.compare_dock.hide()
+    driver.window.panels["compare"].hide()
     assert panel.a.values["status"].text() == "–"
     driver.wait(lambda: not bench.pipelines)  # nor does it hold memory
     driver.seek(CONTACT)
@@ -228,7 +228,7 @@ def test_nothing_is_clipped(drive: Drive) -> None:
     for plot in (panel.histogram, panel.curve):
         words = plot.frame.words
         assert words.item.boundingRect().width() + words.pos().x() <= canvas(panel).width() + 8
-    driver.window.tools_dock.show()
-    driver.window.layers_dock.show()
+    driver.window.panels["tools"].show()
+    driver.window.panels["layers"].show()
     QApplication.processEvents()
     assert (driver.window.width(), driver.window.height()) == (1280, 800)

@@ -32,7 +32,7 @@ def opened(driver: Driver, *plots: str) -> PlotsPanel:
     """The panel with these plots, shown and laid out."""
     driver.state.choose(plots=frozenset(plots))
     driver.window.resize(1280, 800)
-    driver.window.plots_dock.show()
+    driver.window.panels["plots"].show()
     driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
     QApplication.processEvents()
     driver.settle()
@@ -123,7 +123,7 @@ def test_a_click_seeks_and_the_cursor_and_the_numbers_follow(drive: Drive) -> No
 def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
     driver = drive(frame=75)
     driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
-    driver.window.kappa_dock.hide()
+    driver.window.panels["kappa"].hide()
     panel = opened(driver, "latency")
     driver.state.choose(panels=frozenset({"plots"}))
     counts = driver.pipeline.counts
@@ -136,7 +136,7 @@ def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
     panel.boxes["force"].trigger()
     panel.boxes["kappa"].trigger()
     driver.wait(lambda: counts["patch"] > before["patch"] and counts["look kappa_curve"] > 0)
-    driver.window.plots_dock.hide()
+    driver.window.panels["plots"].hide()
     driver.wait(lambda: "plots" not in driver.state.choices.panels)
     looked = counts["look kappa_curve"], counts["estimate"]
     driver.seek(77)

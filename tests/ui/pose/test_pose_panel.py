@@ -156,7 +156,7 @@ def test_tracking_runs_only_when_asked_and_exports(
     assert "exists already" in bench.window.message.label.text()
     # closing what shows it stops it
     ran = counts["pose"]
-    bench.window.pose_dock.hide()
+    bench.window.panels["pose"].hide()
     bench.driver.state.choose(layers=frozenset({"membrane"}))
     bench.driver.seek(0)
     assert counts["pose"] == ran

@@ -63,8 +63,8 @@ def settings(driver: Driver, files: Path) -> None:
     )  # fmt: skip
     driver.state.choose_markers((3, 9))
     driver.state.choose_range((2, 10))
-    driver.window.plots_dock.show()
-    driver.window.layers_dock.hide()
+    driver.window.panels["plots"].show()
+    driver.window.panels["layers"].hide()
     driver.window.view.camera.position = (0.3, 0.2, 0.1)
     driver.settle()
 
@@ -83,7 +83,7 @@ def check(driver: Driver) -> None:
     assert (state.frame, state.markers, state.play_range) == (7, (3, 9), (2, 10))
     assert (choices.kappa, choices.speed, choices.pressure_max_pa) == (2.5, 0.5, 4000.0)
     assert choices.layers == {"membrane", "rim"} and choices.plots == {"force"}
-    assert driver.window.plots_dock.isVisible() and driver.window.layers_dock.isHidden()
+    assert driver.window.panels["plots"].isVisible() and driver.window.panels["layers"].isHidden()
     assert driver.window.view.camera.position == pytest.approx((0.3, 0.2, 0.1))
     assert driver.thresholded()
     assert driver.window.controller.sensor.name == "small dome"
@@ -127,7 +127,7 @@ def test_what_is_missing_is_one_sentence_and_the_rest_is_restored(
     assert message.isVisible()
     assert "press.mcap is not there" in message.label.text()
     assert message.label.text().count(".") <= 6 and "\n" not in message.label.text()
-    assert other.state.choices.kappa == 2.5 and other.window.layers_dock.isHidden()
+    assert other.state.choices.kappa == 2.5 and other.window.panels["layers"].isHidden()
     assert other.state.frame == 5  # what was open stays
 
 

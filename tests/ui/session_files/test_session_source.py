@@ -96,7 +96,7 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague(
     assert theirs.session.obj.name == "stamp"
     assert np.allclose(theirs.session.start[:3, 3], [4e-3, 1e-3, 45e-3])
     assert not theirs.search.isChecked() and theirs.start.places[2].value() == 45.0
-    assert theirs.track.isChecked() and other.window.pose_dock.isVisible()
+    assert theirs.track.isChecked() and other.window.panels["pose"].isVisible()
     other.wait(lambda: theirs.session.pose is not None)  # it is looked for in the frame one sees
     other.wait(lambda: theirs.object.currentText() == "stamp.ply")
 

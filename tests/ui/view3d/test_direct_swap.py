@@ -74,8 +74,8 @@ def test_the_picture_is_the_present_one_after(drive: Drive, change: str) -> None
         window.resize(window.width() - 130, window.height() - 70)
         driver.seek(12)
     elif change == "dock":
-        window.layers_dock.hide()
-        window.kappa_dock.hide()
+        window.panels["layers"].hide()
+        window.panels["kappa"].hide()
         driver.seek(12)
     elif change == "theme":
         driver.state.choose(theme="light")

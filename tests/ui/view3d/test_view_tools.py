@@ -24,8 +24,8 @@ CONTACT = 75
 
 def opened(driver: Driver) -> ViewTools:
     driver.window.resize(1280, 800)
-    driver.window.tools_dock.show()
-    driver.window.tools_dock.raise_()
+    driver.window.panels["tools"].show()
+    driver.window.panels["tools"].raise_()
     driver.state.choose(layers=frozenset({"membrane"}))
     QApplication.processEvents()
     driver.settle()
@@ -238,14 +238,14 @@ def test_docks_become_tabs_and_the_window_keeps_its_size(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     window = driver.window
     window.resize(1280, 800)
-    for dock in (window.tools_dock, window.threshold_dock, window.compare_dock):
+    for dock in (window.panels["tools"], window.panels["threshold"], window.panels["compare"]):
         dock.show()
         QApplication.processEvents()
         assert not dock.visibleRegion().isEmpty()
-    assert window.tools_dock in window.tabifiedDockWidgets(window.layers_dock)
-    assert window.compare_dock in window.tabifiedDockWidgets(window.kappa_dock)
+    assert window.panels["tools"] in window.tabifiedDockWidgets(window.panels["layers"])
+    assert window.panels["compare"] in window.tabifiedDockWidgets(window.panels["kappa"])
     assert (window.width(), window.height()) == (1280, 800)
-    for dock in (window.layers_dock, window.tools_dock):
+    for dock in (window.panels["layers"], window.panels["tools"]):
         dock.hide()
     QApplication.processEvents()
     shown = [bar for bar in window.findChildren(QTabBar) if not bar.visibleRegion().isEmpty()]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from bubbleviz.calibration.pressure_zero import zeroed
 from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of
-from bubbleviz.diagnostics.inspector import Inspection, Inspector, Look
+from bubbleviz.diagnostics.inspector import Inspection, Inspector
 from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame

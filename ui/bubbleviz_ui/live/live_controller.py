@@ -17,10 +17,10 @@ from bubbleviz_ui.live.publishing import Publishing
 from bubbleviz_ui.live.recording_control import Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.model.choices import RECORDING_CHOICES
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""
-RECORDING_CHOICES = frozenset({"pre_roll_s", "record_folder", "publish_at"})
 
 
 class LiveController(QObject):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field, fields
+from typing import Literal, TypeVar
+
+from bubbleviz_ui.model.registry import ASKING, LAYERS
 
 CloudColour = Literal["residual", "patch", "plain"]
 Axis = Literal["x", "y", "z"]
@@ -13,20 +15,20 @@ COLOUR_MAPS: tuple[ColourMap, ...] = ("inferno", "viridis", "cividis", "magma", 
 ImageName = Literal["depth", "change", "residual", "noise", "used", "patch"]
 ThemeName = Literal["system", "dark", "light"]
 
-LAYERS = ("membrane", "wireframe", "contour", "cloud", "force", "readout", "frustum", "rim",
-          "vectors", "object", "fit")  # fmt: skip
-"""Names of the 3-D layers, in the order the panel lists them."""
-
-
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Playback speeds to choose from."""
-PATCH_CHOICES = frozenset({"kappa", "least_area_m2"})
-"""Choices that make another patch of the same contact pressure."""
-POSE_CHOICES = frozenset({"pose_object", "pose_unit"})
-"""Choices that make it another object."""
 PRE_ROLL_S = 2.0
 LOOPBACK = "tcp/127.0.0.1:7448"
 """Where results are published unless told otherwise: this computer only."""
+
+
+T = TypeVar("T")
+
+
+def _setting(default: T, words: str = "", *, of: str = "") -> T:
+    """A field of the choices, what the Edit menu calls it, and the groups it belongs to."""
+    made: T = field(default=default, metadata={"words": words, "of": frozenset(of.split())})
+    return made
 
 
 @dataclass(frozen=True)
@@ -124,48 +126,71 @@ class Choices:
         Colours of the window.
     """
 
-    kappa: float | None = None
-    least_area_m2: float = 0.0
+    kappa: float | None = _setting(None, "κ", of="patch")
+    least_area_m2: float = _setting(0.0, of="patch")
     solver: str | None = None
-    speed: float = 1.0
-    every_frame: bool = False
-    loop: bool = True
-    layers: frozenset[str] = frozenset(LAYERS) - {"wireframe", "frustum", "vectors"}
-    panels: frozenset[str] = frozenset({"kappa_panel", "status"})
+    speed: float = _setting(1.0, of="playback")
+    every_frame: bool = _setting(False, of="playback")
+    loop: bool = _setting(True, of="playback")
+    layers: frozenset[str] = frozenset(name for name, layer in LAYERS.items() if layer.at_first)
+    panels: frozenset[str] = frozenset(name for name, panel in ASKING.items() if panel.at_first)
     plots: frozenset[str] = frozenset({"force", "gas", "area"})
     images: frozenset[ImageName] = frozenset({"depth", "change", "residual"})
     cloud_colour: CloudColour = "residual"
     cloud_points: int | None = 10_000
     membrane_opacity: float = 1.0
-    view_from: tuple[float, float, float] = (-0.6, -1.0, 1.1)
+    view_from: tuple[float, float, float] = _setting((-0.6, -1.0, 1.1), "scene")
     zoom: float = 1.32
     colour_map: ColourMap = "inferno"
     exaggeration: float = 1.0
     section_axis: Axis | None = None
     section_at_m: float = 0.0
     section_flipped: bool = False
-    pressure_max_pa: float | None = None
-    residual_max_m: float | None = None
-    pose_object: str | None = None
-    pose_unit: Literal["m", "mm"] | None = None
-    pose_start: tuple[float, float, float, float, float, float, float] | None = None
+    pressure_max_pa: float | None = _setting(None, "pressure range")
+    residual_max_m: float | None = _setting(None, "residual range")
+    pose_object: str | None = _setting(None, "object", of="pose")
+    pose_unit: Literal["m", "mm"] | None = _setting(None, of="pose")
+    pose_start: tuple[float, float, float, float, float, float, float] | None = _setting(
+        None, "start of the object"
+    )
     pose_track: bool = False
     pose_stage: int = 2
-    compared: tuple[Setting, Setting] = (Setting(), Setting(recasts=0))
+    compared: tuple[Setting, Setting] = _setting(
+        (Setting(), Setting(recasts=0)), "compared settings"
+    )
     picture_size: tuple[int, int] = (1920, 1080)
-    pre_roll_s: float = PRE_ROLL_S
-    record_folder: str | None = None
-    publish_at: str = LOOPBACK
+    pre_roll_s: float = _setting(PRE_ROLL_S, of="recording")
+    record_folder: str | None = _setting(None, of="recording own")
+    publish_at: str = _setting(LOOPBACK, of="recording own")
     length_unit: Literal["mm", "m"] = "mm"
     pressure_unit: Literal["kPa", "Pa", "psi"] = "kPa"
     force_unit: Literal["N", "mN"] = "N"
     duration_unit: Literal["ms", "s"] = "ms"
-    theme: ThemeName = "system"
+    theme: Literal["system", "dark", "light"] = _setting("system", of="own")
 
     @property
     def rule(self) -> Rule:
         """What makes a patch of a contact pressure: κ and the least area."""
         return self.kappa, self.least_area_m2
 
+    @staticmethod
+    def group(name: str) -> frozenset[str]:
+        """Fields of a group."""
+        return frozenset(f.name for f in fields(Choices) if name in f.metadata.get("of", ()))
+
+    @staticmethod
+    def words(name: str) -> str:
+        """What the Edit menu calls a field."""
+        words: str = Choices.__dataclass_fields__[name].metadata.get("words", "")
+        return words or name.replace("_", " ")
+
 
 Rule = tuple[float | None, float]
+PATCH_CHOICES = Choices.group("patch")
+"""Choices that make another patch of the same contact pressure."""
+POSE_CHOICES = Choices.group("pose")
+"""Choices that make it another object."""
+PLAYBACK_CHOICES = Choices.group("playback")
+RECORDING_CHOICES = Choices.group("recording")
+OWN_CHOICES = Choices.group("own")
+"""Choices that are the user's and of this computer; they neither come nor go with a session."""

@@ -9,59 +9,31 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.diagnostics.inspector import NEEDS
 from bubbleviz.pipeline import FrameOptions
+from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, Products
 
 if TYPE_CHECKING:
     from bubbleviz.diagnostics.inspector import Look
-    from bubbleviz.pipeline import Product
     from bubbleviz_ui.model.choices import Choices, Rule
-
-CONSUMERS: Mapping[str, frozenset[Product]] = MappingProxyType(
-    {
-        "membrane": frozenset({"estimate"}),
-        "wireframe": frozenset({"estimate"}),
-        "contour": frozenset({"estimate", "patch"}),
-        "cloud": frozenset({"cloud"}),
-        "force": frozenset({"estimate", "patch"}),
-        "readout": frozenset({"estimate", "patch"}),
-        "frustum": frozenset(),
-        "rim": frozenset(),
-        "object": frozenset(),
-        "fit": frozenset(),
-        "pose": frozenset(),
-        "vectors": frozenset({"estimate"}),
-        "kappa_panel": frozenset({"estimate", "patch"}),
-        "status": frozenset({"estimate", "patch"}),
-        "plots": frozenset(),
-        "images": frozenset(),
-        "threshold": frozenset({"estimate", "patch"}),
-        "compare": frozenset(),
-    }
-)
-"""Products by the name of a layer, panel or bar."""
 
 POSE_CONSUMERS = frozenset({"object", "fit", "pose"})
 """Who wants the pose of the object while it is tracked."""
 
-PLOTS: Mapping[str, frozenset[Product]] = MappingProxyType(
+PLOTS: Mapping[str, Products] = MappingProxyType(
     {
-        "force": frozenset({"estimate", "patch"}),
-        "gas": frozenset({"estimate"}),
-        "area": frozenset({"estimate", "patch"}),
-        "center": frozenset({"estimate", "patch"}),
-        "residual": frozenset({"estimate"}),
-        "solve": frozenset({"estimate", "patch"}),
-        "latency": frozenset(),
-        "kappa": frozenset({"estimate"}),
+        "force": PATCH,
+        "gas": ESTIMATE,
+        "area": PATCH,
+        "center": PATCH,
+        "residual": ESTIMATE,
+        "solve": PATCH,
+        "latency": NOTHING,
+        "kappa": ESTIMATE,
     }
 )
 """Products by the name of a plot."""
 
-CLOUD_COLOURS: Mapping[str, frozenset[Product]] = MappingProxyType(
-    {
-        "residual": frozenset({"estimate", "residual"}),
-        "patch": frozenset({"estimate", "patch", "pixel_mask"}),
-        "plain": frozenset(),
-    }
+CLOUD_COLOURS: Mapping[str, Products] = MappingProxyType(
+    {"residual": ESTIMATE | {"residual"}, "patch": PATCH | {"pixel_mask"}, "plain": NOTHING}
 )
 """Products a colouring of the cloud needs on top of the cloud itself."""
 
@@ -79,7 +51,7 @@ class Demand:
         What makes its patch and its cloud.
     """
 
-    products: frozenset[Product]
+    products: Products
     looks: frozenset[Look] = frozenset()
     options: FrameOptions = FrameOptions()
 
@@ -99,28 +71,28 @@ class Demand:
         return other.products <= self.products and other.looks <= self.looks
 
 
-def products(choices: Choices) -> frozenset[Product]:
+def products(choices: Choices) -> Products:
     """Everything the visible layers and panels need of a frame."""
-    visible = choices.layers | choices.panels
-    needed: frozenset[Product] = frozenset()
-    needed = needed.union(*(CONSUMERS[name] for name in visible))
+    needed = NOTHING.union(
+        *(LAYERS[name].needs for name in choices.layers),
+        *(ASKING[name].needs for name in choices.panels),
+    )
     if "cloud" in choices.layers:
         needed |= CLOUD_COLOURS[choices.cloud_colour]
     if "plots" in choices.panels:
         needed |= plotted(choices)
     if "images" in choices.panels and "patch" in choices.images:
-        needed |= {"estimate", "patch", "pixel_mask"}
-    if choices.pose_track and visible & POSE_CONSUMERS:
-        needed |= {"estimate", "patch", "pose"}
+        needed |= PATCH | {"pixel_mask"}
+    if choices.pose_track and (choices.layers | choices.panels) & POSE_CONSUMERS:
+        needed |= PATCH | {"pose"}
     for look in looks(choices):
         needed |= NEEDS[look]
     return needed
 
 
-def plotted(choices: Choices) -> frozenset[Product]:
+def plotted(choices: Choices) -> Products:
     """What the chosen plots need of every frame."""
-    needed: frozenset[Product] = frozenset()
-    return needed.union(*(PLOTS[name] for name in choices.plots))
+    return NOTHING.union(*(PLOTS[name] for name in choices.plots))
 
 
 def looks(choices: Choices) -> frozenset[Look]:

@@ -2,53 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.preset_files import preset_names, presets_folder
 from bubbleviz.files.toml_files import checked, read_toml
 from bubbleviz_ui.model.choices import CloudColour
+from bubbleviz_ui.model.registry import LAYERS, PANELS
 
-Layer = Literal[
-    "membrane",
-    "wireframe",
-    "contour",
-    "cloud",
-    "force",
-    "readout",
-    "frustum",
-    "rim",
-    "vectors",
-    "object",
-    "fit",
-]
-Panel = Literal[
-    "layers",
-    "kappa",
-    "threshold",
-    "compare",
-    "tools",
-    "pose",
-    "calibration",
-    "plots",
-    "images",
-    "playback",
-    "status",
-]
-PANELS_THAT_ASK = {
-    "kappa": "kappa_panel",
-    "threshold": "threshold",
-    "compare": "compare",
-    "pose": "pose",
-    "plots": "plots",
-    "images": "images",
-    "status": "status",
-}
-"""Panels that show results, by their name in `Choices.panels`."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _one_of(names: Collection[str]) -> Callable[[str], str]:
+    def checked_name(name: str) -> str:
+        if name not in names:
+            raise ValueError(f'"{name}" is unknown; choose from {", ".join(names)}')
+        return name
+
+    return checked_name
 
 
 class _Strict(BaseModel):
@@ -97,8 +72,10 @@ class ScenePreset(_Strict):
 
     schema_version: Literal[1] = 1
     title: str = Field(min_length=1)
-    layers: tuple[Layer, ...]
-    panels: tuple[Panel, ...] = ("layers", "kappa", "playback", "status")
+    layers: tuple[Annotated[str, AfterValidator(_one_of(LAYERS))], ...]
+    panels: tuple[Annotated[str, AfterValidator(_one_of(PANELS))], ...] = tuple(
+        name for name, panel in PANELS.items() if panel.at_first
+    )
     cloud: CloudStyle = CloudStyle()
     membrane: MembraneStyle = MembraneStyle()
     view: ViewPoint = ViewPoint()
@@ -107,7 +84,7 @@ class ScenePreset(_Strict):
         """Fields of `Choices` that the scene decides; κ, speed and scales stay the user's."""
         return {
             "layers": frozenset(self.layers),
-            "panels": frozenset(PANELS_THAT_ASK[p] for p in self.panels if p in PANELS_THAT_ASK),
+            "panels": frozenset(PANELS[name].choice for name in self.panels) - {""},
             "cloud_colour": self.cloud.colour,
             "cloud_points": self.cloud.points or None,
             "membrane_opacity": self.membrane.opacity,

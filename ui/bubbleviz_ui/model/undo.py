@@ -12,6 +12,7 @@ from PySide6.QtCore import Qt, SignalInstance
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
 from PySide6.QtWidgets import QWidget
 
+from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.session_state import SessionState
 
 T = TypeVar("T")
@@ -20,16 +21,6 @@ GESTURE_S = 0.7
 """Changes of one number that follow each other faster are one step, as with a held mouse button."""
 LAYOUT = frozenset({"panels"})
 """Choices that follow from what is open, which is a step by itself."""
-WORDS = {
-    "kappa": "κ",
-    "every_frame": "every frame",
-    "pressure_max_pa": "pressure range",
-    "residual_max_m": "residual range",
-    "view_from": "scene",
-    "pose_object": "object",
-    "pose_start": "start of the object",
-    "compared": "compared settings",
-}
 
 _MERGEABLE = 1  # what Qt asks by before it offers two commands to `mergeWith`
 
@@ -182,10 +173,10 @@ class SettingsHistory:
             return
         old = {name: getattr(before, name) for name in names}
         new = {name: getattr(self._state.choices, name) for name in names}
-        text = "scene" if "view_from" in names else next(iter(sorted(names)))
+        text = Choices.words("view_from" if "view_from" in names else min(names))
         drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
         gesture = (names, self._present_gesture()) if drags else None
-        self._push(WORDS.get(text, text).replace("_", " "), self._choose, old, new, gesture)
+        self._push(text, self._choose, old, new, gesture)
 
     def _choose(self, values: dict[str, Any]) -> None:
         self._state.choose(**values)

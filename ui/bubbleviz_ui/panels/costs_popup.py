@@ -17,23 +17,14 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.costs import Cost, Costs
+from bubbleviz_ui.model.registry import ASKING, LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers_panel import TITLES
 from bubbleviz_ui.view3d.render_view import View
 
 EVERY_MS = 500
 COLUMNS = ("Stage", "last", "median", "runs", "Why it runs")
 WIDTH = 860
-PANELS = {
-    "status": "status bar",
-    "kappa_panel": "Contact patch panel",
-    "threshold": "Threshold panel",
-    "compare": "Compare panel",
-    "plots": "Plots panel",
-    "images": "Images panel",
-    "pose": "Pose panel",
-}
 NOBODY = "nobody asks: it does not run"
 
 
@@ -85,8 +76,7 @@ class CostsPopup(QFrame):
 
     def _texts(self, line: Cost) -> tuple[str, ...]:
         duration = self._state.units.duration
-        names = [TITLES[n][0] if n in TITLES else PANELS.get(n, n) for n in line.why]
-        why = ", ".join(names) or ("" if line.stage == "total" else NOBODY)
+        why = ", ".join(map(_title, line.why)) or ("" if line.stage == "total" else NOBODY)
         last, typical = duration.text(line.last_ms), duration.text(line.median_ms)
         return line.title, last, typical, f"{line.runs}×", why
 
@@ -120,3 +110,13 @@ class CostsPopup(QFrame):
         column = QVBoxLayout(self)
         for widget in (title, table, self.drawing, self.hint):
             column.addWidget(widget)
+
+
+def _title(name: str) -> str:
+    """What a layer or panel that asks is called."""
+    if name in LAYERS:
+        return LAYERS[name].title
+    panel = ASKING.get(name)
+    if panel is None:
+        return name
+    return f"{panel.title} panel" if panel.side else panel.title.lower()

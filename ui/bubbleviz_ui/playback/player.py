@@ -6,6 +6,7 @@ import time
 
 from PySide6.QtCore import QObject, Qt, QTimer
 
+from bubbleviz_ui.model.choices import PLAYBACK_CHOICES
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.playback.play_clock import PlayClock
 
@@ -73,7 +74,7 @@ class Player(QObject):
             self._start()
 
     def _on_choices(self, names: frozenset[str]) -> None:
-        if names & {"speed", "loop", "every_frame"}:
+        if names & PLAYBACK_CHOICES:
             self._start()
 
     def _start(self) -> None:

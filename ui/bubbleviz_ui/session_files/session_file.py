@@ -16,14 +16,13 @@ from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES, SOLVERS
 from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import LAYERS, SPEEDS, Choices
-from bubbleviz_ui.model.demand import CONSUMERS, PLOTS
+from bubbleviz_ui.model.choices import OWN_CHOICES, SPEEDS, Choices
+from bubbleviz_ui.model.demand import PLOTS
+from bubbleviz_ui.model.registry import ASKING, LAYERS
 from bubbleviz_ui.session_files.live_paths import with_paths
 
 SYNTHETIC = "synthetic:"
 MOST_RECENT = 10
-OWN_CHOICES = ("theme", "record_folder", "publish_at")
-"""Choices that are the user's and of this computer; they neither come nor go with a session."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
 _CHOICES = TypeAdapter(Choices)
@@ -126,7 +125,7 @@ def usable_choices(fields: dict[str, Any]) -> Choices:
     return replace(
         choices,
         layers=choices.layers & frozenset(LAYERS),
-        panels=choices.panels & frozenset(CONSUMERS),
+        panels=choices.panels & frozenset(ASKING),
         plots=choices.plots & frozenset(PLOTS),
         speed=choices.speed if choices.speed in SPEEDS else 1.0,
         solver=choices.solver if known else None,

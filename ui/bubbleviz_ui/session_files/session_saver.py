@@ -18,12 +18,12 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for, synthetic
 from bubbleviz_ui.live.live_frames import LiveOpener
+from bubbleviz_ui.model.choices import OWN_CHOICES
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.bundled_sensor import forget_others, is_beside, kept_beside
 from bubbleviz_ui.session_files.live_paths import with_paths, with_sensor
 from bubbleviz_ui.session_files.session_file import (
     MOST_RECENT,
-    OWN_CHOICES,
     SYNTHETIC,
     SavedCamera,
     SavedSession,

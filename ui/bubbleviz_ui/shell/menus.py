@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
 from bubbleviz.files.defaults import SESSION_SUFFIX
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz_ui.model.choices import LOOPBACK
-from bubbleviz_ui.model.scene_presets import Panel, load_scene
+from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
@@ -142,8 +142,7 @@ class Menus:
         self._theme(menu.addMenu("&Theme"))
         self._units(menu.addMenu("&Units"))
         menu.addSeparator()
-        for name in get_args(Panel):
-            panel = window.panels[name]
+        for panel in window.panels.values():
             if isinstance(panel, QDockWidget):
                 menu.addAction(panel.toggleViewAction())
         status = self._add(

@@ -14,24 +14,11 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.model.choices import LAYERS
+from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 
-TITLES = {
-    "membrane": ("Membrane", "Deformed membrane, coloured by contact pressure p_c"),
-    "wireframe": ("Wireframe", "Edges of the membrane's mesh"),
-    "contour": ("Patch contour", "Where the contact pressure crosses the κ threshold"),
-    "cloud": ("Measured points", "Depth image as points in the bubble frame"),
-    "force": ("Force arrow", "Resultant of the contact pressure, at the centre of pressure"),
-    "readout": ("Readout", "Force, peak pressure and patch area, in the view"),
-    "frustum": ("Camera frustum", "Field of view of the depth camera"),
-    "rim": ("Rim", "Where the membrane is clamped"),
-    "object": ("Object", "The object that is looked for, at its pose"),
-    "fit": ("Fit", "Contact points by distance from the object, and what is not determined"),
-    "vectors": ("Pressure vectors", "Contact pressure p_c at each node, along its normal"),
-}
 CLOUD_POINTS = {
     5_000: "up to 5 000",
     10_000: "up to 10 000",
@@ -52,7 +39,7 @@ class LayersPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.boxes = {name: self._box(name) for name in LAYERS}
+        self.boxes = {name: self._box(name, kind) for name, kind in LAYERS.items()}
         self.cloud_colour = options(QComboBox(), CLOUD_COLOURS)
         self.cloud_points = options(QComboBox(), CLOUD_POINTS)
         self.opacity = QSlider(Qt.Orientation.Horizontal)
@@ -64,11 +51,10 @@ class LayersPanel(QWidget):
         keep_keys(self)
         state.choices_changed.connect(self._enable)
 
-    def _box(self, name: str) -> QCheckBox:
-        title, tip = TITLES[name]
-        box = QCheckBox(title)
+    def _box(self, name: str, kind: LayerKind) -> QCheckBox:
+        box = QCheckBox(kind.title)
         box.setObjectName(f"layer_{name}")
-        box.setToolTip(tip)
+        box.setToolTip(kind.tip)
         return box
 
     def _lay_out(self) -> None:

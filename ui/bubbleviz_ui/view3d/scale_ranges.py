@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.view3d.layers.layer import Ranges
 
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
@@ -17,6 +17,15 @@ PRESSURE_SHARE = 0.25
 RESIDUAL_TIMES_RMS = 3.0
 SMALLEST_FORCE_N = 2.0
 SMALLEST_RESIDUAL_M = 1e-4
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Upper ends of the scales in use."""
+
+    pressure_pa: float
+    residual_m: float
+    force_n: float
 
 
 def rounded_up(value: float) -> float:

@@ -11,26 +11,16 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
-from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
-from bubbleviz_ui.view3d.layers.drawn_surface import Surface
-from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
-from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
-from bubbleviz_ui.view3d.layers.frustum_layer import FrustumLayer
-from bubbleviz_ui.view3d.layers.layer import Layer, Picture
-from bubbleviz_ui.view3d.layers.membrane_layer import MembraneLayer, WireframeLayer
+from bubbleviz_ui.view3d.layers.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
-from bubbleviz_ui.view3d.layers.readout_layer import ReadoutLayer
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
-from bubbleviz_ui.view3d.layers.vectors_layer import VectorsLayer
 from bubbleviz_ui.view3d.picker import Picker
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
 from bubbleviz_ui.view3d.tools.section_plane import Section
 from bubbleviz_ui.view3d.tools.viewpoints import ANGLE_DEG, Viewpoint, look_along, look_as
 
-ON_SURFACE = frozenset({"membrane", "wireframe", "contour", "vectors"})
 MARGIN = 1.0
 """Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
 
@@ -41,8 +31,11 @@ class Scene:
     def __init__(self, view: View, units: Units, choices: Choices) -> None:
         self._view = view
         self._choices = choices
-        self._surface = Surface(units)
         self.ranges = HeldRanges()
+        self._drawn = DrawnLayers(view, units, self.ranges)
+        self.layers = self._drawn.by_name
+        self._surface = self._drawn.surface
+        self.object = self._drawn.of(ObjectLayer)
         self._T_W_B = np.eye(4)
         self._beside_m = np.empty((0, 3))
         self._result: Result | None = None
@@ -50,30 +43,11 @@ class Scene:
         self._mesh: MembraneMesh | None = None
         self._sensor: Sensor | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
-        membrane = MembraneLayer(view, self._surface, units)
-        wireframe = WireframeLayer(view, self._surface)
-        contour = ContourLayer(view, self._surface)
-        cloud, vectors = CloudLayer(view, units), VectorsLayer(view)
-        self.object = ObjectLayer(view)
-        self._rim = RimLayer(view, self._surface)
-        self.layers: dict[str, Layer] = {
-            "membrane": membrane,
-            "wireframe": wireframe,
-            "contour": contour,
-            "cloud": cloud,
-            "force": ForceLayer(view),
-            "readout": ReadoutLayer(view, units),
-            "frustum": FrustumLayer(view),
-            "rim": self._rim,
-            "object": self.object,
-            "fit": FitLayer(view),
-            "vectors": vectors,
-        }
         self.marks = ProbeMarks(view)
-        self.section = Section(
-            view, self._surface, [a.actor for a in (membrane, wireframe, contour, cloud, vectors)]
-        )
-        self._picker = Picker(view, surfaces=[membrane.actor], clouds=[cloud.actor])
+        cut = [layer.actor for layer in self.layers.values() if layer.cut]
+        self.section = Section(view, self._surface, cut)
+        on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
+        self._picker = Picker(view, surfaces=[on], clouds=[beside])
         self.depth_camera: DepthCamera | None = None
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -81,11 +55,9 @@ class Scene:
         self._mesh, self._sensor = mesh, sensor
         self._result = None
         self._bounds = _bounds(mesh, sensor, self._beside_m)
-        self._surface.set_mesh(mesh)
+        self._drawn.set_sensor(sensor, mesh)
         self.ranges.set_sensor(sensor)
         self.marks.set_camera(np.array(sensor.camera.position_m))
-        for layer in self.layers.values():
-            layer.set_sensor(sensor, mesh)
         if self._placed is None or self._placed == self._camera_place():
             self.reset_view()
 
@@ -119,7 +91,7 @@ class Scene:
         A fresh view has the world's z up, and everything in it; `beside_m` is (k, 3) in B.
         """
         self._T_W_B, self._beside_m = T_W_B, beside_m
-        self._rim.paint(colour)
+        self._drawn.of(RimLayer).paint(colour)
         if self._mesh is not None and self._sensor is not None:
             self._bounds = _bounds(self._mesh, self._sensor, beside_m)
 
@@ -136,16 +108,7 @@ class Scene:
         """Draw a result with what the user chose to see."""
         self._result, self._choices = result, choices
         self.section.apply(choices)
-        shape = None
-        if ON_SURFACE & choices.layers:
-            shape = self._surface.shape_of(result.estimate, choices.exaggeration)
-        if shape is not None:
-            self._surface.draw(shape)
-        picture = Picture(result, shape, self.ranges.take(result, choices), choices)
-        for name, layer in self.layers.items():
-            layer.set_visible(name in choices.layers)
-            if name in choices.layers:
-                layer.draw(picture)
+        self._drawn.draw(result, choices)
         # The bounds of what is drawn would be gathered from every point of every layer.
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()

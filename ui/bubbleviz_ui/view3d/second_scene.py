@@ -13,15 +13,12 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
-from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
-from bubbleviz_ui.view3d.layers.drawn_surface import Surface
-from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
-from bubbleviz_ui.view3d.layers.layer import Layer, Picture
-from bubbleviz_ui.view3d.layers.membrane_layer import MembraneLayer
+from bubbleviz_ui.view3d.layers.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
+
+LAYERS = frozenset({"membrane", "contour", "cloud", "force", "rim"})
 
 
 class SecondScene:
@@ -36,17 +33,9 @@ class SecondScene:
     """
 
     def __init__(self, view: View, units: Units, ranges: HeldRanges) -> None:
-        self._view, self._ranges = view, ranges
-        self._surface = Surface(units)
+        self._view = view
         before = set(_props(view))
-        self._rim = RimLayer(view, self._surface)
-        self._layers: dict[str, Layer] = {
-            "membrane": MembraneLayer(view, self._surface, units),
-            "contour": ContourLayer(view, self._surface),
-            "cloud": CloudLayer(view, units),
-            "force": ForceLayer(view),
-            "rim": self._rim,
-        }
+        self._drawn = DrawnLayers(view, units, ranges, LAYERS)
         self._assembly = _gathered(view, [p for p in _props(view) if p not in before])
         self._assembly.SetVisibility(False)
 
@@ -58,21 +47,12 @@ class SecondScene:
         matrix.DeepCopy(T_B_here.ravel().tolist())
         self._assembly.SetUserMatrix(matrix)
         self._assembly.SetVisibility(False)
-        self._surface.set_mesh(mesh)
-        for layer in self._layers.values():
-            layer.set_sensor(sensor, mesh)
-        self._rim.paint(colour)
+        self._drawn.set_sensor(sensor, mesh)
+        self._drawn.of(RimLayer).paint(colour)
 
     def show(self, result: Result, choices: Choices) -> None:
         """Have the next picture show a result with what the user chose to see."""
-        shape = self._surface.shape_of(result.estimate, choices.exaggeration)
-        if shape is not None:
-            self._surface.draw(shape)
-        picture = Picture(result, shape, self._ranges.take(result, choices), choices)
-        for name, layer in self._layers.items():
-            layer.set_visible(name in choices.layers)
-            if name in choices.layers:
-                layer.draw(picture)
+        self._drawn.draw(result, choices)
         self._assembly.SetVisibility(True)
 
     def hide(self) -> None:

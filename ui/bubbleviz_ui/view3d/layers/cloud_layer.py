@@ -8,30 +8,30 @@ import pyvista as pv
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import ColourBar
 from bubbleviz_ui.view3d.colour_maps import residual_colours, residual_map, rgb
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 CHUNK = 1024
 """The buffers change in steps, so a few points more or less change no array's size."""
 
 
-class CloudLayer:
+class CloudLayer(Layer):
     """Point cloud in buffers with some room; spare points repeat the last one."""
 
+    name, cut = "cloud", True
     RESIDUAL = "residual"
     COLOUR = "colour"
 
-    def __init__(self, view: View, units: Units) -> None:
-        self._units = units
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        view = canvas.view
         self._poly = pv.PolyData(np.zeros((1, 3)))
         self._table = residual_map(theme.of(view).cloud)
         self._plain = theme.of(view).cloud
         self._reserve(CHUNK)
-        self.actor = view.add_mesh(
+        actor = self.add(
             self._poly,
             scalars=self.RESIDUAL,
             cmap=self._table,
@@ -41,13 +41,10 @@ class CloudLayer:
             lighting=False,
             show_scalar_bar=False,
             interpolate_before_map=False,
-            reset_camera=False,
-            render=False,
         )
-        self.actor.mapper.SetScalarModeToUsePointFieldData()
-        self.actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
+        actor.mapper.SetScalarModeToUsePointFieldData()
+        actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
         self._bar = ColourBar(view, self._table, "residual", bottom=0.04)
-        self._visible = True
         view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -58,7 +55,7 @@ class CloudLayer:
         """Write the points and their colours into the buffers."""
         result = picture.result
         if result.cloud_m is None or len(result.cloud_m) == 0:
-            self.actor.visibility = False
+            self._has(False)
             return
         most = picture.choices.cloud_points or len(result.cloud_m)
         step = -(-len(result.cloud_m) // most)
@@ -71,13 +68,12 @@ class CloudLayer:
         else:
             self._colour(result if picture.choices.cloud_colour == "patch" else None, step)
         self._poly.Modified()
-        self.actor.visibility = self._visible
+        self._has(True)
         self._bar.set_visible(self._visible and by_residual)
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the points and their bar."""
-        self._visible = visible
-        self.actor.visibility = visible
+        super().set_visible(visible)
         self._bar.set_visible(visible)
 
     def _take_colours(self, colours: theme.Colours) -> None:
@@ -85,7 +81,7 @@ class CloudLayer:
         self._table.values = residual_colours(colours.cloud)
 
     def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
-        unit = self._units.length
+        unit = self.canvas.units.length
         high = unit.of(high_m)
         _fill(self._poly.point_data[self.RESIDUAL], unit.of(1.0) * residual_m)
         self._bar.set_range(-high, high, unit)

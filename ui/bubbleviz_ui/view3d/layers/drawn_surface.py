@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyvista as pv
@@ -12,7 +11,23 @@ from bubbleviz.diagnostics.probe import Probed
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.layer import Shape
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The displayed shape of the membrane, shared by the layers that lie on it.
+
+    Attributes
+    ----------
+    nodes_m, normals : (n, 3) arrays
+        Deformed nodes and their normals in B.
+    pressure_pa : (n,) array
+        Contact pressure.
+    """
+
+    nodes_m: np.ndarray
+    normals: np.ndarray
+    pressure_pa: np.ndarray
 
 
 class Surface:
@@ -88,7 +103,3 @@ class Surface:
         """Say where the patch is: (n,), positive inside."""
         self.poly.point_data[self.LEVEL][:] = level
         self.poly.Modified()
-
-    def shade(self, actor: Any) -> None:
-        """Light an actor by the normals bubbleviz computed, not by VTK's facets."""
-        actor.prop.interpolation = "Phong"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pyvista as pv
 
@@ -12,13 +10,14 @@ from bubbleviz.pose.observability import open_axes
 from bubbleviz.result import Pose
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 COLOURS = [theme.NEARER, theme.BETWEEN, theme.GAP]
 """Inside the object, on it, outside."""
 
 HIGHEST_M = 1e-3
+TO_THE_FRONT = -4000.0
+"""In front of the membrane, on which the points lie."""
 ARROW = 0.4
 """Length of the arrows over the radius of the rim."""
 
@@ -26,63 +25,42 @@ _HEAD = 0.25
 _ARC = np.linspace(-2.4, 2.4, 33)
 
 
-class FitLayer:
+class FitLayer(Layer):
     """Points, lines to the object, and arrows; their arrays are new with every pose."""
 
-    def __init__(self, view: View) -> None:
+    name = "fit"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
         self._length = 0.02
         self._points = pv.PolyData(np.zeros((1, 3)))
         self._points.point_data["distance"] = np.zeros(1)
         self._lines = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         self._arrows = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        common = {"reset_camera": False, "render": False, "lighting": False}
-        self.points = view.add_mesh(
+        self.points = self.add(
             self._points, scalars="distance", cmap=COLOURS, clim=(-HIGHEST_M, HIGHEST_M),
-            point_size=5, show_scalar_bar=False, name="fit_points", **common,
+            point_size=5, show_scalar_bar=False, lighting=False,
         )  # fmt: skip
-        self.lines = view.add_mesh(
-            self._lines, color=theme.ORANGE, line_width=1, name="fit_lines", **common
-        )
-        self.arrows = view.add_mesh(
-            self._arrows, color=theme.NODE, line_width=3, name="fit_arrows", **common
-        )
+        self.lines = self.add(self._lines, color=theme.ORANGE, line_width=1, lighting=False)
+        self.arrows = self.add(self._arrows, color=theme.NODE, line_width=3, lighting=False)
         for actor in self._actors:
             actor.SetPickable(False)
-            actor.visibility = False
-            mapper = actor.mapper  # in front of the membrane they lie on
-            mapper.SetResolveCoincidentTopologyToPolygonOffset()
-            mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, -4000.0)
-            mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, -4000.0)
-            mapper.SetRelativeCoincidentTopologyPointOffsetParameter(-4000.0)
-        self._visible, self._drawn = False, False
+            in_front(actor, TO_THE_FRONT)
+        self._has(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take the size of another sensor."""
         self._length = ARROW * float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
-        self._drawn = False
-        self._update()
+        self._has(False)
 
     def draw(self, picture: Picture) -> None:
         """Draw the fit of a result; nothing where there is none."""
         pose = picture.result.pose
         if pose is not None:
-            self._drawn = pose.status == "ok" and len(pose.points_m) > 0
-            if self._drawn:
+            fitted = pose.status == "ok" and len(pose.points_m) > 0
+            if fitted:
                 self._fill(pose)
-        self._update()
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self._visible = visible
-        self._update()
-
-    @property
-    def _actors(self) -> tuple[Any, ...]:
-        return (self.points, self.lines, self.arrows)
-
-    def _update(self) -> None:
-        for actor in self._actors:
-            actor.visibility = self._visible and self._drawn
+            self._has(fitted)
 
     def _fill(self, pose: Pose) -> None:
         count = len(pose.points_m)

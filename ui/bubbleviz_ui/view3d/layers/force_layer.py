@@ -8,34 +8,26 @@ import pyvista as pv
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 TO_THE_FRONT = -4000.0
-"""Depth offset in the units of VTK's coincident topology."""
+"""In front of the membrane: the tip may lie behind a dent."""
 
 
-class ForceLayer:
+class ForceLayer(Layer):
     """Arrow along the resultant, drawn on the side it comes from."""
 
-    def __init__(self, view: View) -> None:
+    name = "force"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
         arrow = pv.Arrow(
             start=(-1, 0, 0), direction=(1, 0, 0), tip_length=0.3, tip_radius=0.07,
             shaft_radius=0.025,
         )  # fmt: skip
         self._longest_m = 0.05
-        self._visible = True
-        self._actor = view.add_mesh(
-            arrow,
-            color=theme.FORCE,
-            ambient=0.4,
-            reset_camera=False,
-            render=False,
-        )
-        self._actor.visibility = False
-        mapper = self._actor.mapper  # in front of the membrane: the tip may lie behind a dent
-        mapper.SetResolveCoincidentTopologyToPolygonOffset()
-        mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, TO_THE_FRONT)
+        in_front(self.add(arrow, color=theme.FORCE, ambient=0.4), TO_THE_FRONT)
+        self._has(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Scale to the size of the sensor: the end of the force scale is the dome's height."""
@@ -48,16 +40,10 @@ class ForceLayer:
         touched = patch is not None and patch.area_m2 > 0 and force > 0
         if patch is not None and touched:
             length = self._longest_m * force / picture.ranges.force_n
-            self._actor.user_matrix = _place(
+            self.actor.user_matrix = _place(
                 patch.force_n / force, patch.center_of_pressure_m, length
             )
-        self._actor.visibility = self._visible and touched
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self._visible = visible
-        if not visible:
-            self._actor.visibility = False
+        self._has(touched)
 
 
 def _place(direction: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:

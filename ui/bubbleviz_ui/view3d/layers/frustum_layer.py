@@ -8,32 +8,25 @@ import pyvista as pv
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Camera, Sensor
-from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 LINES = np.array([[2, 0, 1], [2, 0, 2], [2, 0, 3], [2, 0, 4], [2, 1, 2], [2, 2, 3], [2, 3, 4],
                   [2, 4, 1]])  # fmt: skip
 
 
-class FrustumLayer:
+class FrustumLayer(Layer):
     """Lines from the camera through the corners of the image, as far as the membrane."""
 
-    def __init__(self, view: View) -> None:
+    name = "frustum"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
         self._poly = pv.PolyData(np.zeros((5, 3)), lines=LINES.ravel())
         self._camera: Camera | None = None
         self._far_m = 0.1
         self._drawn_for: object = None
-        self._actor = view.add_mesh(
-            self._poly,
-            color=theme.of(view).frustum,
-            line_width=1,
-            lighting=False,
-            name="frustum",
-            reset_camera=False,
-            render=False,
-        )
-        view.follow_theme(lambda colours: setattr(self._actor.prop, "color", colours.frustum))
+        lines = self.add(self._poly, line_width=1, lighting=False)
+        canvas.view.follow_theme(lambda colours: setattr(lines.prop, "color", colours.frustum))
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another camera and its distance to the membrane."""
@@ -49,10 +42,6 @@ class FrustumLayer:
         self._drawn_for = intrinsics or "sensor"
         self._poly.points[:] = _corners(self._camera, intrinsics, self._far_m)
         self._poly.Modified()
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self._actor.visibility = visible
 
 
 def _corners(camera: Camera, intrinsics: Intrinsics | None, far_m: float) -> np.ndarray:

@@ -1,42 +1,27 @@
-"""What every 3-D layer offers."""
+"""What every 3-D layer has: actors, whether they are seen, and how they are drawn."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
-
-import numpy as np
+from typing import Any
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.layers.drawn_surface import Shape, Surface
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scale_ranges import Ranges
 
 
 @dataclass(frozen=True)
-class Shape:
-    """The displayed shape of the membrane, shared by the layers that lie on it.
+class Canvas:
+    """What the layers of a sensor are drawn on: a view, one surface, the operator's units."""
 
-    Attributes
-    ----------
-    nodes_m, normals : (n, 3) arrays
-        Deformed nodes and their normals in B.
-    pressure_pa : (n,) array
-        Contact pressure.
-    """
-
-    nodes_m: np.ndarray
-    normals: np.ndarray
-    pressure_pa: np.ndarray
-
-
-@dataclass(frozen=True)
-class Ranges:
-    """Upper ends of the scales in use."""
-
-    pressure_pa: float
-    residual_m: float
-    force_n: float
+    view: View
+    surface: Surface
+    units: Units
 
 
 @dataclass(frozen=True)
@@ -49,8 +34,39 @@ class Picture:
     choices: Choices
 
 
-class Layer(Protocol):
-    """One thing in the 3-D view. Its actors are made once and live as long as the view."""
+class Layer:
+    """One thing in the 3-D view. Its actors are made once and live as long as the view.
+
+    Parameters
+    ----------
+    canvas : Canvas
+
+    Attributes
+    ----------
+    name : str
+        Of `registry.LAYERS`.
+    cut : bool
+        The section plane cuts it open.
+    """
+
+    name = ""
+    cut = False
+
+    def __init__(self, canvas: Canvas) -> None:
+        self.canvas = canvas
+        self._actors: list[Any] = []
+        self._visible, self._any = True, True
+
+    @property
+    def actor(self) -> Any:
+        """The first actor, which is the layer's main one."""
+        return self._actors[0]
+
+    def add(self, data: Any, **look: Any) -> Any:
+        """Add an actor, seen while the layer is; as `View.add_mesh`."""
+        actor = self.canvas.view.add_mesh(data, reset_camera=False, render=False, **look)
+        self._actors.append(actor)
+        return actor
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take the geometry of another sensor."""
@@ -60,3 +76,23 @@ class Layer(Protocol):
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide."""
+        self._visible = visible
+        self._update()
+
+    def _has(self, something: bool) -> None:
+        """Hide the actors while there is nothing to draw."""
+        self._any = something
+        self._update()
+
+    def _update(self) -> None:
+        for actor in self._actors:
+            actor.SetVisibility(self._visible and self._any)
+
+
+def in_front(actor: Any, units: float) -> None:
+    """Draw an actor nearer than it is, by an offset in the units of VTK's coincident topology."""
+    mapper = actor.mapper
+    mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, units)
+    mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)
+    mapper.SetRelativeCoincidentTopologyPointOffsetParameter(units)

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import COLOUR_MAPS
-from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import ColourBar
 from bubbleviz_ui.view3d.colour_maps import pressure_colours, pressure_map
-from bubbleviz_ui.view3d.layers.drawn_surface import Surface
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 
-class MembraneLayer:
+class MembraneLayer(Layer):
     """The deformed surface with a colour bar in the operator's pressure unit."""
 
-    def __init__(self, view: View, surface: Surface, units: Units) -> None:
-        self._surface = surface
-        self._units = units
+    name, cut = "membrane", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
         self._table, self._map = pressure_map(), COLOUR_MAPS[0]
-        self.actor = view.add_mesh(
-            surface.poly,
-            scalars=surface.PRESSURE,
+        actor = self.add(
+            canvas.surface.poly,
+            scalars=canvas.surface.PRESSURE,
             cmap=self._table,
             show_scalar_bar=False,
             smooth_shading=False,
@@ -33,19 +27,15 @@ class MembraneLayer:
             diffuse=0.75,
             specular=0.15,
             specular_power=25,
-            reset_camera=False,
-            render=False,
         )
-        surface.shade(self.actor)
-        self._bar = ColourBar(view, self._table, "contact pressure", bottom=0.53)
-
-    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Nothing: the surface is shared."""
+        actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
+        self._bar = ColourBar(canvas.view, self._table, "contact pressure", bottom=0.53)
 
     def draw(self, picture: Picture) -> None:
         """Take the colour range and the opacity; the surface itself is shared."""
-        high = self._units.pressure.of(picture.ranges.pressure_pa)
-        self._bar.set_range(0.0, high, self._units.pressure)
+        unit = self.canvas.units.pressure
+        high = unit.of(picture.ranges.pressure_pa)
+        self._bar.set_range(0.0, high, unit)
         self.actor.mapper.scalar_range = (0.0, high)
         self.actor.prop.opacity = picture.choices.membrane_opacity
         if picture.choices.colour_map != self._map:
@@ -54,38 +44,22 @@ class MembraneLayer:
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the surface and its bar."""
-        self.actor.visibility = visible
+        super().set_visible(visible)
         self._bar.set_visible(visible)
 
 
-class WireframeLayer:
+class WireframeLayer(Layer):
     """The edges of the mesh."""
 
-    def __init__(self, view: View, surface: Surface) -> None:
-        self.actor: Any = view.add_mesh(
-            surface.poly,
+    name, cut = "wireframe", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        edges = self.add(
+            canvas.surface.poly,
             style="wireframe",
             color=theme.WIREFRAME,
             line_width=1,
             lighting=False,
-            reset_camera=False,
-            render=False,
         )
-        lift(self.actor)
-
-    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Nothing: the surface is shared."""
-
-    def draw(self, picture: Picture) -> None:
-        """Nothing: the surface is shared."""
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self.actor.visibility = visible
-
-
-def lift(actor: Any, units: float = -60.0) -> None:
-    """Draw lines that lie on the membrane in front of it."""
-    mapper = actor.mapper
-    mapper.SetResolveCoincidentTopologyToPolygonOffset()
-    mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)
+        in_front(edges, -60.0)

@@ -10,14 +10,13 @@ from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 FOUND, LOST = theme.GREEN, theme.GAP
 OPACITY = 0.45
 
 
-class ObjectLayer:
+class ObjectLayer(Layer):
     """One actor; its mesh changes with the object, its matrix with the pose.
 
     Attributes
@@ -26,21 +25,15 @@ class ObjectLayer:
         Where it is drawn now; None while it is not.
     """
 
-    def __init__(self, view: View) -> None:
+    name = "object"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
-        self.actor = view.add_mesh(
-            self._poly,
-            color=FOUND,
-            opacity=OPACITY,
-            ambient=0.3,
-            name="object",
-            reset_camera=False,
-            render=False,
-        )
-        self.actor.SetPickable(False)
-        self.actor.visibility = False
-        self._visible, self._has_mesh = False, False
+        self.add(self._poly, color=FOUND, opacity=OPACITY, ambient=0.3).SetPickable(False)
+        self._has_mesh = False
         self.place: np.ndarray | None = None
+        self._has(False)
 
     def set_object(self, obj: RigidObject | None) -> None:
         """Take another object, or none; it is not drawn before it has a place."""
@@ -67,16 +60,7 @@ class ObjectLayer:
         if self.place is not None:
             self.actor.user_matrix = self.place
             self.actor.prop.color = LOST if lost else FOUND
-        self._update()
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self._visible = visible
-        self._update()
-
-    def _update(self) -> None:
-        shown = self._visible and self._has_mesh and self.place is not None
-        self.actor.visibility = shown
+        self._has(self._has_mesh and self.place is not None)
 
 
 def shown_place(pose: Pose, stage: int) -> np.ndarray:

@@ -8,6 +8,7 @@ import pyvista as pv
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.layers.layer import in_front
 from bubbleviz_ui.view3d.render_view import View
 
 TO_THE_FRONT = -6000.0
@@ -32,10 +33,7 @@ class ProbeMarks:
         ]
         for actor in self._actors:
             actor.SetPickable(False)
-            mapper = actor.mapper
-            mapper.SetResolveCoincidentTopologyToPolygonOffset()
-            mapper.SetRelativeCoincidentTopologyPointOffsetParameter(TO_THE_FRONT)
-            mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, TO_THE_FRONT)
+            in_front(actor, TO_THE_FRONT)
         view.follow_theme(self._paint)
         self.show(None)
 

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate, Patch
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.layer import Picture
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
 
@@ -22,27 +20,22 @@ REASONS = {
 }
 
 
-class ReadoutLayer:
+class ReadoutLayer(Layer):
     """Two lines in the upper left corner: a headline and what belongs to it."""
 
-    def __init__(self, view: View, units: Units) -> None:
-        self._units = units
-        self._head = _text_actor(view, size=26, top=14)
-        self._rest = _text_actor(view, size=15, top=50)
+    name = "readout"
 
-    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Nothing depends on the sensor."""
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._head = _text_actor(canvas.view, size=26, top=14)
+        self._rest = _text_actor(canvas.view, size=15, top=50)
+        self._actors += [self._head, self._rest]
 
     def draw(self, picture: Picture) -> None:
         """Write the numbers of this result."""
-        head, rest = readout(picture.result.estimate, picture.result.patch, self._units)
+        head, rest = readout(picture.result.estimate, picture.result.patch, self.canvas.units)
         self._head.SetInput(head)
         self._rest.SetInput(rest)
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self._head.SetVisibility(visible)
-        self._rest.SetVisibility(visible)
 
 
 def readout(estimate: Estimate | None, patch: Patch | None, units: Units) -> tuple[str, str]:

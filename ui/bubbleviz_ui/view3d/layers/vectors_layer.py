@@ -8,29 +8,23 @@ import pyvista as pv
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.layer import Picture
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 LONGEST = 0.5
 """Line at the end of the pressure scale, in heights of the dome."""
 
 
-class VectorsLayer:
+class VectorsLayer(Layer):
     """One line a node, along its normal; of no length where there is no pressure."""
 
-    def __init__(self, view: View) -> None:
+    name, cut = "vectors", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
         self._longest_m = 0.02
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        self.actor = view.add_mesh(
-            self._poly,
-            color=theme.ORANGE,
-            line_width=2,
-            lighting=False,
-            name="vectors",
-            reset_camera=False,
-            render=False,
-        )
-        self.actor.SetPickable(False)
+        lines = self.add(self._poly, color=theme.ORANGE, line_width=2, lighting=False)
+        lines.SetPickable(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take the number of nodes and the size of another sensor."""
@@ -51,7 +45,3 @@ class VectorsLayer:
         self._poly.points[1::2] = shape.nodes_m
         self._poly.GetPoints().Modified()
         self._poly.Modified()
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self.actor.visibility = visible

@@ -6,6 +6,7 @@ import numpy as np
 import pyvista as pv
 
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.layer import in_front
 from bubbleviz_ui.view3d.render_view import View
 
 TO_THE_FRONT = -6000.0
@@ -30,9 +31,7 @@ class Distance:
         self._dots = view.add_mesh(self._poly, style="points", point_size=10, **looks)
         for actor in (self._line, self._dots):
             actor.SetPickable(False)
-            actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
-            actor.mapper.SetRelativeCoincidentTopologyPointOffsetParameter(TO_THE_FRONT)
-            actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, TO_THE_FRONT)
+            in_front(actor, TO_THE_FRONT)
         self.clear()
 
     @property

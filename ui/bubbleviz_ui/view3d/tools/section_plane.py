@@ -10,7 +10,7 @@ from vtkmodules.vtkFiltersCore import vtkCutter
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
-from bubbleviz_ui.view3d.layers.membrane_layer import lift
+from bubbleviz_ui.view3d.layers.layer import in_front
 from bubbleviz_ui.view3d.render_view import View
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -45,7 +45,7 @@ class Section:
         self._line.mapper.SetInputConnection(cutter.GetOutputPort())
         self._line.mapper.ScalarVisibilityOff()
         self._line.SetPickable(False)
-        lift(self._line, -200.0)
+        in_front(self._line, -200.0)
         self._line.visibility = False
 
     def apply(self, choices: Choices) -> None:

@@ -1,0 +1,123 @@
+"""Layers and panels, each named once: what it is called and what it asks of the pipeline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+from bubbleviz.pipeline import Product
+
+Products = frozenset[Product]
+NOTHING: Products = frozenset()
+ESTIMATE: Products = frozenset({"estimate"})
+PATCH: Products = frozenset({"estimate", "patch"})
+
+
+@dataclass(frozen=True)
+class LayerKind:
+    """A layer of the 3-D view.
+
+    Attributes
+    ----------
+    title, tip : str
+        In the layers panel.
+    needs : frozenset of Product
+        Hidden means not asked for, not computed.
+    at_first : bool
+        Visible in a new window.
+    """
+
+    title: str
+    tip: str
+    needs: Products = NOTHING
+    at_first: bool = True
+
+
+LAYERS: Mapping[str, LayerKind] = MappingProxyType(
+    {
+        "membrane": LayerKind(
+            "Membrane", "Deformed membrane, coloured by contact pressure p_c", ESTIMATE
+        ),
+        "wireframe": LayerKind("Wireframe", "Edges of the membrane's mesh", ESTIMATE, False),
+        "contour": LayerKind(
+            "Patch contour", "Where the contact pressure crosses the κ threshold", PATCH
+        ),
+        "cloud": LayerKind(
+            "Measured points", "Depth image as points in the bubble frame", frozenset({"cloud"})
+        ),
+        "force": LayerKind(
+            "Force arrow", "Resultant of the contact pressure, at the centre of pressure", PATCH
+        ),
+        "readout": LayerKind(
+            "Readout", "Force, peak pressure and patch area, in the view", PATCH
+        ),
+        "frustum": LayerKind(
+            "Camera frustum", "Field of view of the depth camera", at_first=False
+        ),
+        "rim": LayerKind("Rim", "Where the membrane is clamped"),
+        "vectors": LayerKind(
+            "Pressure vectors",
+            "Contact pressure p_c at each node, along its normal",
+            ESTIMATE,
+            at_first=False,
+        ),
+        "object": LayerKind("Object", "The object that is looked for, at its pose"),
+        "fit": LayerKind(
+            "Fit", "Contact points by distance from the object, and what is not determined"
+        ),
+    }
+)  # fmt: skip
+"""By name, in the order of the layers panel; the class of that name in `view3d` draws it."""
+
+
+@dataclass(frozen=True)
+class PanelKind:
+    """A panel of the window.
+
+    Attributes
+    ----------
+    title : str
+        Of its dock.
+    choice : str
+        Its name in `Choices.panels`; empty: it shows no results, so it asks for nothing.
+    needs : frozenset of Product
+        Asked for while it is in front.
+    side : {"right", "bottom", "left"} or None
+        Where its dock begins; None: it is no dock.
+    tab_of : str
+        Panel that it opens as a tab of.
+    at_first : bool
+        Open in a new window.
+    """
+
+    title: str
+    choice: str = ""
+    needs: Products = NOTHING
+    side: Literal["right", "bottom", "left"] | None = "right"
+    tab_of: str = ""
+    at_first: bool = False
+
+
+PANELS: Mapping[str, PanelKind] = MappingProxyType(
+    {
+        "layers": PanelKind("Layers", at_first=True),
+        "kappa": PanelKind("Contact patch", "kappa_panel", PATCH, at_first=True),
+        "threshold": PanelKind("Threshold", "threshold", PATCH, tab_of="kappa"),
+        "compare": PanelKind("Compare", "compare", tab_of="kappa"),
+        "tools": PanelKind("3-D tools", tab_of="layers"),
+        "pose": PanelKind("Pose", "pose"),
+        "calibration": PanelKind("Calibration"),
+        "plots": PanelKind("Plots", "plots", side="bottom"),
+        "images": PanelKind("Images", "images", side="left"),
+        "playback": PanelKind("Playback", side="bottom", at_first=True),
+        "status": PanelKind("Status bar", "status", PATCH, side=None, at_first=True),
+    }
+)
+"""By name, in the order of the View menu."""
+
+ASKING: Mapping[str, PanelKind] = MappingProxyType(
+    {panel.choice: panel for panel in PANELS.values() if panel.choice}
+)
+"""Panels that show results, by their name in `Choices.panels`."""

@@ -1,0 +1,100 @@
+"""The layers of one sensor, drawn together."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.registry import LAYERS
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
+from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
+from bubbleviz_ui.view3d.layers.drawn_surface import Surface
+from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
+from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
+from bubbleviz_ui.view3d.layers.frustum_layer import FrustumLayer
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
+from bubbleviz_ui.view3d.layers.membrane_layer import MembraneLayer, WireframeLayer
+from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
+from bubbleviz_ui.view3d.layers.readout_layer import ReadoutLayer
+from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
+from bubbleviz_ui.view3d.layers.vectors_layer import VectorsLayer
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scale_ranges import HeldRanges
+
+CLASSES: tuple[type[Layer], ...] = (
+    MembraneLayer,
+    WireframeLayer,
+    ContourLayer,
+    CloudLayer,
+    ForceLayer,
+    ReadoutLayer,
+    FrustumLayer,
+    RimLayer,
+    VectorsLayer,
+    ObjectLayer,
+    FitLayer,
+)
+"""What draws the layers of the registry."""
+
+
+L = TypeVar("L", bound=Layer)
+
+
+class DrawnLayers:
+    """Actors are made once; a result changes arrays in place.
+
+    Parameters
+    ----------
+    view : View
+    units : Units
+    ranges : HeldRanges
+        Scales to draw with.
+    names : collection of str
+        Layers to make, of the registry.
+
+    Attributes
+    ----------
+    by_name : dict of Layer
+    surface : Surface
+        The membrane as it is drawn.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        units: Units,
+        ranges: HeldRanges,
+        names: frozenset[str] = frozenset(LAYERS),
+    ) -> None:
+        self.surface, self._ranges = Surface(units), ranges
+        canvas = Canvas(view, self.surface, units)
+        self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take the geometry of another sensor."""
+        self.surface.set_mesh(mesh)
+        for layer in self.by_name.values():
+            layer.set_sensor(sensor, mesh)
+
+    def draw(self, result: Result, choices: Choices) -> None:
+        """Draw a result with what the user chose to see."""
+        shape = None
+        if any(layer.cut for name, layer in self.by_name.items() if name in choices.layers):
+            shape = self.surface.shape_of(result.estimate, choices.exaggeration)
+        if shape is not None:
+            self.surface.draw(shape)
+        picture = Picture(result, shape, self._ranges.take(result, choices), choices)
+        for name, layer in self.by_name.items():
+            layer.set_visible(name in choices.layers)
+            if name in choices.layers:
+                layer.draw(picture)
+
+    def of(self, kind: type[L]) -> L:
+        """The layer of a class."""
+        layer = self.by_name[kind.name]
+        assert isinstance(layer, kind)
+        return layer
