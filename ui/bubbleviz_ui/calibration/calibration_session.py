@@ -18,10 +18,12 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_answer import Answer, Work, answer
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.job_runner import Done, Runner
+from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.undo import Change
 
+PATIENCE_S = 10.0
+"""How long a window that closes waits for a step that cannot be interrupted."""
 REMEMBERED = 4
 """Answers that undo finds again without computing."""
 
@@ -59,15 +61,14 @@ class Calibration(QObject):
         self._holding = False
         self._remembered: OrderedDict[Work, Answer] = OrderedDict()
         self.benches = Benches()
-        self.runner = Runner(at_end=self.benches.close)
-        self.runner.progressed.connect(self.progressed)
-        self.runner.done.connect(self._on_done)
+        self._jobs = Jobs("calibration")
+        self._jobs.progressed.connect(self.progressed)
         controller.opened.connect(self._on_opened)
 
     @property
     def busy(self) -> bool:
         """Something is being computed."""
-        return self.runner.busy
+        return self._jobs.busy
 
     @property
     def settings(self) -> Settings:
@@ -92,7 +93,7 @@ class Calibration(QObject):
         """Stop computing; everything is as it was before."""
         if not self.busy:
             return
-        self.runner.cancel()
+        self._jobs.cancel()
         self._holding = True
         while self.work != self.answer.work and self._is_own(self.stack.index() - 1):
             self.stack.undo()
@@ -103,16 +104,20 @@ class Calibration(QObject):
 
     def start(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
         """Run another long job of the session in its thread; `then` gets what it returns."""
-        self._then = then
-        self._job = self.runner.start(job)
+
+        def take(done: Done) -> None:
+            if not self._tell_problem(done):
+                then(done.answer)
+            self.changed.emit()
+
+        self._jobs.replace(job, take)
         self.changed.emit()
 
     def close(self) -> None:
         """Stop the thread; it lets go of the source."""
-        self.runner.close()
-
-    _then: Callable[[Any], None] | None = None
-    _job = -1
+        self._jobs.cancel()
+        self._jobs.run(lambda _: self.benches.close())
+        self._jobs.close(PATIENCE_S)
 
     def _push(self, text: str, new: Work, gesture: Hashable) -> None:
         if new != self.work:
@@ -130,7 +135,7 @@ class Calibration(QObject):
         nothing = self._nothing if work == self._nothing.work else None
         known = nothing or self._remembered.get(work)
         if known is not None:
-            self.runner.cancel()
+            self._jobs.cancel()
             self.answer = known
         else:
             self._compute(work)
@@ -141,26 +146,29 @@ class Calibration(QObject):
         if opener is None or given is None or in_use is None:
             return
         benches = self.benches
-        self.runner.start(
-            lambda progress: answer(benches.of(work, opener, given), work, in_use, progress)
+        self._jobs.replace(
+            lambda progress: answer(benches.of(work, opener, given), work, in_use, progress),
+            self._on_computed,
         )
 
-    def _on_done(self, done: Done) -> None:
-        if done.message:
-            self.failed.emit(done.message, done.details)
-        elif done.number == self._job and self._then is not None:
-            self._then(done.answer)
-        else:
+    def _on_computed(self, done: Done) -> None:
+        if not self._tell_problem(done):
             self.answer = done.answer
             self._remembered[done.answer.work] = done.answer
             while len(self._remembered) > REMEMBERED:
                 self._remembered.popitem(last=False)
         self.changed.emit()
 
+    def _tell_problem(self, done: Done) -> bool:
+        """Say why a job has no answer; whether it has none."""
+        if done.message:
+            self.failed.emit(done.message, done.details)
+        return bool(done.message)
+
     def _on_opened(self, opened: Opened) -> None:
         if opened.request.open_source is self._opener:
             return  # the same source with another sensor, perhaps the one identified here
-        self.runner.cancel()
+        self._jobs.cancel()
         self.stack.clear()  # what could be undone belongs to the source that is gone
         self._remembered.clear()
         self._opener, self.given = opened.request.open_source, opened.sensor

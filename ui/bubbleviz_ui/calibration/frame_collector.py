@@ -13,7 +13,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.progress import Progress
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.job_runner import Done, Runner
+from bubbleviz_ui.engine.jobs import Done, Jobs
 
 FIRST_LOOK, LOOK_EVERY = 10, 10
 """Frames before γ0 is first estimated, and between estimates."""
@@ -45,8 +45,7 @@ class Collector(QObject):
         self._count, self._target, self._only_untouched = 0, 0.0, True
         self._name, self._sensor = "", None  # type: tuple[str, Sensor | None]
         self._looked_at = 0
-        self._runner = Runner()
-        self._runner.done.connect(self._on_estimate)
+        self._jobs = Jobs("calibration")
 
     def start(
         self, name: str, sensor: Sensor, count: int, target: float | None, only_untouched: bool
@@ -98,23 +97,24 @@ class Collector(QObject):
 
     def cancel(self) -> None:
         """Forget what was collected."""
-        self._runner.cancel()
+        self._jobs.cancel()
         self.active = False
         self.frames = []
         self.changed.emit()
 
     def close(self) -> None:
         """Stop the thread."""
-        self._runner.close()
+        self._jobs.cancel()
+        self._jobs.close(10.0)
 
     def _look(self) -> None:
         many = len(self.frames)
         due = many >= max(FIRST_LOOK, self._looked_at + LOOK_EVERY)
-        if not due or not self._target or self._runner.busy or self._sensor is None:
+        if not due or not self._target or self._jobs.busy or self._sensor is None:
             return
         self._looked_at = many
         frames = CollectedFrames(self._name, self.frames)
-        self._runner.start(_estimate(frames, self._sensor))
+        self._jobs.run(_estimate(frames, self._sensor), self._on_estimate)
 
     def _on_estimate(self, done: Done) -> None:
         if not self.active:

@@ -6,10 +6,10 @@ import ctypes
 import sys
 import time
 from collections.abc import Callable
-from threading import Thread
 
 from PySide6.QtCore import QObject, QTimer
 
+from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.model.session_state import SessionState
 
 REST_MS = 3000
@@ -48,6 +48,7 @@ class MemoryRelease(QObject):
         super().__init__()
         self._state, self._release = state, release
         self._used, self._last_s = True, time.monotonic()
+        self._jobs = Jobs("memory")
         self._timer = QTimer(self)
         self._timer.timeout.connect(lambda: self._on_tick())
         self._timer.start(rest_ms)
@@ -58,6 +59,7 @@ class MemoryRelease(QObject):
     def close(self) -> None:
         """Look no more."""
         self._timer.stop()
+        self._jobs.close()
 
     def _on_changed(self) -> None:
         self._used = True
@@ -67,4 +69,4 @@ class MemoryRelease(QObject):
         live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
         if self._used and (live or not self._state.playing):
             self._used, self._last_s = False, now
-            Thread(target=self._release, name="memory", daemon=True).start()
+            self._jobs.run(lambda _: self._release())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.export.pose_columns import pose_columns
-from bubbleviz_ui.engine.job_runner import Done, Runner
+from bubbleviz_ui.engine.jobs import Done, Job, Jobs
 from bubbleviz_ui.engine.requests import Failed, FrameRequest
 from bubbleviz_ui.export.export_kinds import Kind
 from bubbleviz_ui.export.file_export import FileExport
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.view3d.render_view import View
 
+PATIENCE_S = 10.0
+"""How long a window that closes waits for a step that cannot be interrupted."""
 STILL_FPS = 30.0
 """Of a video of a single frame."""
 
@@ -56,16 +58,15 @@ class Exporting(QObject):
         self._controller, self._state, self._view = controller, controller.state, view
         self._poses = poses
         self._video: VideoExport | None = None
-        self._runner = Runner()
-        self._runner.progressed.connect(self.progressed)
-        self._runner.done.connect(self._on_done)
+        self._jobs = Jobs("export")
+        self._jobs.progressed.connect(self.progressed)
         controller.failed.connect(self._on_failed)
         controller.opened.connect(self._on_opened)
 
     @property
     def busy(self) -> bool:
         """An export goes on."""
-        return self._runner.busy
+        return self._jobs.busy
 
     def why_not(self) -> str:
         """Why nothing can be exported now; empty when something can."""
@@ -97,35 +98,26 @@ class Exporting(QObject):
         if kind.is_video:
             size, fps = choices.picture_size, self.fps(frames.step)
             self._video = VideoExport(self._controller, self._view, frames, size, path, fps)
-            self._runner.start(self._video.write)
+            job: Job = self._video.write
         else:
             poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
-            self._runner.start(
-                FileExport(
-                    open_source,
-                    sensor,
-                    frames,
-                    path,
-                    kind.what,
-                    choices.kappa,
-                    choices.least_area_m2,
-                    choices.solver,
-                    poses,
-                )
-            )
+            what = (kind.what, *choices.rule, choices.solver, poses)
+            job = FileExport(open_source, sensor, frames, path, *what)
+        self._jobs.run(job, self._on_done)
         self.progressed.emit("starting", 0.0)
         self.changed.emit()
 
     def cancel(self) -> None:
         """Stop; nothing of it is left."""
         if self.busy:
-            self._runner.cancel()
+            self._jobs.cancel()
             self._end_video()
             self.changed.emit()
 
     def close(self) -> None:
         """Stop, and wait for the thread."""
-        self._runner.close()
+        self._jobs.cancel()
+        self._jobs.close(PATIENCE_S)
         self._end_video()
 
     def _end_video(self) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import threading
-import traceback
 from dataclasses import dataclass
 
-from PySide6.QtCore import QObject, Qt, Signal
+from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_session import LiveSession
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
+from bubbleviz.progress import Progress
+from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.live_frames import LiveFrames
 
 LOOK_S = 0.05
@@ -52,28 +52,25 @@ class Connection(QObject):
 
     ready = Signal(object)
     failed = Signal(str, str)
-    _came = Signal(object, str, str)
 
     def __init__(self, preset: SessionPreset, pre_roll_s: float) -> None:
         super().__init__()
         self.preset = preset
         self._pre_roll_s = pre_roll_s
         self._session: LiveSession | None = None
-        self._stop = threading.Event()
-        self._came.connect(self._tell, Qt.ConnectionType.QueuedConnection)
-        self._thread = threading.Thread(target=self._run, name="live connection", daemon=True)
+        self._jobs = Jobs("live connection")
 
     def start(self) -> None:
         """Begin."""
-        self._thread.start()
+        self._jobs.run(self._connected, self._tell, _close)
 
     def cancel(self) -> None:
         """Give up; nothing is emitted any more, and the sources are stopped soon."""
-        self._stop.set()
+        self._jobs.cancel()
 
     def wait(self, timeout_s: float) -> None:
         """Wait until the thread is gone."""
-        self._thread.join(timeout_s)
+        self._jobs.close(timeout_s)
 
     def text(self) -> str:
         """How far it is, in a few words."""
@@ -83,20 +80,7 @@ class Connection(QObject):
         stream = next((e.stream for e in session.sensors if not e.stream.counters().frames), None)
         return "starting" if stream is None else _waiting_for(stream)
 
-    def _run(self) -> None:
-        try:
-            run = self._connected()
-        except InputError as error:
-            self._came.emit(None, str(error), "")
-        except Exception as error:  # said in the window, where a person sees it
-            self._came.emit(None, f"{type(error).__name__}: {error}", traceback.format_exc())
-        else:
-            if run is not None and self._stop.is_set():
-                run.close()
-            elif run is not None:
-                self._came.emit(run, "", "")
-
-    def _connected(self) -> LiveRun | None:
+    def _connected(self, progress: Progress) -> LiveRun:
         session = LiveSession(self.preset, self._pre_roll_s)
         session.__enter__()
         self._session = session
@@ -107,9 +91,7 @@ class Connection(QObject):
         try:
             for source in frames:
                 while not source.came(LOOK_S):
-                    if self._stop.is_set():
-                        session.__exit__()
-                        return None
+                    progress("waiting", 0.0)  # cancelled by this
                     _check(source.stream)
         except BaseException:
             session.__exit__()
@@ -119,14 +101,16 @@ class Connection(QObject):
             source.begin(epoch_ns)
         return LiveRun(self.preset, session, frames)
 
-    def _tell(self, run: LiveRun | None, problem: str, details: str) -> None:
-        if self._stop.is_set():
-            if run is not None:
-                run.close()
-        elif run is not None:
-            self.ready.emit(run)
+    def _tell(self, done: Done) -> None:
+        if done.answer is not None:
+            self.ready.emit(done.answer)
         else:
-            self.failed.emit(problem, details)
+            self.failed.emit(done.message, done.details)
+
+
+def _close(run: LiveRun | None) -> None:
+    if run is not None:
+        run.close()
 
 
 def single(source: str, sensor: str) -> SessionPreset:

@@ -8,8 +8,8 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live.live_session import LiveSensor
 from bubbleviz.live.session_preset import SessionPreset
-from bubbleviz_ui.engine.background import Background
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.live_frames import LiveOpener
@@ -48,8 +48,8 @@ class LiveController(QObject):
     def __init__(self, controller: Controller, pair: SensorPair) -> None:
         super().__init__()
         self._controller, self._pair, self.state = controller, pair, controller.state
-        self._background = Background("live")
-        self.recording, self.publishing = Recording(self._background), Publishing()
+        self._jobs = Jobs("live")
+        self.recording, self.publishing = Recording(self._jobs), Publishing()
         self.connection: Connection | None = None
         self.run: LiveRun | None = None
         self._marked: frozenset[int] = frozenset()
@@ -107,7 +107,7 @@ class LiveController(QObject):
         self._pair.end()
         run, self.run = self.run, None
         if run is not None:
-            self._background.do(run.close)  # after the recording, which has the same thread
+            self._jobs.run(lambda _: run.close())  # after the recording, which has the same thread
             self.changed.emit()
         self._timer.stop()
 
@@ -144,7 +144,7 @@ class LiveController(QObject):
         connection = self.connection
         self.disconnect_all()
         self.publishing.close()
-        self._background.close()
+        self._jobs.close()
         if connection is not None:
             connection.wait(5.0)
 

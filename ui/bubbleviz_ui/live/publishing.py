@@ -13,7 +13,7 @@ from bubbleviz.frames.message_encoding import Message
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz_ui.engine.background import Background
+from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.live.result_sender import ResultSender
 from bubbleviz_ui.model.choices import LOOPBACK
@@ -47,7 +47,7 @@ class Publishing(QObject):
         self._senders: list[ResultSender] = []
         self._forget: list[Callable[[], None]] = []
         self._lock = Lock()
-        self._background = Background("publishing")
+        self._jobs = Jobs("publishing")
 
     def start(self, run: LiveRun) -> None:
         """Listen at the endpoint and publish what is solved from now on."""
@@ -60,7 +60,7 @@ class Publishing(QObject):
             sender = ResultSender(frames.stream, send, each.place.name if several else "")
             self._senders.append(sender)
             self._forget.append(frames.listen(sender))
-        self._background.do(lambda: _publisher(endpoint), self._on_open)
+        self._jobs.run(lambda _: _publisher(endpoint), self._on_open)
         self.changed.emit()
 
     def stop(self) -> None:
@@ -74,7 +74,7 @@ class Publishing(QObject):
         with self._lock:
             publisher, self._publisher = self._publisher, None
         if publisher is not None:
-            self._background.do(publisher.close)
+            self._jobs.run(lambda _: publisher.close())
         self.changed.emit()
 
     def diagnose(self) -> None:
@@ -91,14 +91,15 @@ class Publishing(QObject):
     def close(self) -> None:
         """Stop, and wait until it is done."""
         self.stop()
-        self._background.close()
+        self._jobs.close()
 
-    def _on_open(self, publisher: ZenohPublisher | None, problem: str) -> None:
+    def _on_open(self, done: Done) -> None:
+        publisher: ZenohPublisher | None = done.answer
         if publisher is None:
             self.stop()
-            self.said.emit(f"Not publishing: {problem}")
+            self.said.emit(f"Not publishing: {done.message}")
         elif not self.on:
-            self._background.do(publisher.close)
+            self._jobs.run(lambda _: publisher.close())
         else:
             with self._lock:
                 self._publisher = publisher

@@ -9,7 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
-from bubbleviz_ui.engine.background import Background
+from bubbleviz_ui.engine.jobs import Done, Jobs
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Recording(QObject):
 
     Parameters
     ----------
-    background : Background
+    jobs : Jobs
         Where it is done.
 
     Attributes
@@ -49,13 +49,13 @@ class Recording(QObject):
     changed = Signal()
     said = Signal(str)
 
-    def __init__(self, background: Background) -> None:
+    def __init__(self, jobs: Jobs) -> None:
         super().__init__()
         self.folder = Path.cwd()
         self.busy = False
         self._recorder: Recorder | None = None
         self._began = 0.0
-        self._background = background
+        self._jobs = jobs
 
     def start(self, recorder: Recorder, path: Path | None = None) -> None:
         """Begin a new file, by default one in the folder that is named by the time."""
@@ -63,21 +63,21 @@ class Recording(QObject):
             return
         path = path or new_name(self.folder)
         self.busy, self._recorder, self._began = True, recorder, time.monotonic()
-        self._background.do(lambda: recorder.start(path), self._on_started)
+        self._jobs.run(lambda _: recorder.start(path), self._on_started)
         self.changed.emit()
 
     def stop(self) -> None:
         """End it, with everything that arrived."""
         recorder, self._recorder, self.busy = self._recorder, None, False
         if recorder is not None:
-            self._background.do(lambda: _stopped(recorder), self._on_stopped)
+            self._jobs.run(lambda _: _stopped(recorder), self._on_stopped)
             self.changed.emit()
 
     def mark(self, text: str, at_ns: int | None = None) -> None:
         """Put a marker or a note into the file; nothing where nothing is recorded."""
         recorder, when = self._recorder, time.time_ns() if at_ns is None else at_ns
         if recorder is not None:
-            self._background.do(lambda: recorder.mark(text, when))
+            self._jobs.run(lambda _: recorder.mark(text, when))
 
     def state(self) -> RecordingState | None:
         """How it goes; None while nothing is recorded. Ends a recording the disk refused."""
@@ -89,16 +89,17 @@ class Recording(QObject):
             return None
         return RecordingState(time.monotonic() - self._began, status)
 
-    def _on_started(self, _: object, problem: str) -> None:
-        if problem:
+    def _on_started(self, done: Done) -> None:
+        if done.message:
             self.busy, self._recorder = False, None
-            self.said.emit(f"Not recording: {problem}")
+            self.said.emit(f"Not recording: {done.message}")
             self.changed.emit()
 
-    def _on_stopped(self, status: RecorderStatus | None, problem: str) -> None:
+    def _on_stopped(self, done: Done) -> None:
+        status: RecorderStatus | None = done.answer
         if status is None:
-            if problem:
-                self.said.emit(problem)
+            if done.message:
+                self.said.emit(done.message)
         elif status.problem:
             self.said.emit(status.problem)
         elif status.messages:

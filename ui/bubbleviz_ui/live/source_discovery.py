@@ -11,7 +11,7 @@ from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.background import Background
+from bubbleviz_ui.engine.jobs import Done, Jobs
 
 LOOK_MS = 250
 NOTHING = "\0"
@@ -33,7 +33,7 @@ class Discovery(QObject):
         super().__init__()
         self._source: LiveSource | None = None
         self._asked = ""
-        self._background = Background("discovery")
+        self._jobs = Jobs("discovery")
         self._timer = QTimer(self)
         self._timer.setInterval(LOOK_MS)
         self._timer.timeout.connect(self._look)
@@ -43,17 +43,18 @@ class Discovery(QObject):
         self.stop()
         self._asked = text
 
-        def take(source: LiveSource | None, problem: str) -> None:
+        def take(done: Done) -> None:
+            source: LiveSource | None = done.answer
             if text != self._asked:
                 self._let_go(source)
             elif source is None:
-                self.found.emit((), problem)
+                self.found.emit((), done.message)
             else:
                 self._source = source
                 self._timer.start()
                 self._look()
 
-        self._background.do(lambda: _begin(text, sensor), take)
+        self._jobs.run(lambda _: _begin(text, sensor), take)
 
     def stop(self) -> None:
         """Look at nothing."""
@@ -65,11 +66,11 @@ class Discovery(QObject):
     def close(self) -> None:
         """Stop, and wait until it is done."""
         self.stop()
-        self._background.close()
+        self._jobs.close()
 
     def _let_go(self, source: LiveSource | None) -> None:
         if source is not None:
-            self._background.do(source.stop)
+            self._jobs.run(lambda _: source.stop())
 
     def _look(self) -> None:
         if self._source is not None:
