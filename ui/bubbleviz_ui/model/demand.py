@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -53,7 +53,7 @@ class Demand:
 
     products: Products
     looks: frozenset[Look] = frozenset()
-    options: FrameOptions = FrameOptions()
+    options: FrameOptions = field(default_factory=FrameOptions)
 
     @classmethod
     def of(cls, choices: Choices) -> Demand:
