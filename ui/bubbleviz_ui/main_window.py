@@ -115,7 +115,7 @@ class MainWindow(QMainWindow):
         self.undo_stack = QUndoStack(self)
         self.undo_stack.setUndoLimit(STEPS)
         self.settings = SettingsHistory(state, self.undo_stack)
-        self.session_saver = SessionSaver(self)
+        self.session_saver = SessionSaver(self, self)
         self.costs = Costs()
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
@@ -130,7 +130,7 @@ class MainWindow(QMainWindow):
         self._export: ExportDialog | None = None
         self._memory = MemoryRelease(state)
         self._lay_out()
-        self.menus = Menus(self)
+        self.menus = Menus(self.menuBar(), self, self.session_saver)
         self.shortcuts = Shortcuts(self.menuBar())
         self._rates = QTimer(self)
         self._rates.setInterval(RATES_EVERY_MS)

@@ -11,8 +11,8 @@ from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
+from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.shell.menus import RECORDINGS
 
 
 class RectificationPage(Page):

@@ -16,6 +16,8 @@ from bubbleviz.simulation.noisy_loop import NoisyLoop
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth, default_press, truth_of
 from bubbleviz.simulation.truth_file import KnownRecording, known_beside
 
+RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
+"""As file dialogs offer them."""
 LIVE_FINER = 2
 """Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
 

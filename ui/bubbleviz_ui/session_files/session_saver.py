@@ -6,10 +6,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, QTimer, Signal
+from PySide6.QtWidgets import QMainWindow
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame_source import FrameSource
@@ -37,9 +37,8 @@ from bubbleviz_ui.session_files.session_file import (
     read_session,
     read_user_file,
 )
-
-if TYPE_CHECKING:
-    from bubbleviz_ui.main_window import MainWindow
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.window_parts import WindowParts
 
 EVERY_MS = 3000
 """How much of a session a crash may cost."""
@@ -68,9 +67,9 @@ class SessionSaver(QObject):
 
     recent_changed = Signal()
 
-    def __init__(self, window: MainWindow) -> None:
-        super().__init__(window)
-        self._window = window
+    def __init__(self, frame: QMainWindow, window: WindowParts) -> None:
+        super().__init__(frame)
+        self._frame, self._window = frame, window
         self.recent: tuple[str, ...] = ()
         self.hinted = False
         self._opened: Opened | None = None
@@ -150,9 +149,9 @@ class SessionSaver(QObject):
             play_range=state.play_range,
             markers=state.markers,
             choices=plain_choices(state.choices),
-            camera=_camera(window) if moved else None,
-            geometry=_text(window.saveGeometry()),
-            layout=_text(window.saveState()),
+            camera=_camera(window.view) if moved else None,
+            geometry=_text(self._frame.saveGeometry()),
+            layout=_text(self._frame.saveState()),
             shortcuts=window.shortcuts.changed,
         )
         absent = self._absent
@@ -200,9 +199,9 @@ class SessionSaver(QObject):
         with window.settings.unrecorded():
             window.state.choose(**vars(choices))
             if saved.geometry:
-                window.restoreGeometry(_bytes(saved.geometry))
+                self._frame.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
-                window.restoreState(_bytes(saved.layout))
+                self._frame.restoreState(_bytes(saved.layout))
             window.status.setVisible("status" in choices.panels)
 
     def open_source(self, saved: SavedSession, file: Path | None = None) -> bool:
@@ -422,8 +421,8 @@ def write_whole(path: Path, what: BaseModel) -> None:
         raise InputError(f"{path}: cannot be written ({file.errorString()}); choose another place")
 
 
-def _camera(window: MainWindow) -> SavedCamera:
-    camera = window.view.camera
+def _camera(view: View) -> SavedCamera:
+    camera = view.camera
     return SavedCamera(
         position=tuple(camera.position),
         focal_point=tuple(camera.focal_point),

@@ -5,34 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu
+from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu, QMenuBar
 
 from bubbleviz.files.defaults import SESSION_SUFFIX
 from bubbleviz.files.preset_files import preset_names
+from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
+from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
-
-if TYPE_CHECKING:
-    from bubbleviz_ui.main_window import MainWindow
+from bubbleviz_ui.window_parts import WindowParts
 
 SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
-RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
 
 
 class Menus:
     """Actions of the menu bar; they only call the window and the model."""
 
-    def __init__(self, window: MainWindow) -> None:
-        self._window = window
-        bar = window.menuBar()
+    def __init__(self, bar: QMenuBar, window: WindowParts, session_saver: SessionSaver) -> None:
+        self._bar, self._window, self._saver = bar, window, session_saver
         self._file(bar.addMenu("&File"))
         self._edit(bar.addMenu("&Edit"))
         self._playback(bar.addMenu("&Playback"))
@@ -46,7 +43,7 @@ class Menus:
         self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
         self._add(menu, "Open &truth of a simulation…", self._open_truth)
         self._recent(menu.addMenu("Open &recent"))
-        self._add(menu, "Re&load", self._window.session_saver.reload, "F5")
+        self._add(menu, "Re&load", self._saver.reload, "F5")
         menu.addSeparator()
         self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
         self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
@@ -54,19 +51,18 @@ class Menus:
         self._add(menu, "&Export…", self._window.show_export, "Ctrl+Shift+E")
         self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
         menu.addSeparator()
-        self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
+        self._add(menu, "&Quit", self._bar.window().close, "Ctrl+Q")
 
     def _recent(self, menu: QMenu) -> None:
-        session_saver = self._window.session_saver
         menu.setProperty(UNLISTED, True)
 
         def fill() -> None:
             menu.clear()
-            for path in session_saver.recent:
+            for path in self._saver.recent:
                 menu.addAction(path).triggered.connect(partial(self._window.open_file, Path(path)))
-            menu.setEnabled(bool(session_saver.recent))
+            menu.setEnabled(bool(self._saver.recent))
 
-        session_saver.recent_changed.connect(fill)
+        self._saver.recent_changed.connect(fill)
         fill()
 
     def _help(self, menu: QMenu) -> None:
@@ -208,7 +204,7 @@ class Menus:
     def _publish_at(self) -> None:
         state = self._window.state
         endpoint, chosen = QInputDialog.getText(
-            self._window,
+            self._bar,
             "Publish results",
             "Listen at (127.0.0.1: this computer only; an address of it: others, too)",
             text=state.choices.publish_at,
@@ -217,47 +213,45 @@ class Menus:
             state.choose(publish_at=endpoint.strip() or LOOPBACK)
 
     def _open_recording(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self._window, "Open recording", "", RECORDINGS)
+        name, _ = QFileDialog.getOpenFileName(self._bar, "Open recording", "", RECORDINGS)
         if name:
             self._window.controller.opening.recording(Path(name))
 
     def _open_folder(self) -> None:
-        name = QFileDialog.getExistingDirectory(self._window, "Open recording folder")
+        name = QFileDialog.getExistingDirectory(self._bar, "Open recording folder")
         if name:
             self._window.controller.opening.recording(Path(name))
 
     def _open_sensor(self) -> None:
         name, _ = QFileDialog.getOpenFileName(
-            self._window, "Open sensor", "", "Sensor files (*.toml);;All files (*)"
+            self._bar, "Open sensor", "", "Sensor files (*.toml);;All files (*)"
         )
         if name:
             self._window.controller.opening.sensor_file(Path(name))
 
     def _open_truth(self) -> None:
         name, _ = QFileDialog.getOpenFileName(
-            self._window, "Open truth", "", "Truth of a simulation (*.npz);;All files (*)"
+            self._bar, "Open truth", "", "Truth of a simulation (*.npz);;All files (*)"
         )
         if name:
             self._window.controller.opening.truth(Path(name))
 
     def _open_session(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self._window, "Open session", "", SESSIONS)
+        name, _ = QFileDialog.getOpenFileName(self._bar, "Open session", "", SESSIONS)
         if name:
-            self._window.session_saver.open(Path(name))
+            self._saver.open(Path(name))
 
     def _save_session(self) -> None:
         name, _ = QFileDialog.getSaveFileName(
-            self._window, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS
+            self._bar, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS
         )
         if name:
             path = Path(name)
-            self._window.session_saver.save_as(
-                path if path.suffix else path.with_suffix(SESSION_SUFFIX)
-            )
+            self._saver.save_as(path if path.suffix else path.with_suffix(SESSION_SUFFIX))
 
     def _screenshot(self) -> None:
         name, _ = QFileDialog.getSaveFileName(
-            self._window, "Save screenshot", "bubbleviz.png", "PNG images (*.png)"
+            self._bar, "Save screenshot", "bubbleviz.png", "PNG images (*.png)"
         )
         if name:
             self._window.save_screenshot(Path(name))
