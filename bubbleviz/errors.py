@@ -1,4 +1,4 @@
-"""The errors a user can cause, each one clear sentence."""
+"""Errors reported to the user in one sentence."""
 
 from __future__ import annotations
 

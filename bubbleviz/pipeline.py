@@ -1,4 +1,4 @@
-"""Which products a consumer asks for decides which stages run."""
+"""The pipeline: runs the stages that the requested products need."""
 
 from __future__ import annotations
 

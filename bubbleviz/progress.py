@@ -1,4 +1,4 @@
-"""How long steps tell what they are at, and how they are stopped."""
+"""Progress reports of long computations, and how they are cancelled."""
 
 from __future__ import annotations
 
@@ -17,4 +17,4 @@ class Progress(Protocol):
 
 
 def quiet(step: str, done: float) -> None:
-    """Progress for whom nobody waits."""
+    """Discard progress reports."""

@@ -1,4 +1,4 @@
-"""What the pipeline makes of a frame."""
+"""Results of the pipeline for one frame."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Patch:
     area_m2 : float
         Area of the patch on the reference surface, m²; 0 without contact.
     pixel_mask : (H, W) bool array or None
-        Pixels of the patch; None when nobody asked for `pixel_mask`.
+        Pixels of the patch; None when `pixel_mask` was not requested.
     """
 
     threshold_pa: float
@@ -178,7 +178,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Result:
-    """Everything a consumer asked for about one frame; what nobody asked for is None.
+    """The products of one frame; those not requested are None.
 
     Attributes
     ----------

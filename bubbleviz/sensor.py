@@ -1,4 +1,4 @@
-"""What a sensor is: validated, read from and written to TOML (CONTRACT: sensor file)."""
+"""The sensor file: validated, read from and written to TOML."""
 
 from __future__ import annotations
 

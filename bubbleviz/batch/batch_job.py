@@ -1,4 +1,4 @@
-"""One recording of a batch: estimated into a folder of its own, which is there whole or not."""
+"""One recording of a batch: estimated into its own folder, which is written atomically."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of a batch, for people and programs."""
+"""Summary of a batch: text table, JSON and CSV."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _HEADER = (
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a batch did.
+    """Summary of a batch.
 
     Attributes
     ----------

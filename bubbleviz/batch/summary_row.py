@@ -1,4 +1,4 @@
-"""What the summary table says about one recording."""
+"""One row of a batch's summary table."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _statistics(
 
 
 def _worst(trusted: np.ndarray, residual_rms_m: np.ndarray) -> int:
-    """Place of the frame that somebody should look at first."""
+    """Index of the frame to inspect first."""
     if not trusted.all():
         return int(np.argmin(trusted))
     return int(np.nanargmax(residual_rms_m))

@@ -1,4 +1,4 @@
-"""What an identification refuses: each check says what is wrong and what to do."""
+"""Validity checks of an identification; each error says what is wrong and what to do."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def check_no_dent(
 
 
 def _closed(region: np.ndarray) -> np.ndarray:
-    """Region without gaps of a few pixels; the image's border counts as its like."""
+    """Morphological closing of a region; pixels beyond the image border repeat its edge."""
     padded = np.pad(region, 3, mode="edge")
     closed: np.ndarray = ndimage.binary_closing(padded, iterations=2)[3:-3, 3:-3]
     return closed

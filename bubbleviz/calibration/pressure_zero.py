@@ -1,4 +1,4 @@
-"""The gas pressure's zero: weather and sensor offset are not contact."""
+"""Zeroing the gas pressure: removes ambient drift and sensor offset."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class PressureZero:
             self._free, self._asked = [], False
 
     def wants_next(self) -> bool:
-        """Whether to find out about the next frame: that costs another estimate where it touches.
+        """Whether the next frame should be tested for contact, which may cost another estimate.
 
         Of a contact only every few frames are asked about.
         """

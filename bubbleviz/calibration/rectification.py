@@ -26,7 +26,7 @@ _APART = 10.0  # standard deviations of a sample that levels must differ by
 
 @dataclass(frozen=True)
 class Level:
-    """What one inflation level says of every pixel.
+    """Measured and modelled range of every pixel at one inflation level.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ def fit_rectification(levels: Sequence[Level]) -> Rectification:
 
 
 def _steady_slope(fitted: Rectification) -> np.ndarray:
-    """Slopes (H, W) drawn to 1 by as much as noise has spread them; NaN where nothing is known.
+    """Slopes (H, W) shrunk towards 1 according to their standard error; NaN where unknown.
 
     Towards the rim the levels differ by little. The mean of the posterior, with the slopes'
     own spread over the better half of the pixels as the prior's.
@@ -156,7 +156,7 @@ def _steady_slope(fitted: Rectification) -> np.ndarray:
 
 
 def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
-    """Identification whose pixels know, from further inflation levels, how errors change.
+    """Identification with a range correction per pixel fitted to further inflation levels.
 
     The bias stays that of its own level, so that the untouched sensor shows no contact; pixels
     that are not seen at every level are left out.

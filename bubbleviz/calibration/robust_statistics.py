@@ -1,4 +1,4 @@
-"""Location, scale and weights that a minority of bad samples cannot move."""
+"""Robust statistics: location, scale and weights."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Comparison:
 
 
 def compare(old: Sensor, new: Identification) -> Comparison:
-    """Compare the sensor in use with what its own frames say.
+    """Compare the sensor in use with the one identified from its frames.
 
     Raises
     ------

@@ -32,7 +32,7 @@ _FAR, _FAR_SHARE = 4.0, 1e-3
 
 @dataclass(frozen=True)
 class Measured:
-    """What the pixels in use say in one frame.
+    """Range residuals of the pixels in use in one frame.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class ShapeRanges:
 
 @dataclass(frozen=True)
 class Misfit:
-    """What a model leaves unexplained.
+    """Residual that a model leaves.
 
     Attributes
     ----------
@@ -329,7 +329,7 @@ class RangeObserver:
     def misfit(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
     ) -> Misfit:
-        """What a displacement (n,) leaves unexplained."""
+        """Residual that a displacement (n,) leaves."""
         hits = linear.hits
         model = linear.offset_m + self._along_rays(hits, displacement_m)
         error = observation.residual_m[hits.ray] - model

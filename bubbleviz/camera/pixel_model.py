@@ -1,4 +1,4 @@
-"""What a calibration knows of each pixel of the camera."""
+"""Per-pixel calibration of the depth camera: mask, bias, noise and range correction."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def identify(
     pressed: str | None,
     as_json: bool,
 ) -> None:
-    """Identify γ0, reference surface and pixels of a sensor nobody touches."""
+    """Identify γ0, reference surface and pixels of an untouched sensor."""
     from bubbleviz.calibration.identification import identify as run
     from bubbleviz.calibration.rectification import Level, rectify
     from bubbleviz.calibration.save_identification import check_outputs, save

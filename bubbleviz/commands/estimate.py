@@ -74,7 +74,7 @@ class EstimateSummary:
         return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
-        """A few lines for people, with units."""
+        """Text for the terminal, with units."""
         status = ", ".join(f"{count} {name}" for name, count in self.status.items())
         lines = [f"wrote   {self.out}", f"frames  {self.frames}: {status}"]
         if self.median_contact_force_n is not None:

@@ -24,7 +24,7 @@ from bubbleviz.wording import count_of
 
 @dataclass(frozen=True)
 class ExportSummary:
-    """What an export did.
+    """Summary of an export.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class ExportSummary:
         return json.dumps(asdict(self), indent=2, ensure_ascii=False)
 
     def to_text(self) -> str:
-        """A few lines for people."""
+        """Text for the terminal."""
         ran = ", ".join(name for name in self.stages if name != "total") or "none"
         return (
             f"wrote   {self.out}: {', '.join(self.kinds)} of {count_of(self.frames, 'frame')}, "

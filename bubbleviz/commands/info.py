@@ -1,4 +1,4 @@
-"""The facts of a recording, for people and for programs."""
+"""Summary of a recording: topics, frames, rate, duration, size, gaps."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class RecordingInfo:
         return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
-        """A few lines for people, with units."""
+        """Text for the terminal, with units."""
         rate = "–" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
         facts = [
             ("recording", self.path),

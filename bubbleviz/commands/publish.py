@@ -59,7 +59,7 @@ def publish_source(
     Raises
     ------
     InputError
-        The source cannot be opened, nobody can listen there, or no router is there.
+        The source cannot be opened, the address cannot be bound, or no router answers.
     """
     sent: Counter[str] = Counter()
     live = open_stream(source, sensor, any_size=True).source

@@ -55,7 +55,7 @@ class RecordSummary:
         return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
-        """A few lines for people, with units."""
+        """Text for the terminal, with units."""
         lines = [
             f"wrote   {self.out}, {self.size_bytes / 1e6:.1f} MB",
             f"frames  {self.frames} in {self.duration_s:.2f} s, {self.messages} messages",
@@ -142,7 +142,7 @@ def _wait(
             status = recorder.status()
             if status is None or status.problem:
                 return first
-            stream.take()  # releases a frame that waits; nobody looks at it
+            stream.take()  # frees the slot of a frame that is not solved here
             bar.n = status.messages
             bar.set_postfix_str(f"{status.size_bytes / 1e6:.1f} MB, {stream.status().text}")
             now = time.monotonic()

@@ -1,4 +1,4 @@
-"""^C and SIGTERM as an event, so that what is open can be ended in order."""
+"""^C and SIGTERM as an event, for an orderly shutdown."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that ^C and SIGTERM set, in place of what they do else; main thread only."""
+    """Event set by ^C and SIGTERM instead of their default action; main thread only."""
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop

@@ -101,7 +101,7 @@ class WatchSummary:
         return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
-        """A few lines for people, with units."""
+        """Text for the terminal, with units."""
         status = ", ".join(f"{count} {name}" for name, count in self.status.items())
         lines = [
             f"frames   {self.frames}: {status}; {self.rate_hz:.1f} Hz",

@@ -1,1 +1,1 @@
-"""A frame looked at more closely than its result: images, probe, threshold, comparison."""
+"""Diagnostics of one frame: images, probe, threshold, comparison."""

@@ -1,4 +1,4 @@
-"""Images of a frame to look at: what changed, what the model leaves unexplained, what to trust."""
+"""Diagnostic images of a frame: change, residual, noise, pixels used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The few numbers of a frame that are worth keeping and plotting over time."""
+"""Scalar values of a frame that are plotted over time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOTHING = float("nan")
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of one frame, SI but for the times; NaN where nobody asked or nothing is known.
+    """Numbers of one frame, SI but for the times; NaN where not requested or unknown.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Numbers:
     center_m : (float, float, float)
         Centre of pressure in B.
     latency_ms : float
-        Depth image here → products in the window; NaN where nobody waited for it.
+        Depth image received → products in the window; NaN for frames not shown live.
     """
 
     status: str = ""

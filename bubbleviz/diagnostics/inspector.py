@@ -1,4 +1,4 @@
-"""A closer look at one frame than its result gives: what nobody looks at is not computed."""
+"""Images, curves and parts of one frame for the panels, each computed only when requested."""
 
 from __future__ import annotations
 

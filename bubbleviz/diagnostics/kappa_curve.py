@@ -1,4 +1,4 @@
-"""What another patch threshold would make of a frame: area, and agreement with a known truth."""
+"""Patch area, and IoU with a known truth, as functions of the patch threshold κ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One place seen three ways: a pixel of the depth image, its point in 3-D, the nearest node."""
+"""Probe: a pixel of the depth image with its point in 3-D and the nearest node."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Pixel = tuple[int, int]
 
 @dataclass(frozen=True)
 class Probed:
-    """What is known of a place.
+    """Values at a probed place.
 
     Attributes
     ----------

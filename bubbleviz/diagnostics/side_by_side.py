@@ -1,4 +1,4 @@
-"""Two settings of the estimator on the same frame: what each costs, and how wrong each is."""
+"""Two estimator settings on the same frame: run time and error of each."""
 
 from __future__ import annotations
 

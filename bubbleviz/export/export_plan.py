@@ -1,4 +1,4 @@
-"""What to export and where to, before anything is read."""
+"""Export plan: kinds of files and their paths, checked before anything is read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every kind of export offers."""
+"""Interface of the exporters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Exporter(Protocol):
 
 
 def estimate_of(result: Result) -> Estimate:
-    """The estimate, which somebody must have asked for."""
+    """The estimate of a result that was processed with the product `estimate`."""
     if result.estimate is None:
         raise ValueError("the product estimate was not asked for")
     return result.estimate

@@ -1,1 +1,1 @@
-"""Files people write and read: TOML, meshes, poses, results, presets."""
+"""File formats: TOML, meshes, poses, results, presets."""

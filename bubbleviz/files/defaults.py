@@ -1,4 +1,4 @@
-"""What is meant where nothing is named; imports nothing, as the command line does at its start."""
+"""Defaults shared by the command line and the window; imports nothing, to start fast."""
 
 SYNTHETIC_SENSOR = "pico_flexx_75mm"
 """Preset of the built-in live sensor, and of studies."""

@@ -81,7 +81,7 @@ def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     complaints: list[str] = []
     reader = _vtk_reader(path)
-    for speaker in (reader, reader.GetExecutive()):  # VTK prints what nobody observes
+    for speaker in (reader, reader.GetExecutive()):  # VTK prints errors without an observer
         speaker.AddObserver("ErrorEvent", lambda *_: complaints.append("damaged"))
         speaker.AddObserver("WarningEvent", lambda *_: None)
     reader.SetFileName(str(path))

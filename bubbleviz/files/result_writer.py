@@ -1,4 +1,4 @@
-"""RESULT.npz and RESULT.csv (CONTRACT), written frame by frame in bounded memory."""
+"""RESULT.npz and RESULT.csv, written frame by frame in bounded memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TOML files that people write: found by name, read, and checked with one clear sentence."""
+"""TOML files: found by name, read, and validated; errors name the key and what to do."""
 
 from __future__ import annotations
 

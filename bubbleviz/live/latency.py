@@ -1,4 +1,4 @@
-"""How old a frame is when somebody sees it."""
+"""Latency: the age of a frame when it is shown."""
 
 from __future__ import annotations
 

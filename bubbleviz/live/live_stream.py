@@ -55,7 +55,7 @@ class LiveStream:
         self.source.start(self._deliver)
 
     def stop(self) -> None:
-        """Stop the source and let go of whoever waits for a frame."""
+        """Stop the source and wake threads that wait for a frame."""
         self.source.stop()
         self._mailbox.close()
 

@@ -30,7 +30,7 @@ class Mailbox:
             self._changed.notify_all()
 
     def take(self, timeout_s: float = 0.0) -> Frame | None:
-        """The newest frame that nobody took yet, waiting for one; None when there is none."""
+        """The newest frame not taken yet, waiting for one; None after the timeout."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not None or self._closed, timeout_s)
             frame, self._frame = self._frame, None

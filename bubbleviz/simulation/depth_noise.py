@@ -16,7 +16,7 @@ _MEMORY = 32
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """What a camera does to the true range.
+    """Noise model of a depth camera.
 
     Attributes
     ----------

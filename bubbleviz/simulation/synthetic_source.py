@@ -208,7 +208,7 @@ class SyntheticSource:
 
 
 def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMesh:
-    """Mesh to simulate on: of the analytic surface anew, of a mesh file its facets cut in four."""
+    """Mesh to simulate on: an analytic surface meshed finely, a mesh file's facets cut in four."""
     membrane = model.sensor.membrane
     if membrane.shape == "mesh":
         return refine(model.mesh)

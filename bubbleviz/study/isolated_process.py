@@ -1,4 +1,4 @@
-"""Calls in a process of their own, which may hang, crash or eat memory without harm."""
+"""Calls in a separate process, which may hang, crash or exhaust its memory limit."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from bubbleviz.study import object_shapes
 
 GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
 HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
-"""Objects that nobody looked at while choosing the estimator's settings."""
+"""Held-out objects: not used while choosing the estimator's settings."""
 
 LARGEST_OFFSET_M = 0.008
 LARGEST_TILT_RAD = 0.14

@@ -1,1 +1,1 @@
-"""What an identification says in the end: verdict, numbers, images, HTML."""
+"""Reports of an identification: verdict, numbers, images, HTML."""

@@ -1,4 +1,4 @@
-"""The report of an identification: numbers as JSON, and one HTML file that holds everything."""
+"""Report of an identification: numbers as JSON, and a self-contained HTML file."""
 
 from __future__ import annotations
 

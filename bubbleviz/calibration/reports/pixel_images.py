@@ -1,4 +1,4 @@
-"""What an identification says of each pixel, as images: for reports and windows."""
+"""Per-pixel images of an identification, for the report and the window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an identification is worth, in plain words."""
+"""Verdict on an identification: a grade with reasons and advice."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _surface(found: Identification) -> str:
 
 
 def _warnings(found: Identification) -> list[str]:
-    """What makes a result less than good."""
+    """Reasons to grade an identification below good."""
     tension, fits = found.tension, found.fits
     out = []
     if found.samples.gas_pressure_pa is None:

@@ -1,4 +1,4 @@
-"""Frames taken from a live source, as a source of their own."""
+"""Frames collected from a live source, as a frame source."""
 
 from __future__ import annotations
 

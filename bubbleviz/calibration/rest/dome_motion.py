@@ -1,4 +1,4 @@
-"""Whether the dome stands still against the camera while its frames are collected."""
+"""Check that the dome does not move relative to the camera while frames are collected."""
 
 from __future__ import annotations
 

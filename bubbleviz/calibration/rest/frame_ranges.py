@@ -1,4 +1,4 @@
-"""Sets of frames as a few ranges: what a person drags on a timeline."""
+"""Sets of frames as ranges, as selected on the timeline."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ def as_ranges(frames: Iterable[int]) -> Ranges:
 
 
 def in_words(ranges: Ranges) -> str:
-    """Ranges as a person writes them: "0–59, 80–99", last frames included."""
+    """Ranges as text such as "0–59, 80–99", last frames included."""
     return ", ".join(f"{a}–{b - 1}" if b - a > 1 else f"{a}" for a, b in ranges) or "none"

@@ -1,4 +1,4 @@
-"""Which pixels to trust, by how much each is off and how noisy it is."""
+"""Pixel selection: which pixels to use, with the bias and noise of each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAMPLE_SCALE = 3.0  # robust standard deviations: 1 in 370 of a normal populati
 
 @dataclass(frozen=True)
 class PixelStatistics(PixelModel):
-    """What contact-free frames taught about each pixel; bias 0 and noise inf outside the mask.
+    """Bias and noise of each pixel from contact-free frames; bias 0 and noise inf outside the mask.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ def select_pixels(
     min_validity: float | None = None,
     deviations: float = _SAMPLE_SCALE,
 ) -> PixelStatistics:
-    """Decide which pixels to use, and what each is off by.
+    """Choose the pixels to use, and estimate the bias of each.
 
     Reasons to leave a pixel out, in this order: `never_valid` and `rarely_valid` (returns in
     fewer than `min_validity` of the frames), `false_return` (not part of the membrane),

@@ -1,4 +1,4 @@
-"""The contact-free frames an identification works on, and what they say of each pixel."""
+"""Contact-free frames of an identification with their per-pixel statistics."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def collect(
 
 
 def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCamera) -> None:
-    """Refuse a depth that is another power of ten than the drawing has the membrane at."""
+    """Refuse depths whose scale differs from the sensor file's by a power of ten (mm for m)."""
     valid = depth_m[np.isfinite(depth_m)]
     if not valid.size:
         return  # measure_depth says so, over all frames

@@ -1,6 +1,6 @@
 """A second, separate estimate of γ0: the one whose predicted force explains a measured press.
 
-Force/torque sensors sit in axes nobody wrote down, so magnitudes are compared. One part of the
+The frame of a force/torque sensor is rarely documented, so magnitudes are compared. One part of the
 press chooses γ0, another one says how well it predicts.
 """
 

@@ -1,4 +1,4 @@
-"""Compressed chunks of a bag, decompressed only as far as somebody reads."""
+"""Compressed chunks of a bag, decompressed only as far as they are read."""
 
 from __future__ import annotations
 

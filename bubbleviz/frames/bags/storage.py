@@ -1,4 +1,4 @@
-"""What every kind of bag file offers: where messages are, and their bytes."""
+"""Interface of the bag storages: positions of messages, and their bytes."""
 
 from __future__ import annotations
 

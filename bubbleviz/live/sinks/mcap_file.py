@@ -111,7 +111,7 @@ class McapFile:
             self._folder.rmdir()
 
     def abandon(self) -> None:
-        """Leave the file as it was synced last: writing failed, and no more can be written."""
+        """Close after a failed write; the file stays as of the last sync."""
         descriptor = self._stream.fileno()
         os.ftruncate(descriptor, self.synced_bytes)
         with Path(os.devnull).open("wb") as nowhere:  # for what is buffered: closing writes it

@@ -19,7 +19,7 @@ MARKERS = f"{RESULTS}markers"
 
 _STRING = "std_msgs/msg/String"
 SYNC_S = 0.4
-"""How often what was recorded is brought to the disk: a crash costs no more than this."""
+"""Interval of fsync, s: the most that a crash can lose."""
 QUEUE_BYTES = 256 << 20
 """Messages that may wait for the disk; beyond it the source is made to wait."""
 PRE_ROLL_BYTES = 256 << 20

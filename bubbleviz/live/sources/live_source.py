@@ -8,20 +8,20 @@ from typing import Literal, NamedTuple, Protocol
 from bubbleviz.live.raw_message import RawMessage
 
 Link = Literal["connecting", "up", "lost", "ended"]
-"""`lost`: it was up, and the source tries to get it back by itself."""
+"""`lost`: it was up; the source reconnects automatically."""
 
 Deliver = Callable[[RawMessage], None]
 
 
 class OfferedTopic(NamedTuple):
-    """A topic somebody publishes: its name and its type."""
+    """A published topic: its name and its type."""
 
     name: str
     type: str
 
 
 class LiveSource(Protocol):
-    """Pushes messages from threads of its own, in the order they came, and skips none.
+    """Delivers messages from its own threads, in order of arrival and without gaps.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class LiveSource(Protocol):
         """Topics found so far, of the types that are used here."""
 
     def missed(self) -> int:
-        """Messages the publishers counted that never arrived; 0 where nobody counts."""
+        """Messages lost on the way, by the publishers' sequence numbers; 0 without those."""
 
     def problem(self) -> str:
         """What the source itself failed at, in words; empty while all is well."""

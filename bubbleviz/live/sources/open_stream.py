@@ -39,7 +39,7 @@ def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStr
     sensor : Sensor
         Simulated by `synthetic:`; its image size is the one that counts.
     any_size : bool
-        Take images of whatever size comes first: who only records needs no sensor file.
+        Accept images of any size: recording alone needs no sensor file.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 class PacedThread:
-    """Runs a function in a thread of its own until it returns or is stopped.
+    """Runs a function in a thread until it returns or is stopped.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class PacedThread:
 
     @property
     def stopping(self) -> bool:
-        """Whether somebody wants it to end."""
+        """Whether stopping was requested."""
         return self._stop.is_set()
 
     @property

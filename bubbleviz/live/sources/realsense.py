@@ -77,7 +77,7 @@ class RealSenseLive:
         self._missed = 0
 
     def start(self, deliver: Deliver) -> None:
-        """Begin to stream, in a thread of its own."""
+        """Start streaming in a new thread."""
         self._thread = PacedThread(lambda pace: self._run(pace, deliver), self.name)
 
     def stop(self) -> None:

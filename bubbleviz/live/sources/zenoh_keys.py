@@ -24,7 +24,7 @@ _NAMED = (b"sequence_number", b"source_gid")
 
 
 class Announced(NamedTuple):
-    """A topic that somebody publishes, and how."""
+    """A published topic and its key layout."""
 
     topic: str
     type: str

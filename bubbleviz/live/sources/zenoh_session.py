@@ -1,4 +1,4 @@
-"""Zenoh sessions that reach whom they are told to, and nobody else."""
+"""Zenoh sessions with explicit endpoints: no discovery by multicast or gossip."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def open_session(options: SessionOptions) -> Any:
     Raises
     ------
     InputError
-        The endpoint is malformed, nobody is there to connect to, or nobody can listen there.
+        The endpoint is malformed, the connection fails, or the address cannot be bound.
     """
     try:
         return zenoh.open(make_config(options))

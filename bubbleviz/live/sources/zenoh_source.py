@@ -48,7 +48,7 @@ class ZenohSource:
     ----------
     options : SessionOptions
     names : TopicNames
-        Topics named are subscribed to though nobody announces them.
+        Topics chosen by name are subscribed to even if no publisher announces them.
     domain : int
         ROS_DOMAIN_ID.
     """
@@ -72,7 +72,7 @@ class ZenohSource:
         self._deliver: Deliver | None = None
 
     def start(self, deliver: Deliver) -> None:
-        """Begin; whoever is not there yet is connected to when it comes."""
+        """Start; connects as soon as the endpoint is reachable."""
         self._deliver = deliver
         if self._options.listen is not None:
             self._session = open_session(self._options)
@@ -135,12 +135,12 @@ class ZenohSource:
             self._session.close()
 
     def _connect(self, pace: PacedThread) -> bool:
-        """Open the session once somebody is there, looking ever less often; False when stopped."""
+        """Open the session, retrying with increasing intervals; False when stopped."""
         wait = BACK_OFF_S[0]
         while self._session is None:
             try:
                 self._session = open_session(self._options)
-            except InputError:  # nobody there yet
+            except InputError:  # no router or peer yet
                 if not pace.wait_until(time.monotonic() + wait):
                     return False
                 wait = min(1.5 * wait, BACK_OFF_S[1])
@@ -168,7 +168,7 @@ class ZenohSource:
             self._subscribe(announced)
 
     def _subscribe(self, announced: Announced) -> None:
-        """Once for a topic and a layout, whoever announces it how often."""
+        """Subscribe once per topic and key layout, however many publishers announce it."""
         place = (announced.topic, announced.layout)
         if place in self._subscribers:
             return

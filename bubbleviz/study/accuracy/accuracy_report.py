@@ -42,7 +42,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Target:
-    """One figure that the issue asks for."""
+    """A target value, and whether it is met."""
 
     name: str
     value: float
@@ -107,7 +107,7 @@ def _with_front(point: Point, others: list[Point]) -> Point:
 
 
 def targets(accuracy: Accuracy) -> list[Target]:
-    """The issue's figures for the shipped default, and whether each is met."""
+    """Targets of the shipped default, and whether each is met."""
     label = accuracy.grid.setups[0].label
     found = []
     for held_out, of in ((False, "grid"), (True, "held-out")):
@@ -193,7 +193,7 @@ def to_text(accuracy: Accuracy) -> str:
 
 
 def _by_object(accuracy: Accuracy) -> list[tuple[str, ...]]:
-    """Rows that show why some objects fare worse: their patches are narrow."""
+    """Results by object, with the width of the patch that explains most of the differences."""
     found: list[tuple[str, ...]] = []
     label = accuracy.grid.setups[0].label
     for held_out in (False, True):

@@ -150,7 +150,7 @@ def full_grid() -> Grid:
 
 
 def quick_grid() -> Grid:
-    """Less than a minute's worth."""
+    """A subset that runs in less than a minute."""
     setups = (
         Setup(),
         Setup(relinearisations=0),
@@ -241,7 +241,7 @@ def _baselines(bank: TruthBank, sightings: list[Sighting], grid: Grid) -> list[B
 
 
 def is_deep(press: Press | Row) -> bool:
-    """Whether the issue's targets are about a press: 10 mm and deeper."""
+    """Whether the targets apply to a press: 10 mm and deeper."""
     return press.depth_m > 0.0099
 
 

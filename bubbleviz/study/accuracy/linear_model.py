@@ -1,4 +1,4 @@
-"""Where the linear membrane stops being true: against the exact axisymmetric bubble."""
+"""Error of the linear membrane against the exact axisymmetric bubble."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How strong the H1 term should be: the shipped λ against the rules that look at the misfit.
+"""Strength of the H1 term: the shipped λ against the discrepancy principle and the L-curve.
 
 The discrepancy principle takes the largest λ whose misfit is still that of the noise, the L-curve
 the corner of misfit against roughness. Most pixels see no contact, so that the misfit moves by a
@@ -31,7 +31,7 @@ FILES = ("regularisation.csv", "regularisation.png")
 
 @dataclass(frozen=True)
 class Strength:
-    """What one λ makes of all presses: means, medians where the name says so.
+    """Results of one λ over all presses: means, or medians where the name says so.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The depth-difference threshold that the field uses, given its best threshold by an oracle."""
+"""Baseline: threshold on the depth difference, with the best threshold chosen by an oracle."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class PosePoint:
 
 @dataclass(frozen=True)
 class PoseTarget:
-    """One figure that the issue asks for."""
+    """A target value, and whether it is met."""
 
     name: str
     value: float
@@ -85,7 +85,7 @@ def _point(name: str, noise: float, method: str, trials: list[PoseTrial]) -> Pos
 
 
 def targets(report: PoseReport) -> list[PoseTarget]:
-    """The issue's figures, and whether each is met."""
+    """Targets, and whether each is met."""
     found = {
         (p.object_name, p.method): p
         for p in points(report.study)

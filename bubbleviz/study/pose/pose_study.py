@@ -76,7 +76,7 @@ class PoseGrid:
 
 
 def quick_pose_grid() -> PoseGrid:
-    """Less than a minute's worth."""
+    """A subset that runs in less than a minute."""
     return PoseGrid(poses=4, noises_relative=(0.0, 0.01), truth_nodes=8_000)
 
 

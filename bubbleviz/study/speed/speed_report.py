@@ -77,7 +77,7 @@ def _slope(sizes: Sequence[float], values: Sequence[float]) -> float:
 
 
 def targets(speed: Speed) -> list[Target]:
-    """The issue's figures, and whether each is met in this run."""
+    """Targets, and whether each is met in this run."""
     rows = speed.rows
     streams = {row.setup: row for row in rows if row.sweep == "stream" and not row.error}
     found = []

@@ -107,7 +107,7 @@ def baseline_runs(frames: int, tolerances: tuple[float, ...]) -> list[Run]:
 
 
 def quick_runs() -> list[Run]:
-    """Less than a minute's worth."""
+    """A subset that runs in less than a minute."""
     return [
         Run("stream", Setup(), frames=40),
         *baseline_runs(6, (1e-3, 1e-5)),

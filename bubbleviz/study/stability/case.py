@@ -45,7 +45,7 @@ class Case:
 
 
 def attempt(case: Case) -> tuple[Verdict, str]:
-    """Run a case here; only errors that are part of the contract are caught."""
+    """Run a case here; only errors the API documents are caught."""
     verdict: Verdict = "passed"
     try:
         detail = case.run()

@@ -49,7 +49,7 @@ class Band:
 
 
 def forward_faults(contact: Contact, gauge_pressure_pa: float) -> list[str]:
-    """What is wrong with a solution of the forward problem, by its own certificate."""
+    """Faults of a forward solution, by its residuals."""
     pressure = max(gauge_pressure_pa, float(np.max(contact.contact_pressure_pa)))
     checks = {
         "not finite": np.isfinite(contact.displacement_m).all(),
@@ -66,7 +66,7 @@ def forward_faults(contact: Contact, gauge_pressure_pa: float) -> list[str]:
 def inverse_faults(
     pipeline: Pipeline, result: Result, truth: Truth | None, band: Band, measured_gas: bool = False
 ) -> list[str]:
-    """What is wrong with a result whose status claims an answer (`ok` or `no_contact`)."""
+    """Faults of a result whose status is `ok` or `no_contact`."""
     faults = [*_fields(pipeline, result), *_status(pipeline, result, band)]
     if not faults:
         faults = _equations(pipeline, result, measured_gas)

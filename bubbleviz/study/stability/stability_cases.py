@@ -24,7 +24,7 @@ Must = Literal["solve", "refuse", "either"]
 
 
 def all_cases() -> list[Case]:
-    """Every case, in the order of the issue."""
+    """Every case, in the order in which the study runs them."""
     groups = (
         _tension, _gauge, _dome, _chamber, _meshes, _slivers, _contacts, _gas, _noise, _pixels,
         _nonsense, _streams, _formats, _bad_input, _solvers,
