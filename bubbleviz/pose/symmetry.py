@@ -58,7 +58,8 @@ def _axes(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     arms = arms - center
     shares = np.tile(weight, 4)
     _, vectors = np.linalg.eigh((arms.T * shares) @ arms)
-    normals = np.unique(np.round(model.face_normals, 3), axis=0)
+    _, different = np.unique(np.round(model.face_normals, 3), axis=0, return_index=True)
+    normals = model.face_normals[different]  # as they are: rounded axes close no group
     largest = normals[np.argsort(-np.abs(normals).max(axis=1))][:40]
     between = [a + b for a, b in combinations(largest[:14], 2)]
     candidates = np.concatenate([vectors.T, np.eye(3), largest, np.reshape(between, (-1, 3))])

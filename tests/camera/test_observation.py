@@ -7,7 +7,7 @@ import pytest
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.camera.observer import RangeObserver, facet_error
+from bubbleviz.camera.observer import Misfit, RangeObserver, facet_error
 from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import RayCaster
@@ -164,6 +164,34 @@ def test_clean_pixels_keep_their_full_weight():
     depth = CAMERA.depth_image(noisy).astype(np.float32)
     with_model = observer.observe(depth, np.zeros(observer.blocks))
     assert with_model.weight == pytest.approx(observer.observe(depth).weight)
+
+
+def looked_at(noise: np.ndarray, sigma: float) -> tuple[RangeObserver, Misfit]:
+    """What is left of a dent's ranges with noise (H, W) by the model of that very dent."""
+    displacement = smooth_dent(0.006)
+    observer = RangeObserver(CAMERA, MESH, sigma, block=2)
+    ranges = MembraneView(CAMERA, MESH).range_image(displacement)
+    depth = CAMERA.depth_image(ranges * (1.0 + noise)).astype(np.float32)
+    linear = observer.linearise(displacement)
+    observation = observer.observe(depth, observer.predict(linear, displacement))
+    return observer, observer.misfit(observation, linear, displacement)
+
+
+def test_noise_that_was_foreseen_is_one_deviation_and_white():
+    rng = np.random.default_rng(5)
+    _, found = looked_at(0.01 * rng.standard_normal((171, 224)), 0.01)
+    assert found.rms_m == pytest.approx(0.01 * 0.15 / 2, rel=0.1)  # of four pixels' mean
+    assert found.deviations == pytest.approx(1.0, rel=0.05)
+    assert found.clumping == pytest.approx(1.0, abs=0.25)
+
+
+def test_noise_that_neighbours_share_clumps():
+    """Squares of 16 × 16 pixels with one error each: 64 blocks are worth a sample."""
+    rng = np.random.default_rng(6)
+    squares = np.kron(rng.standard_normal((11, 14)), np.ones((16, 16)))[:171, :224]
+    _, found = looked_at(0.01 * squares, 0.01)
+    assert found.clumping == pytest.approx(64.0, rel=0.1)
+    assert found.deviations == pytest.approx(2.0, rel=0.25)  # the mean of four is no better
 
 
 def test_a_field_seen_by_the_camera_is_cast_on_the_deformed_membrane():

@@ -68,8 +68,11 @@ def test_an_interior_point_certifies_the_active_set(sphere):
 
 def test_landmarks_change_the_way_and_not_the_answer(sphere, monkeypatch):
     """A fine mesh has a model Hessian of few columns; the KKT conditions are the same."""
-    whole = estimator(900)
+    with monkeypatch.context() as patch:
+        patch.setattr(active_set, "LandmarkHessian", lambda *_: pytest.fail("900 nodes are few"))
+        whole = estimator(900)
     monkeypatch.setattr(active_set, "DENSE_LIMIT", 10)
+    monkeypatch.setattr(active_set, "ReducedHessian", lambda *_: pytest.fail("too large"))
     landmarks = estimator(900)
     for seed in range(2):
         depth = sphere.depth(0.01, seed)
@@ -89,6 +92,14 @@ def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
     reference = np.linalg.norm(sphere.force)
     assert np.linalg.norm(force_of(warm, a) - force_of(warm, b)) < 0.02 * reference
     assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
+
+
+def test_a_frame_like_the_last_one_costs_a_pivot_or_two(sphere):
+    solver, depth = estimator(), sphere.depth(0.002)
+    cold, start = solver.estimate(depth)
+    _, start = solver.estimate(depth, start=start)
+    warm, _ = solver.estimate(depth, start=start)
+    assert warm.iterations <= 4 < cold.iterations
 
 
 def test_a_seek_ends_where_playing_does():

@@ -40,6 +40,20 @@ def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
     assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
 
 
+def test_a_deconvolution_takes_few_pivots():
+    """All violated indices at a time, as long as that helps: one at a time takes hundreds."""
+    place = np.arange(300)
+    kernel = np.exp(-0.5 * ((place[:, None] - place) / 2.0) ** 2)
+    truth = 1.0 * ((place >= 50) & (place < 80)) + 2.0 * ((place >= 200) & (place < 210))
+    H = kernel @ kernel + 1e-2 * np.eye(300)
+    for seed in range(3):
+        noise = 0.05 * np.random.default_rng(seed).standard_normal(300)
+        f = -kernel @ (kernel @ truth + noise)
+        x, pivots, converged = nonnegative_qp(DenseQuadratic(H), f, np.zeros(300, bool))
+        assert converged and pivots <= 20
+        assert nonnegative_qp(DenseQuadratic(H), f, x > 0.0)[1] == 1
+
+
 def test_pivoting_says_where_a_matrix_is_not_definite():
     x, _, converged = nonnegative_qp(DenseQuadratic(-np.eye(3)), -np.ones(3), np.ones(3, bool))
     assert not converged

@@ -148,6 +148,21 @@ def test_broken_mesh_is_refused_in_one_line(cap, kind):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("tilt_deg", "lift", "words"), [
+    (25.0, 0.0, None), (35.0, 0.0, "tilted 35°"),
+    (0.0, 0.012, None), (0.0, 0.018, "rim lies at z = 0.018 m"), (0.0, -0.018, "z = -0.018 m"),
+])  # fmt: skip
+def test_a_drawing_may_be_a_little_off(cap, tilt_deg, lift, words):
+    """By 30°, and by a tenth of the rim's width of 150 mm."""
+    c, s = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    nodes = cap.nodes @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + [0.0, 0.0, lift]
+    if words is None:
+        assert len(membrane_from_triangles(nodes, cap.triangles).nodes) == len(nodes)
+    else:
+        with pytest.raises(InputError, match=words):
+            membrane_from_triangles(nodes, cap.triangles)
+
+
 def test_unreadable_files_are_refused(tmp_path, cap, capfd):
     write_ply_big_endian(tmp_path / "whole.ply", cap.nodes, cap.triangles)
     whole = (tmp_path / "whole.ply").read_bytes()

@@ -10,6 +10,7 @@ from bubbleviz.errors import SolveError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.rigid_object import load_object
@@ -165,6 +166,33 @@ def test_work_of_the_object_is_the_energy_stored(prestretch):
     assert_equilibrium(middle)
     work = (high.energy_j - low.energy_j) / (2.0 * step)
     assert force(middle) == pytest.approx(work, rel=1e-5)
+
+
+def test_a_nut_keeps_the_edges_between_its_sides_and_a_ball_is_smooth():
+    """Normals 0.3 mm from an edge of 60° are those of the sides; a ball's point away from it."""
+    nut, turn = load_object("hex_nut"), np.radians(60.0 * np.arange(6))
+    mid = 0.5 * (nut.vertices[:, 2].min() + nut.vertices[:, 2].max())
+    radius = np.hypot(*nut.vertices[:, :2].T).max()
+    corner = nut.vertices[np.argmax(np.hypot(*nut.vertices[:, :2].T)), :2]
+    first = np.arctan2(corner[1], corner[0])
+    for k in turn:
+        a, b = (
+            radius * np.array([np.cos(first + k + d), np.sin(first + k + d)])
+            for d in (0.0, np.pi / 3)
+        )
+        along, normal = (b - a) / radius, (a + b) / np.linalg.norm(a + b)
+        for place in (a + 3e-4 * along, b - 3e-4 * along):
+            point = np.append(place + 5e-4 * normal, mid)
+            out = -np.append(normal, 0.0)
+            found = ObjectSurface(nut).planes(point[None], out[None], np.eye(4), 5e-3)
+            assert found.gap[0] == pytest.approx(5e-4, rel=1e-3)
+            np.testing.assert_allclose(found.normal[0], -out, atol=1e-6)
+    ball = load_object("sphere")
+    away = np.random.default_rng(0).standard_normal((50, 3))
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    found = ObjectSurface(ball).planes([0.0, 0.0, 0.015] + 0.016 * away, -away, np.eye(4), 5e-3)
+    np.testing.assert_allclose(found.gap, 1e-3, atol=1e-4)
+    assert np.einsum("ij,ij->i", found.normal, away).min() > np.cos(np.radians(1.0))
 
 
 def test_no_object_no_change():

@@ -1,11 +1,13 @@
 """Objects made ready: closest places, smooth normals, creases, refusals, symmetries, samples."""
 
 import numpy as np
+import open3d
 import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.pose.depth_image.object_contact import contact_samples
+from bubbleviz.pose.object_distance import object_distance
 from bubbleviz.pose.object_model import ObjectModel, check_size
 from bubbleviz.pose.start_finder import touching_directions
 from bubbleviz.pose.symmetry import symmetries
@@ -86,6 +88,54 @@ def test_symmetries(name, count):
         turned = model.obj.vertices @ T[:3, :3].T + T[:3, 3]
         way = np.linalg.norm(turned - model.closest(turned).place, axis=1)
         assert way.max() < 5e-3 * model.size_m
+
+
+def prism(sides):
+    """A straight prism over a regular polygon of 10 mm radius, 25 mm high."""
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = 0.01 * np.column_stack([np.cos(angle), np.sin(angle)])
+    vertices = np.vstack([np.c_[ring, np.zeros(sides)], np.c_[ring, np.full(sides, 0.025)]])
+    k = np.arange(sides)
+    j = (k + 1) % sides
+    faces = [np.c_[k, j, j + sides], np.c_[k, j + sides, k + sides]]
+    fan = np.c_[np.zeros(sides - 2, int), k[1:-1], k[2:]]
+    return RigidObject(f"prism {sides}", vertices, np.vstack([*faces, fan[:, ::-1], fan + sides]))
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
+def test_a_prism_has_the_turns_of_its_polygon_and_as_many_flips(sides):
+    assert len(symmetries(ObjectModel(prism(sides)))) == 2 * sides
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
+def test_a_pyramid_has_the_turns_of_its_polygon_alone(sides):
+    whole = prism(sides)
+    base = whole.triangles[2 * sides : 3 * sides - 2]
+    k = np.arange(sides)
+    faces = np.c_[k, (k + 1) % sides, np.full(sides, sides)]
+    vertices = np.vstack([whole.vertices[:sides], [0.0, 0.0, 0.025]])
+    pyramid = RigidObject(f"pyramid {sides}", vertices, np.vstack([faces, base]))
+    assert len(symmetries(ObjectModel(pyramid))) == sides
+
+
+@pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])
+def test_distances_are_those_of_a_signed_distance_field(name):
+    """Inside and outside, over faces and beside edges; the sign by counting what a ray meets."""
+    obj = made(name)
+    rng = np.random.default_rng(0)
+    low, high = obj.vertices.min(axis=0), obj.vertices.max(axis=0)
+    points = rng.uniform(low - 4e-3, high + 4e-3, (1500, 3))
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(obj.vertices.astype("f4"), obj.triangles.astype("u4"))
+    exact = scene.compute_signed_distance(points.astype("f4"), nsamples=5).numpy()
+    found = object_distance(ObjectModel(obj), points, np.eye(4))
+    clear = np.abs(exact) > 5e-4
+    assert np.mean(np.sign(found.signed_m[clear]) == np.sign(exact[clear])) > 0.995
+    beside = clear & ~found.over
+    assert beside.sum() > 50
+    assert np.abs(np.abs(found.signed_m) - np.abs(exact))[beside].max() < 1e-6
+    # over a face the distance is that from its plane, which bends with a smooth surface
+    assert np.median(np.abs(np.abs(found.signed_m) - np.abs(exact))[found.over]) < 1e-6
 
 
 def test_stable_faces_come_first():
