@@ -29,15 +29,15 @@ class Settings:
 
     Attributes
     ----------
-    sensor : str or None
-        File or preset; None for the preset that fits each recording.
+    sensor : str
+        File or preset; `auto` for the preset that fits each recording.
     kappa : float or None
     solver : str or None
     frames : str or None
         As in `bubbleviz.commands.estimate.parse_frames`.
     """
 
-    sensor: str | None
+    sensor: str
     kappa: float | None = None
     solver: str | None = None
     frames: str | None = None

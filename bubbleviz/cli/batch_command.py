@@ -45,7 +45,7 @@ def batch(
     from bubbleviz.batch.batch_job import Settings
     from bubbleviz.commands.batch import run_batch
 
-    settings = Settings(None if sensor == "auto" else sensor, kappa, solver, frames)
+    settings = Settings(sensor, kappa, solver, frames)
     with tqdm(unit="recording", leave=False, disable=None) as bar:  # only on a terminal
 
         def advance(row: Row, done: int, count: int) -> None:

@@ -9,7 +9,7 @@ import click
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--sensor", required=True, help="Sensor file, preset, or auto: the preset that fits.")
 @click.option(
     "--out",
     required=True,

@@ -82,7 +82,7 @@ def simulate(
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--sensor", required=True, help="Sensor file, preset, or auto: the preset that fits.")
 @click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
 @click.option("--solver", help="Solver of the inverse problem.")
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
@@ -119,7 +119,7 @@ def estimate(
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--sensor", required=True, help="Sensor file, preset, or auto: the preset that fits.")
 @click.option("--object", "object_name", required=True, help="Object mesh or preset.")
 @click.option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
 @click.option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')

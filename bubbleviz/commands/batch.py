@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from bubbleviz.batch.batch_job import Job, Settings
@@ -17,6 +18,7 @@ from bubbleviz.batch.local_processes import run_in_processes
 from bubbleviz.batch.summary_row import Row
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import cannot_write, refuse_existing
+from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.sensor import load_sensor
 
 SUMMARY = "summary.csv"
@@ -60,7 +62,7 @@ def run_batch(
         wrong with single recordings is in their rows.
     """
     found = find_recordings(folder)
-    if settings.sensor is not None:
+    if settings.sensor != AUTO:
         load_sensor(settings.sensor)  # else every recording would fail for the same reason
     if scheduler is not None:
         check_cluster(scheduler)
@@ -85,13 +87,8 @@ def run_batch(
 
 def _jobs(found: list[Path], folder: Path, out: Path, settings: Settings) -> list[Job]:
     """A job for each recording, with absolute paths: workers may start elsewhere."""
-    if settings.sensor is not None and Path(settings.sensor).exists():
-        settings = Settings(
-            str(Path(settings.sensor).absolute()),
-            settings.kappa,
-            settings.solver,
-            settings.frames,
-        )
+    if Path(settings.sensor).exists():
+        settings = replace(settings, sensor=str(Path(settings.sensor).absolute()))
     made = []
     for path in found:
         name = path.relative_to(folder)

@@ -20,10 +20,10 @@ from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.result_writer import UNKNOWN, CsvWriter, ResultWriter
 from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import check_fits
+from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
-from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.sensor import sensor_to_toml
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
@@ -124,9 +124,8 @@ def estimate_recording(
         Something given does not exist or does not fit together, or no frame has data.
     """
     _check_arguments(out, csv, kappa)
-    sensor = load_sensor(sensor_name)
     with Recording(recording) as source:
-        check_fits(source, sensor, sensor_name)
+        sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         made_by = {

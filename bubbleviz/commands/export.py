@@ -14,11 +14,10 @@ from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.files.output_files import whole_file
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import check_fits
+from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.sensor import load_sensor
 from bubbleviz.wording import count_of
 
 
@@ -74,9 +73,8 @@ def export_recording(
     """
     if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
         raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
-    sensor = load_sensor(sensor_name)
     with Recording(recording) as source:
-        check_fits(source, sensor, sensor_name)
+        sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         return export_frames(source, chosen, pipeline, FrameOptions(kappa), plan, progress)

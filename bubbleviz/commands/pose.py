@@ -17,11 +17,10 @@ from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.files.pose_writer import PoseCsvWriter, PoseRow
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import check_fits
+from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import load_sensor
 
 PRODUCTS: frozenset[Product] = frozenset({"pose"})
 
@@ -109,9 +108,8 @@ def pose_recording(
     refuse_existing(out)
     start = None if init is None else parse_pose(init)
     obj = load_object(object_name, unit)
-    sensor = load_sensor(sensor_name)
     with Recording(recording) as source:
-        check_fits(source, sensor, sensor_name)
+        sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         pipeline.follow(obj, start)

@@ -10,6 +10,9 @@ from bubbleviz.frames.depth_topics import CAMERA_INFO, of_type
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import Sensor, load_sensor
 
+AUTO = "auto"
+"""Sensor name that stands for the preset whose camera has the recording's image size."""
+
 
 def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) -> None:
     """Refuse a recording that is not of the sensor's camera.
@@ -28,14 +31,24 @@ def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) ->
         )
 
 
-def checked_sensor(path: str | Path, sensor_name: str | None) -> tuple[str, Sensor]:
-    """Name and sensor for a recording, which both can be opened and fit; see `preset_for`."""
-    sensor = None if sensor_name is None else load_sensor(sensor_name)
+def fitting_sensor(recording: Recording, name: str | Path | None) -> tuple[str, Sensor]:
+    """Name and sensor for a recording: as named, or `preset_for` it for `auto` and None.
+
+    Raises
+    ------
+    InputError
+        There is no such sensor, or it does not fit the recording.
+    """
+    chosen = preset_for(recording) if name is None or str(name) == AUTO else str(name)
+    sensor = load_sensor(chosen)
+    check_fits(recording, sensor, chosen)
+    return chosen, sensor
+
+
+def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sensor]:
+    """`fitting_sensor` of a recording that is not open yet."""
     with Recording(path) as recording:
-        name = sensor_name or preset_for(recording)
-        sensor = sensor or load_sensor(name)
-        check_fits(recording, sensor, name)
-    return name, sensor
+        return fitting_sensor(recording, name)
 
 
 def preset_for(recording: Recording) -> str:

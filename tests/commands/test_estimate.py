@@ -75,6 +75,12 @@ def truth(folder: Path) -> Arrays:
     return arrays(folder / "truth.npz")
 
 
+def test_auto_is_the_preset_with_a_camera_of_the_image_size(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "auto.npz"
+    run("estimate", folder / "rec.mcap", "--sensor", "auto", "--frames", "1:2", "--out", out)
+    assert tomllib.loads(str(arrays(out)["sensor_toml"]))["name"] == load_sensor(PRESET).name
+
+
 def test_every_key_of_the_contract(result: Arrays) -> None:
     frames, (height, width) = len(HEIGHTS), (171, 224)
     nodes, triangles = len(result["nodes_m"]), len(result["triangles"])

@@ -60,7 +60,7 @@ def open_recording(
         if any(given is not None for given in (sensor, truth, frame, screenshot)):
             raise click.UsageError("--sensor, --truth, --frame and --screenshot are for recordings")
         return _open_saved(recording, scene, fresh=fresh)
-    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz.frames.sensor_matching import AUTO, checked_sensor
     from bubbleviz_ui.model.scene_presets import load_scene
 
     if screenshot is not None:
@@ -69,7 +69,7 @@ def open_recording(
         refuse_existing(screenshot)
     preset = None if scene is None else load_scene(scene)
     name, chosen = checked_sensor(recording, sensor)
-    if sensor is None:
+    if sensor in (None, AUTO):
         click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     from bubbleviz_ui import app
 
