@@ -8,10 +8,6 @@ import time
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tqdm import tqdm
-
-from bubbleviz.batch.batch_job import run_job
-
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -26,6 +22,9 @@ def serve(pipe: Connection, parent: int) -> None:
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"), TQDM_DISABLE="1")
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    from tqdm import tqdm  # reads the environment when it is imported, as BLAS does
+
+    from bubbleviz.batch.batch_job import run_job  # imports numpy, and BLAS with it
 
     tqdm.set_lock(threading.RLock())  # its own is a semaphore that outlives a process killed
     while True:
