@@ -152,13 +152,14 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
 @_sensor
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
 def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
-    """Pose error against run time: stage one, both stages, other libraries, the whole cloud."""
+    """Pose error against run time and other libraries; on rubber pressed by the exact model."""
     from dataclasses import replace
 
     from bubbleviz.files.tables import out_folder, to_json
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.pose import pose_report
     from bubbleviz.study.pose.pose_study import PoseGrid, quick_pose_grid, run_pose_study
+    from bubbleviz.study.pose.rubber_poses import RubberGrid, quick_rubber_grid, run_rubber_study
     from bubbleviz.study.pose.screw_motion import SEEDS, run_screws, screw_source
 
     own = load_sensor(sensor)
@@ -167,9 +168,12 @@ def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -
         pose_report.check_free(out_folder(out))
     with _progress(grid.poses * len(grid.objects), "press") as bar:
         trials = run_pose_study(own, grid, lambda _: bar.update())
+    rubber_grid = replace(quick_rubber_grid() if quick else RubberGrid(), seed=seed)
+    with _progress(rubber_grid.presses * len(rubber_grid.objects), "press on rubber") as bar:
+        rubber = run_rubber_study(own, rubber_grid, lambda _: bar.update())
     nut = screw_source(own, nodes=grid.truth_nodes) if quick else screw_source(own)
     screws = run_screws(own, nut, SEEDS[:1] if quick else SEEDS)
-    found = pose_report.PoseReport(trials, screws)
+    found = pose_report.PoseReport(trials, rubber, screws)
     written = pose_report.write(found, out) if out is not None else []
     click.echo(to_json(pose_report.as_dict(found)) if as_json else pose_report.to_text(found))
     _name(written, as_json)

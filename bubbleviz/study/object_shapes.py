@@ -115,6 +115,12 @@ def cross() -> RigidObject:
     return _outward("cross", np.concatenate([*rings, centres]), np.array(triangles))
 
 
+def bar() -> RigidObject:
+    """Bar lying flat: 40 mm × 10 mm, 12 mm thick; not shipped, held out."""
+    corners = np.array([[-0.02, -0.005], [0.02, -0.005], [0.02, 0.005], [-0.02, 0.005]])
+    return _lathe("bar", [(corners, 0.0), (corners, 0.012)])
+
+
 GENERATORS: tuple[Callable[[], RigidObject], ...] = (
     frustum, two_legged_toy, bridge, sphere, torus, two_spheres, cylinder, hex_nut,
 )  # fmt: skip

@@ -17,6 +17,7 @@ from bubbleviz.study.pose import pose_report
 from bubbleviz.study.pose.cloud_registration import CloudRegistration, has_small_gicp
 from bubbleviz.study.pose.pose_errors import PoseJudge
 from bubbleviz.study.pose.pose_study import BOTH, WHOLE_CLOUD, PoseGrid, run_pose_study
+from bubbleviz.study.pose.rubber_poses import RubberGrid, run_rubber_study
 from bubbleviz.study.pose.screw_motion import run_screw, screw_path, screw_source
 from bubbleviz.study.presses import Press, made
 
@@ -100,20 +101,41 @@ def test_the_nut_turns_by_sixty_degrees(sensor):
     assert screw.rotation_error_rad_end < np.radians(6.0)
 
 
-def test_report(study, sensor, tmp_path):
+@pytest.fixture(scope="module")
+def rubber(sensor):
+    """A flat puck and a pair of balls on a coarse sensor, truth by the exact forward model."""
+    membrane = sensor.membrane.model_copy(update={"nodes": 1_200})
+    grid = RubberGrid(
+        objects=("cylinder", "two_spheres"), presses=1, starts=1, truth_nodes=1_500, seed=11,
+        noise_relative=0.003,
+    )  # fmt: skip
+    return run_rubber_study(sensor.model_copy(update={"membrane": membrane}), grid)
+
+
+def test_on_rubber_flat_faces_and_balls_are_where_they_are(rubber):
+    assert rubber.omitted == []
+    for trial in rubber.trials:
+        assert trial.status == "ok"
+        assert trial.depth_m >= 7e-3
+        assert trial.seen_m < 1e-3
+        assert trial.seen_rad < np.radians(3.0)
+
+
+def test_report(study, rubber, sensor, tmp_path):
     source = screw_source(sensor, nodes=3_000)
     source.poses = source.poses[:3]
     screw = run_screw(sensor, source, 3, blanked=False)
-    report = pose_report.PoseReport(study, [screw])
+    report = pose_report.PoseReport(study, rubber, [screw])
     paths = pose_report.write(report, tmp_path)
     assert [path.name for path in paths] == list(pose_report.FILES)
-    data = json.loads(paths[1].read_text())
+    data = json.loads(paths[2].read_text())
     assert {"targets", "points", "screws", "trials", "grid"} <= set(data)
     names = [target["name"] for target in data["targets"]]
     assert "cross, 1 %: better than whole cloud" in names
     assert "screw, 1 runs: largest rotation error in °, worst run" in names
     with paths[0].open() as file:
         assert len(list(csv.DictReader(file))) == len(study.trials)
+    assert "rubber, 2 starts: worst error in mm" in names
     text = pose_report.to_text(report)
     assert "both stages" in text
     assert "cross" in text

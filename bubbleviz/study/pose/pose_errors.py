@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.observability import LEAST_RADIUS_M, Directions, directions
 from bubbleviz.pose.registration import Precision
@@ -82,9 +83,17 @@ class PoseJudge:
 
     def contact(self, source: SyntheticSource) -> TrueContact:
         """The true contact in the first frame of a simulation."""
-        mesh, truth, T = source.mesh, source.truth(0), source.poses[0]
-        touching = np.flatnonzero(truth.contact_pressure_pa > 0.0)
-        points = mesh.deformed(truth.displacement_m)[touching]
+        truth = source.truth(0)
+        return self.touching(
+            source.mesh, truth.displacement_3d_m, truth.contact_pressure_pa, source.poses[0]
+        )
+
+    def touching(
+        self, mesh: MembraneMesh, displacement_m: np.ndarray, pressure_pa: np.ndarray, T: np.ndarray
+    ) -> TrueContact:
+        """The contact of a membrane moved by (n, 3) under pressures (n,), object at T (4, 4)."""
+        touching = np.flatnonzero(pressure_pa > 0.0)
+        points = mesh.deformed(displacement_m)[touching]
         areas = mesh.areas[touching]
         center = areas @ points / areas.sum()
         radius = float(np.sqrt(areas @ np.sum((points - center) ** 2, axis=1) / areas.sum()))
@@ -102,6 +111,7 @@ class PoseJudge:
         basis = (arm[:, None] * found.motions)[:, found.determined]
         scaled = np.array(alike) * arm
         known = scaled @ basis @ basis.T
+        # Symmetric poses are alike in the determined directions: the closest of them in all others.
         best = int(np.argmin(np.linalg.norm(known, axis=1) + 0.05 * np.linalg.norm(scaled, axis=1)))
         return PoseErrors(
             error_m=float(np.linalg.norm(known[best, :3])),

@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.pose.pose_study import BOTH, WHOLE_CLOUD, PoseStudy, PoseTrial
+from bubbleviz.study.pose.rubber_poses import RubberStudy
 from bubbleviz.study.pose.screw_motion import RECOVERY_FRAMES, Screw
 
 TARGET_NOISE = 0.01
-FILES = ("pose.csv", "pose.json", "pose.png")
+FILES = ("pose.csv", "rubber.csv", "pose.json", "pose.png")
 SUCCESS_OBJECTS = ("frustum", "two_legged_toy")
 
 
@@ -48,9 +49,10 @@ class PoseTarget:
 
 @dataclass(frozen=True)
 class PoseReport:
-    """Trials and screw motions."""
+    """Trials, those on honest rubber, and screw motions."""
 
     study: PoseStudy
+    rubber: RubberStudy
     screws: list[Screw]
 
 
@@ -111,7 +113,19 @@ def targets(report: PoseReport) -> list[PoseTarget]:
         result.append(
             PoseTarget(f"{name}, 1 %: better than whole cloud", float(better), "= 1", better)
         )
-    return [*result, *_screw_targets(report.screws)]
+    return [*result, *_rubber_targets(report.rubber), *_screw_targets(report.screws)]
+
+
+def _rubber_targets(study: RubberStudy) -> list[PoseTarget]:
+    """All that moves the membrane, flat faces that slid and turned with it; no pose is infinite."""
+    off = np.nan_to_num(np.array([trial.seen_m for trial in study.trials]), nan=np.inf)
+    turned = np.nan_to_num(np.array([trial.seen_rad for trial in study.trials]), nan=np.inf)
+    runs = f"rubber, {len(off)} starts"
+    return [
+        _at_most(f"{runs}: median error in mm", 1e3 * np.median(off), 0.4),
+        _at_most(f"{runs}: worst error in mm", 1e3 * off.max(), 1.0),
+        _at_most(f"{runs}: worst error in °", np.degrees(turned.max()), 3.0),
+    ]
 
 
 def _screw_targets(screws: list[Screw]) -> list[PoseTarget]:
@@ -151,7 +165,8 @@ def as_dict(report: PoseReport) -> dict[str, Any]:
         "targets": [asdict(target) for target in targets(report)],
         "points": [asdict(point) for point in points(report.study)],
         "screws": [asdict(screw) for screw in report.screws],
-        "omitted": report.study.omitted,
+        "omitted": [*report.study.omitted, *report.rubber.omitted],
+        "rubber": [asdict(trial) for trial in report.rubber.trials],
         "trials": [asdict(trial) for trial in report.study.trials],
     }
 
@@ -177,11 +192,37 @@ def to_text(report: PoseReport) -> str:
         "Medians over the directions that the true contact determines, modulo symmetry; over all",
         table(header, lines),
         "",
+        "On rubber, pressed by the exact model; starts 3 mm and 8° off; determined, then all seen",
+        _rubber_table(report.rubber),
+        "",
         table(("target", "value", "limit", ""), aims),
         *(_screw_line(screw) for screw in report.screws),
-        *(f"left out: {line}" for line in report.study.omitted),
+        *(f"left out: {line}" for line in [*report.study.omitted, *report.rubber.omitted]),
     ]
     return "\n".join(parts)
+
+
+def _rubber_table(study: RubberStudy) -> str:
+    header = (
+        "object", "starts", "ok", "mm", "°", "seen mm", "worst", "seen °", "worst", "first ms",
+        "next ms",
+    )  # fmt: skip
+    lines = []
+    for name in dict.fromkeys(trial.object_name for trial in study.trials):
+        own = [trial for trial in study.trials if trial.object_name == name]
+        seen = np.array([[t.seen_m, t.seen_rad, t.error_m, t.error_rad] for t in own])
+        seen *= [1e3, np.degrees(1.0), 1e3, np.degrees(1.0)]
+        middle, worst = np.median(seen, axis=0), seen.max(axis=0)
+        first, following = np.median([[t.first_ms, t.next_ms] for t in own], axis=0)
+        ok = sum(t.status == "ok" for t in own)
+        lines.append(
+            (
+                name, str(len(own)), str(ok), f"{middle[2]:.2f}", f"{middle[3]:.1f}",
+                f"{middle[0]:.2f}", f"{worst[0]:.2f}", f"{middle[1]:.1f}", f"{worst[1]:.1f}",
+                f"{first:.0f}", f"{following:.0f}",
+            )
+        )  # fmt: skip
+    return table(header, lines)
 
 
 def _screw_line(screw: Screw) -> str:
@@ -209,11 +250,12 @@ def check_free(folder: Path) -> None:
 
 
 def write(report: PoseReport, folder: Path) -> list[Path]:
-    """Write pose.csv, pose.json and pose.png; the paths."""
+    """Write pose.csv, rubber.csv, pose.json and pose.png; the paths."""
     paths = [folder / name for name in FILES]
     write_csv(paths[0], report.study.trials)
-    write_json(paths[1], as_dict(report))
-    _plot(report, paths[2])
+    write_csv(paths[1], report.rubber.trials)
+    write_json(paths[2], as_dict(report))
+    _plot(report, paths[3])
     return paths
 
 

@@ -1,0 +1,180 @@
+"""Pose on honest rubber: presses by the exact forward model, followed from starts that are off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.errors import InputError, SolveError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.rigid_motion import moved
+from bubbleviz.pose.tracker import precision_of
+from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.study.pose.pose_errors import PoseJudge, TrueContact
+from bubbleviz.study.pose.rubber_truth import PRESTRETCH, TRUTH_NODES, RubberPresses, RubberTruth
+from bubbleviz.study.presses import Press, made
+
+START_M, START_RAD = 3e-3, np.radians(8.0)
+SHALLOWEST_M, DEEPEST_M = 0.007, 0.012
+FRAMES = 4
+
+_PRODUCTS: frozenset[Product] = frozenset({"pose"})
+_TURNS_UNSEEN = ("sphere",)
+"""Objects whose turns change nothing that a camera could see."""
+
+
+@dataclass(frozen=True)
+class RubberGrid:
+    """What runs.
+
+    Attributes
+    ----------
+    objects : tuple of str
+    presses, starts : int
+        Random presses of each object, and starts of each press, off by 3 mm and 8°.
+    noise_relative : float
+    truth_nodes, seed : int
+    """
+
+    objects: tuple[str, ...] = (
+        "cylinder", "bar", "torus", "two_spheres", "frustum", "two_legged_toy", "bridge", "hex_nut",
+        "sphere",
+    )  # fmt: skip
+    presses: int = 3
+    starts: int = 3
+    noise_relative: float = 0.01
+    truth_nodes: int = TRUTH_NODES
+    seed: int = 7
+
+
+def quick_rubber_grid() -> RubberGrid:
+    """Half a minute's worth."""
+    return RubberGrid(objects=("cylinder", "two_spheres"), presses=1, starts=2)
+
+
+@dataclass(frozen=True)
+class RubberTrial:
+    """The last of some frames of one press, followed from one start.
+
+    `error_m` and `error_rad` are over the directions that the contact's normals determine;
+    `seen_m` and `seen_rad` over all that moves the membrane (for a ball the former), all modulo
+    symmetry.
+    """
+
+    object_name: str
+    depth_m: float
+    status: str
+    determined: int = 0
+    error_m: float = np.nan
+    error_rad: float = np.nan
+    seen_m: float = np.nan
+    seen_rad: float = np.nan
+    first_ms: float = np.nan
+    next_ms: float = np.nan
+
+
+@dataclass(frozen=True)
+class RubberStudy:
+    """All trials, and what was left out and why."""
+
+    grid: RubberGrid
+    trials: list[RubberTrial]
+    omitted: list[str]
+
+
+def rubber_sensor(sensor: Sensor) -> Sensor:
+    """The sensor, of rubber where its file does not say so."""
+    if sensor.membrane.prestretch is not None:
+        return sensor
+    membrane = sensor.membrane.model_copy(update={"prestretch": PRESTRETCH})
+    return sensor.model_copy(update={"membrane": membrane})
+
+
+def run_rubber_study(
+    sensor: Sensor, grid: RubberGrid, tick: Callable[[str], None] = lambda _: None
+) -> RubberStudy:
+    """Run a grid; `tick` is called with an object's name for each of its presses."""
+    own = SensorModel.of(rubber_sensor(sensor))
+    presses = RubberPresses(own, grid.truth_nodes)
+    trials: list[RubberTrial] = []
+    omitted: list[str] = []
+    for name in grid.objects:
+        bench = _Bench(Pipeline(own), ObjectModel(made(name)))
+        random = np.random.default_rng([grid.seed, *name.encode()])
+        for depth in random.uniform(SHALLOWEST_M, DEEPEST_M, grid.presses):
+            press = Press(name, float(depth), False)
+            try:
+                truth = presses.press(bench.model, press.pose(presses.mesh, grid.seed))
+                trials += bench.trials(truth, press, grid, random)
+            except (InputError, SolveError) as error:
+                omitted.append(f"{name} {1e3 * depth:.1f} mm: {error}")
+            tick(name)
+    return RubberStudy(grid, trials, omitted)
+
+
+class _Bench:
+    """Follows one object."""
+
+    def __init__(self, pipeline: Pipeline, model: ObjectModel) -> None:
+        self._pipeline, self.model = pipeline, model
+        self._judge = PoseJudge(model, precision_of(pipeline.estimator))
+
+    def trials(
+        self, truth: RubberTruth, press: Press, grid: RubberGrid, random: np.random.Generator
+    ) -> list[RubberTrial]:
+        """From every start."""
+        found, displacement = truth.contact, truth.contact.displacement_3d_m
+        true = self._judge.touching(
+            truth.mesh, displacement, found.contact_pressure_pa, truth.T_B_O
+        )
+        trials = []
+        for start in range(grid.starts):
+            ways = random.standard_normal((2, 3))
+            ways *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(ways, axis=1)[:, None]
+            T = moved(true.T_B_O, ways.ravel(), true.center)
+            trials.append(self._trial(truth, press, true, T, grid, start))
+        return trials
+
+    def _trial(
+        self,
+        truth: RubberTruth,
+        press: Press,
+        true: TrueContact,
+        start: np.ndarray,
+        grid: RubberGrid,
+        number: int,
+    ) -> RubberTrial:
+        self._pipeline.follow(self.model.obj, start)
+        noise, camera = DepthNoise(relative=grid.noise_relative), self._pipeline.camera
+        times = []
+        for k in range(FRAMES):
+            ranges = noise.apply(truth.range_m, grid.seed + number, k)
+            depth = camera.depth_image(ranges).astype(np.float32)
+            result = self._pipeline.process(Frame(k, k / 30.0, depth), _PRODUCTS)
+            times.append(result.times_ms.get("pose", np.nan))
+        pose = result.pose
+        trial = RubberTrial(
+            press.object_name,
+            press.depth_m,
+            "none" if pose is None else pose.status,
+            determined=int(true.directions.determined.sum()),
+            first_ms=times[0],
+            next_ms=float(np.median(times[1:])),
+        )
+        if pose is None or pose.status != "ok":
+            return trial
+        errors = self._judge.errors(pose.T_B_O, true)
+        whole = press.object_name not in _TURNS_UNSEEN
+        return replace(
+            trial,
+            error_m=errors.error_m,
+            error_rad=errors.error_rad,
+            seen_m=errors.whole_m if whole else errors.error_m,
+            seen_rad=errors.whole_rad if whole else errors.error_rad,
+        )
