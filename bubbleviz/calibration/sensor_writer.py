@@ -12,8 +12,10 @@ import numpy as np
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.files.ply_writer import write_ply
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
+
+_MESH_COMMENT = "membrane in the bubble frame B, metres"
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ def write_sensor(
         # Published last to first: the sensor file comes last, when what it names is there.
         toml = files.enter_context(whole_file(path))
         if sensor.membrane.mesh_file is not None:
-            _write_ply(identification.mesh, files.enter_context(whole_file(mesh_path)))
+            mesh, ply = identification.mesh, files.enter_context(whole_file(mesh_path))
+            write_ply(ply, mesh.nodes, {}, mesh.triangles, _MESH_COMMENT)
         identification.pixels.save(files.enter_context(whole_file(pixels_path)))
         toml.write_text(_comment(identification) + sensor_to_toml(sensor), encoding="utf-8")
     return sensor
@@ -161,16 +164,3 @@ def _chamber_lines(identification: Identification) -> list[str]:
             "That leaves nothing for the chamber: the value given before is kept, unmeasured."
         )
     return lines
-
-
-def _write_ply(mesh: MembraneMesh, path: Path) -> None:
-    """Binary little-endian PLY, double precision, metres."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment membrane in the bubble frame B, metres\n"
-        f"element vertex {len(mesh.nodes)}\n"
-        "property double x\nproperty double y\nproperty double z\n"
-        f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(mesh.triangles), dtype=[("count", "u1"), ("nodes", "<i4", 3)])
-    faces["count"], faces["nodes"] = 3, mesh.triangles
-    path.write_bytes(header.encode() + mesh.nodes.astype("<f8").tobytes() + faces.tobytes())

@@ -341,3 +341,9 @@ def test_auto_names_what_fits_no_preset(recordings: Path, tmp_path: Path) -> Non
     row = run_job(job)
     assert row.outcome == "bad_input"
     assert "no preset has a camera of 56×43 pixels" in row.error
+
+
+def test_a_process_chooses_its_threads_before_it_imports_numpy() -> None:
+    code = "import sys, bubbleviz.batch.job_process; print('numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
