@@ -112,6 +112,14 @@ class Calibration(_Section):
     """ISO 8601, UTC."""
     tension_interval_n_per_m: tuple[float, float] | None = None
     """95 % interval of γ0."""
+    gauge_interval_pa: tuple[float, float] | None = None
+    """95 % interval of the gauge pressure, where it was measured and not assumed."""
+    gauge_from: str | None = None
+    """What the gauge pressure rests on."""
+    prestretch_interval: tuple[float, float] | None = None
+    """95 % interval of λ, where it was measured."""
+    prestretch_from: str | None = None
+    """What λ rests on."""
 
 
 class Sensor(_Section):

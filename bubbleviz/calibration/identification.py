@@ -10,7 +10,7 @@ it by raising `Cancelled`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,8 @@ from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
 from bubbleviz.calibration.rest.rest_frames import Samples, collect
 from bubbleviz.calibration.robust_statistics import robust_sigma
+from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate, estimate_rubber
+from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.surface.free_form import FreeForm
 from bubbleviz.calibration.surface.reference_surface import (
     Fits,
@@ -70,6 +72,8 @@ class Identification:
         Share of the dome's area that the camera sees.
     wander_m : float
         How far the dome moves over the frames beyond noise, m.
+    rubber : RubberEstimate or None
+        Where inflation levels or the open chamber told of gauge pressure and rubber.
     """
 
     sensor: Sensor
@@ -81,6 +85,7 @@ class Identification:
     chamber: ChamberEstimate | None
     seen: float
     wander_m: float
+    rubber: RubberEstimate | None = None
 
     @property
     def mesh(self) -> MembraneMesh:
@@ -282,7 +287,7 @@ def assemble(
         }
     )
     update = {
-        "membrane": _membrane_section(surfaces),
+        "membrane": _membrane_section(surfaces, sensor.membrane.prestretch),
         "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
         "camera": _camera_section(sensor.camera, surfaces.camera, samples.statistics, pixels),
         "calibration": None,
@@ -300,15 +305,64 @@ def assemble(
     )
 
 
-def _membrane_section(surfaces: Surfaces) -> Membrane:
+def with_rubber(
+    found: Identification, levels: Sequence[Samples], vented: Vented | None = None
+) -> Identification:
+    """Identification with λ, and the gauge pressure, as inflation levels and open chamber tell.
+
+    Parameters
+    ----------
+    found : Identification
+        From a sensor with the open chamber's atmospheric pressure, where that is given.
+    levels : sequence of Samples
+        Of the untouched sensor at other pressures.
+    vented : Vented, optional
+
+    Raises
+    ------
+    InputError
+        An open chamber was recorded, but not the gas pressure of the inflated sensor.
+    """
+    rubber = estimate_rubber(
+        found.samples,
+        found.surfaces,
+        found.pixels.mask,
+        found.tension,
+        levels,
+        vented,
+    )
+    if rubber is None:
+        return found
+    tension, sensor = found.tension, found.sensor
+    if rubber.gauge is not None:
+        tension = tension.under(rubber.gauge)
+    section = {
+        "gauge_pressure_pa": round(tension.gauge_pressure_pa, 1),
+        "tension_n_per_m": round(tension.tension.value, 3),
+    }
+    if rubber.gauge_from == "levels" and found.samples.gas_pressure_pa is not None:
+        absolute = float(np.median(found.samples.gas_pressure_pa))
+        section["atmospheric_pressure_pa"] = round(absolute - tension.gauge_pressure_pa, 1)
+    membrane = sensor.membrane
+    if rubber.prestretch is not None:
+        stretch = {"prestretch": round(rubber.prestretch.value, 4)}
+        membrane = membrane.model_copy(update=stretch)
+    pneumatics = sensor.pneumatics.model_copy(update=section)
+    update = {"membrane": membrane, "pneumatics": pneumatics}
+    return replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
+
+
+def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
     if surfaces.chosen != "sphere":
         nodes = len(surfaces.mesh.nodes)
-        return Membrane(shape="mesh", mesh_file="membrane.ply", nodes=nodes)
+        file = "membrane.ply"
+        return Membrane(shape="mesh", mesh_file=file, nodes=nodes, prestretch=prestretch)
     cap = cap_over_rim(surfaces.fits.sphere.ellipsoid)
     return Membrane(
         shape="spherical_cap",
         rim_radius_m=round(cap.rim_semi_axes_m[0], 7),
         height_m=round(cap.height_m, 7),
+        prestretch=prestretch,
         nodes=len(surfaces.mesh.nodes),
     )
 

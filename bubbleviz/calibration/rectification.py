@@ -11,7 +11,7 @@ from bubbleviz.calibration.identification import Identification, check_dome
 from bubbleviz.calibration.rest.contact_free import find_contact_free
 from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.pixel_selection import select_pixels
-from bubbleviz.calibration.rest.rest_frames import collect
+from bubbleviz.calibration.rest.rest_frames import Samples, collect
 from bubbleviz.calibration.robust_statistics import robust_sigma
 from bubbleviz.calibration.surface.reference_surface import fit_surfaces
 from bubbleviz.camera.pixel_model import RangeLine
@@ -36,12 +36,15 @@ class Level:
         Standard deviation of one sample, m.
     frames : float
         Independent samples that the mean is worth.
+    samples : Samples or None
+        What it was measured on, for what inflation tells of the rubber.
     """
 
     measured_m: np.ndarray
     modelled_m: np.ndarray
     noise_m: np.ndarray
     frames: float = 1.0
+    samples: Samples | None = None
 
     @classmethod
     def of(cls, found: Identification) -> Level:
@@ -52,6 +55,7 @@ class Level:
             modelled_m=np.where(mask, found.modelled_range_m, np.nan),
             noise_m=found.pixels.noise_m,
             frames=found.statistics.effective_frames,
+            samples=found.samples,
         )
 
     @classmethod
@@ -77,6 +81,7 @@ class Level:
             measured - surfaces.residual_m,
             pixels.noise_m,
             samples.statistics.effective_frames,
+            samples,
         )
 
 

@@ -6,10 +6,12 @@ import hashlib
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.ply_writer import write_ply
@@ -106,6 +108,7 @@ def _described(identification: Identification, path: Path, origin: Origin | None
         report=origin.report if origin else None,
         date=origin.date if origin else None,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
+        **_rubber_keys(identification.rubber),
     )
     return sensor.model_copy(
         update={
@@ -115,6 +118,20 @@ def _described(identification: Identification, path: Path, origin: Origin | None
             "file": path.name,
         }
     )
+
+
+def _rubber_keys(rubber: RubberEstimate | None) -> dict[str, Any]:
+    """What the file keeps of gauge pressure and λ, where they were measured."""
+    if rubber is None:
+        return {}
+    keys: dict[str, Any] = {}
+    if (gauge := rubber.gauge) is not None:
+        keys["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
+        keys["gauge_from"] = rubber.gauge_rests_on
+    if (stretch := rubber.prestretch) is not None:
+        keys["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
+        keys["prestretch_from"] = rubber.prestretch_rests_on
+    return keys
 
 
 def _comment(identification: Identification) -> str:

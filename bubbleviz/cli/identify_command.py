@@ -34,6 +34,11 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Recording of the untouched sensor at another inflation level; several rectify better.",
 )
+@click.option(
+    "--vented",
+    type=click.Path(path_type=Path),
+    help="Recording of the open chamber: its gas pressure is the atmospheric one.",
+)
 @click.option("--object", "obj", help="Known object in REC to validate by: mesh file or preset.")
 @click.option("--pose", help='Its T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
 @click.option("--pressed", metavar="A:B", help="Frames A to B−1 in which it is held still.")
@@ -47,14 +52,20 @@ def identify(
     surface: str | None,
     nodes: int,
     levels: tuple[Path, ...],
+    vented: Path | None,
     obj: str | None,
     pose: str | None,
     pressed: str | None,
     as_json: bool,
 ) -> None:
-    """Identify γ0, reference surface and pixels of an untouched sensor."""
+    """Identify γ0, reference surface and pixels of an untouched sensor.
+
+    Inflation levels with their gas pressures give λ and the gauge pressure, too.
+    """
     from bubbleviz.calibration.identification import identify as run
+    from bubbleviz.calibration.identification import with_rubber
     from bubbleviz.calibration.rectification import Level, rectify
+    from bubbleviz.calibration.rubber.vented import Vented
     from bubbleviz.calibration.save_identification import check_outputs, save
     from bubbleviz.frames.recording import Recording
     from bubbleviz.sensor import load_sensor
@@ -63,6 +74,11 @@ def identify(
     press = _known_press(obj, pose, pressed)
     given = load_sensor(sensor)
     frames = None if contact_free is None else parse_frames("--contact-free", contact_free)
+    opened = None
+    if vented is not None:
+        with Recording(vented) as open_chamber:
+            opened = Vented.measure(open_chamber)
+        given = opened.set_in(given)
     with Recording(recording) as source, _Bar() as bar:
         found = run(source, given, frames, nodes=nodes, surface=surface, progress=bar)  # type: ignore[arg-type]
         measured = []
@@ -70,6 +86,8 @@ def identify(
             with Recording(path) as level:
                 measured.append(Level.measure(level, given, nodes, bar))
         found, validation = rectify(found, measured), None
+        bar("inflating rubber", 0.0)
+        found = with_rubber(found, [each.samples for each in measured if each.samples], opened)
         if press is not None:
             bar("predicting the known press", 0.0)
             validation = press.validate(found.model, source)

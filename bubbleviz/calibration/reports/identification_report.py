@@ -13,7 +13,13 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.reports.verdict import judge, validation_advice, wrench_advice
+from bubbleviz.calibration.reports.verdict import (
+    judge,
+    rubber_advice,
+    validation_advice,
+    wrench_advice,
+)
+from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.calibration.sensor_writer import Origin
 from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
@@ -47,6 +53,7 @@ def summary(
                 *verdict.advice,
                 *wrench_advice(by_wrench, tension.tension.value),
                 *validation_advice(validation),
+                *rubber_advice(found.rubber),
             ]
         },
         "origin": asdict(origin),
@@ -61,6 +68,7 @@ def summary(
         "tension_by_wrench": _wrench(by_wrench),
         "validation": _validation(validation),
         "rectification": _rectification(found),
+        "rubber": _rubber(found.rubber),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
@@ -154,6 +162,27 @@ def _rectification(found: Identification) -> dict[str, Any]:
         "slope_median": float(np.median(line.slope[mask])),
         "slope_spread": float(np.std(line.slope[mask])),
         "span_median_m": float(np.median((line.farthest_m - line.nearest_m)[mask])),
+    }
+
+
+def _rubber(rubber: RubberEstimate | None) -> dict[str, Any] | None:
+    """λ and gauge pressure with intervals and what they rest on, SI units, ready for JSON."""
+    if rubber is None:
+        return None
+    fit = rubber.fit
+    return {
+        "prestretch": rubber.prestretch and asdict(rubber.prestretch),
+        "prestretch_from": rubber.prestretch_rests_on if rubber.prestretch else None,
+        "why_not_determined": rubber.why_not or None,
+        "gauge_pressure_pa": rubber.gauge and asdict(rubber.gauge),
+        "gauge_from": rubber.gauge_rests_on,
+        "levels": None
+        if fit is None
+        else {
+            "rises_pa": list(fit.rises_pa),
+            "change_rms_m": fit.change_rms_m,
+            "unexplained_rms_m": fit.rms_m,
+        },
     }
 
 

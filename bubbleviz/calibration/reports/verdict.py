@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
 
@@ -111,14 +112,19 @@ def _notes(found: Identification) -> list[str]:
         "frames": "drift from frame to frame: let gas and camera settle",
         "gas_pressure": "noise of the gas pressure: record longer",
         "facets": "the flat facets of the mesh: more nodes",
+        "gauge_pressure": "the gauge pressure: record the open chamber (--vented)",
+        "statics": "the oval rim, over which shape and pressure leave the mean tension open",
         "surface": "shape that is hidden or finer than the fit: uncover the rim",
     }[part]
     least = tension.least_squares_n_per_m
     notes = [
         f"Most of the interval comes from {cause}.",
-        f"The interval does not hold the zero of the pressure sensor: 1 % of the gauge pressure is"
-        f" 1 % of γ0, {tension.per_pascal * tension.gauge_pressure_pa / 100:.2f} N/m.",
     ]
+    if found.rubber is None or found.rubber.gauge is None:
+        notes.append(
+            "The interval does not hold the zero of the pressure sensor: 1 % of the gauge pressure"
+            f" is 1 % of γ0, {tension.per_pascal * tension.gauge_pressure_pa / 100:.2f} N/m."
+        )
     if abs(least / tension.tension.value - 1.0) > _GOOD / 2.0:
         notes.append(
             f"The mean curvature is not the same everywhere: no one tension holds this shape"
@@ -127,6 +133,29 @@ def _notes(found: Identification) -> list[str]:
     if found.chamber is None:
         notes.append("The chamber's volume is as given: press the sensor in a later recording.")
     return notes
+
+
+def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
+    """Sentences for the verdict."""
+    if rubber is None:
+        return [
+            "λ is not determined: record the untouched sensor at two other inflations, 15 % of its"
+            " gauge pressure apart, with their gas pressures (--level)."
+        ]
+    advice = []
+    if rubber.prestretch is None:
+        advice.append(f"λ is not determined: {rubber.why_not}.")
+    else:
+        stretch = rubber.prestretch
+        advice.append(
+            f"λ = {stretch.value:.3f}, 95 % interval {stretch.low:.3f} to {stretch.high:.3f}."
+        )
+    if rubber.gauge is None:
+        advice.append(
+            "The gauge pressure rests on the sensor file's atmospheric pressure, and force is as"
+            " many percent wrong as it is: record the open chamber (--vented)."
+        )
+    return advice
 
 
 def _percent(share: float) -> str:

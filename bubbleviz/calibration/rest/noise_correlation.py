@@ -39,6 +39,17 @@ def mean_inflation(rho: np.ndarray) -> float:
     return 1.0 + 2.0 * float(np.sum(rho[1 : _first_not_positive(rho)]))
 
 
+def error_of_mean(series: np.ndarray) -> float:
+    """Standard error of the mean of a series (F,) whose values are correlated."""
+    centred = series - series.mean()
+    power = float(np.mean(centred**2))
+    if power == 0.0:
+        return 0.0
+    lags = range(max(1, len(series) // 2))
+    rho = np.array([np.mean(centred[lag:] * centred[: len(series) - lag]) / power for lag in lags])
+    return float(np.sqrt(power * mean_inflation(rho) / len(series)))
+
+
 def spatial_correlation(
     deviations: np.ndarray, sigma: np.ndarray, stride: int = 1, reach: int = 32
 ) -> np.ndarray:

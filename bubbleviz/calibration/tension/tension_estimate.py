@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.linalg import splu
+from scipy.special import ndtri
 
-from bubbleviz.calibration.rest.noise_correlation import mean_inflation
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.calibration.surface.cap_fit import Ellipsoid, Freedom
@@ -26,6 +27,7 @@ from bubbleviz.calibration.tension.bootstrap import (
     tile_numbers,
     tile_side,
 )
+from bubbleviz.calibration.tension.oval_sheet import sheet_excess
 from bubbleviz.calibration.tension.young_laplace import (
     balance_gradient,
     cap_tension,
@@ -53,6 +55,18 @@ class Quantity:
         """Half of the interval's width."""
         return 0.5 * (self.high - self.low)
 
+    @classmethod
+    def normal(cls, value: float, sigma: float) -> Quantity:
+        """The number with a normal error of standard deviation `sigma`."""
+        half = float(ndtri(0.975)) * sigma
+        return cls(value, value - half, value + half)
+
+    @classmethod
+    def of(cls, value: float, errors: np.ndarray) -> Quantity:
+        """The number with the middle 95 % of drawn errors."""
+        low, high = np.percentile(errors, [2.5, 97.5])
+        return cls(value, value + float(low), value + float(high))
+
 
 @dataclass(frozen=True)
 class TensionEstimate:
@@ -68,8 +82,10 @@ class TensionEstimate:
     parts : dict of str to float
         Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
         pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
-        zero), `facets` (of the mesh that γ0 is used on) and `surface` (of a free form: shape that
-        was not seen or is finer than the fit, and all of what it moved γ0 by against the cap).
+        zero), `facets` (of the mesh that γ0 is used on), `surface` (shape that was not seen or is
+        finer than the fit, and all of what the free form moves γ0 by against a cap), `statics`
+        (what shape and pressure leave open of the mean tension: anything between that of a film
+        and that of a sheet that was flat) and, where that has an interval, `gauge_pressure`.
     by_surface : dict of str to float
         γ0 of every surface, N/m.
     least_squares_n_per_m : float
@@ -93,6 +109,24 @@ class TensionEstimate:
     def per_pascal(self) -> float:
         """Change of γ0 per pascal by which the gauge pressure is wrong, m: γ0 is linear in it."""
         return self.tension.value / self.gauge_pressure_pa
+
+    def under(self, gauge: Quantity) -> TensionEstimate:
+        """The same for a gauge pressure with an interval of its own."""
+        scale = gauge.value / self.gauge_pressure_pa
+        value, relative = self.tension.value * scale, gauge.half_width / gauge.value
+        low, high = (
+            value + sign * float(np.hypot(scale * (end - self.tension.value), relative * value))
+            for sign, end in ((-1.0, self.tension.low), (1.0, self.tension.high))
+        )
+        parts = {name: scale * part for name, part in self.parts.items()}
+        return replace(
+            self,
+            tension=Quantity(value, low, high),
+            parts=parts | {"gauge_pressure": relative * value / float(ndtri(0.975))},
+            by_surface={name: scale * each for name, each in self.by_surface.items()},
+            least_squares_n_per_m=scale * self.least_squares_n_per_m,
+            gauge_pressure_pa=gauge.value,
+        )
 
 
 def estimate_tension(
@@ -119,21 +153,21 @@ def estimate_tension(
     draws = draw_errors(table, block, seed)
     rng = np.random.default_rng([seed, 1])
     facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
-    shape = 0.0
-    if surfaces.chosen == "free-form":
-        unseen = _shape_error(samples, surfaces, gauge_pressure_pa)
-        shape = float(np.hypot(unseen, by_surface["free-form"] - by_surface["ellipsoid"]))
+    other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
+    moved = by_surface["free-form"] - by_surface[other]
+    shape = float(np.hypot(_shape_error(samples, surfaces, gauge_pressure_pa), moved))
     parts = {
         "pixels": draws.tiles[:, 0],
         "frames": draws.frames[:, 0],
-        "gas_pressure": values[0] * _pressure_error(samples, gauge_pressure_pa) * _normal(rng),
+        "gas_pressure": values[0] / gauge_pressure_pa * _gas_error(samples) * _normal(rng),
         "facets": 0.5 * gauge_pressure_pa * facets,
         "surface": shape * _normal(rng),
+        "statics": values[0] * sheet_excess(surfaces.mesh) * rng.uniform(size=DRAWS),
     }
     total = draws.total + facets[:, None]
     total[:, 0] = sum(parts.values())
     quantities = {
-        name: _quantity(value, total[:, k])
+        name: Quantity.of(value, total[:, k])
         for k, (name, value) in enumerate(zip(names, values, strict=True))
     }
     return TensionEstimate(
@@ -301,26 +335,11 @@ def _gradient(numbers: Numbers, at: Ellipsoid, freedom: Freedom) -> np.ndarray:
     return np.array(columns)
 
 
-def _pressure_error(samples: Samples, gauge_pressure_pa: float) -> float:
-    """Relative standard error of the mean gas pressure over the frames."""
+def _gas_error(samples: Samples) -> float:
+    """Standard error of the mean gas pressure, Pa."""
     gas = samples.gas_pressure_pa
-    if gas is None:
-        return 0.0
-    rho = [1.0]
-    centred = gas - gas.mean()
-    power = float(np.mean(centred**2))
-    for lag in range(1, len(gas) // 2):
-        value = float(np.mean(centred[lag:] * centred[:-lag])) / power if power > 0.0 else 0.0
-        if value <= 0.0:
-            break
-        rho.append(value)
-    return float(np.sqrt(power * mean_inflation(np.array(rho)) / len(gas)) / gauge_pressure_pa)
+    return 0.0 if gas is None else error_of_mean(gas)
 
 
 def _normal(rng: np.random.Generator) -> np.ndarray:
     return rng.standard_normal(DRAWS)
-
-
-def _quantity(value: float, errors: np.ndarray) -> Quantity:
-    low, high = np.percentile(errors, [2.5, 97.5])
-    return Quantity(value, value + float(low), value + float(high))

@@ -1,0 +1,1 @@
+"""What inflation tells of the rubber: pre-stretch, gauge pressure, atmospheric pressure."""

@@ -1,0 +1,404 @@
+"""Pre-stretch and gauge pressure from the shapes of an untouched sensor at inflation levels.
+
+Shape S0 and gauge pressure G give the stress at rest, and q = λ⁻⁶ = 1 − γ0/μh the rubber: the
+membrane's shape at another level, whose pressure differs by a measured Δp, then depends on q and
+on the ratio (G + Δp)/G alone. Both are fitted to how the range of every pixel changes between the
+levels, in which fixed errors of the camera and the flat facets of the mesh cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
+from bubbleviz.calibration.rest.rest_frames import Samples
+from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.calibration.tension.bootstrap import (
+    DRAWS,
+    draw_errors,
+    score_table,
+    tile_numbers,
+    tile_side,
+)
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.errors import InputError, SolveError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.inflation import Inflation
+from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.stiffness import mean_curvature
+
+_LEAST, _MOST = 1e-3, 0.97
+"""Range of q: λ from 3.2, which is as good as constant tension, to 1.005."""
+_STARTS = (0.35, 0.05)
+"""λ of 1.19 to begin with; where that cannot hold the levels, 1.65."""
+_STEPS = 12
+_SMALL = 1e-4
+_STEP_OF_Q = 1e-3
+"""Relative step of q for the derivative of the forces."""
+_LOOK_M = 1e-5
+"""Largest motion of a node for the derivative of ranges, m."""
+_BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
+_CLIP = 3.0  # as the mean of a pixel is clipped
+
+
+@dataclass(frozen=True)
+class LevelShape:
+    """A membrane inflated otherwise, as the camera sees it.
+
+    Attributes
+    ----------
+    nodes_m : (n, 3) array
+    range_m : (k,) array
+        NaN where a ray misses.
+    slopes_m : (k, 2) array
+        Derivatives of the range by q and by the ratio of gauge pressures, m.
+    """
+
+    nodes_m: np.ndarray
+    range_m: np.ndarray
+    slopes_m: np.ndarray
+
+
+class LevelModel:
+    """Range of the camera's pixels when the sensor is inflated otherwise.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Reference surface in B.
+    camera : DepthCamera
+    pixels : (k,) int array
+        Flat indices of those to look at.
+    """
+
+    def __init__(self, mesh: MembraneMesh, camera: DepthCamera, pixels: np.ndarray) -> None:
+        self._mesh, self._pixels = mesh, pixels
+        self._caster = RayCaster(camera.center, camera.directions, mesh.triangles)
+        self._tension = 1.0 / mean_curvature(mesh)  # over the gauge pressure, which is 1 Pa here
+        self._stress = Prestress.of(mesh, 1.0)
+        self.rest_m = self._cast(mesh.nodes)
+
+    def tighter(self, share: float) -> LevelModel:
+        """The same with all stress at rest larger by a share, γ0 with it."""
+        other = copy(self)
+        other._tension = (1.0 + share) * self._tension
+        other._stress = Prestress((1.0 + share) * self._stress.weights)
+        return other
+
+    def at(self, q: float, ratio: float, near: np.ndarray | None = None) -> LevelShape:
+        """Shape of rubber of q at a ratio of gauge pressures.
+
+        Raises
+        ------
+        SolveError
+            The rubber cannot hold the pressure.
+        """
+        inflation = Inflation(self._rubber(q))
+        x = inflation.at(ratio, near)
+        step = _STEP_OF_Q * q
+        here, ahead = (
+            membrane.force(x) - membrane.rest_force
+            for membrane in (inflation.membrane, self._rubber(q + step))
+        )
+        forces = np.stack([(here - ahead) / step, inflation.membrane.volume_gradient(x)])
+        ranges = self._cast(x)
+        slopes = []
+        for motion in inflation.motions(x, ratio, forces):
+            way = _LOOK_M / max(float(np.abs(motion).max()), 1e-300)
+            slopes.append((self._cast(x + way * motion) - ranges) / way)
+        return LevelShape(x, ranges, np.stack(slopes, axis=1))
+
+    def _rubber(self, q: float) -> RubberMembrane:
+        return prestressed(self._mesh, 1.0, self._tension / (1.0 - q), self._stress)
+
+    def _cast(self, nodes: np.ndarray) -> np.ndarray:
+        hits = self._caster.cast(nodes, self._mesh.normals, self._pixels)
+        ranges = np.full(len(self._caster.directions), np.nan)
+        ranges[hits.ray] = hits.range_m
+        return ranges[self._pixels]
+
+
+@dataclass(frozen=True)
+class RubberFit:
+    """What the levels say.
+
+    Attributes
+    ----------
+    q : float
+        λ⁻⁶.
+    gauge_pressure_pa : float
+        G of the reference surface.
+    q_errors, gauge_errors_pa : (R,) array
+        Bootstrap errors of both.
+    rms_m : float
+        Robust rms of what the changes of range are missed by, m.
+    change_rms_m : float
+        That of the changes themselves, m.
+    rises_pa : tuple of float
+        Pressure of every level over that of the reference surface, Pa.
+    """
+
+    q: float
+    gauge_pressure_pa: float
+    q_errors: np.ndarray
+    gauge_errors_pa: np.ndarray
+    rms_m: float
+    change_rms_m: float
+    rises_pa: tuple[float, ...]
+
+
+def fit_rubber(
+    base: Samples,
+    mesh: MembraneMesh,
+    camera: DepthCamera,
+    mask: np.ndarray,
+    levels: Sequence[Samples],
+    gauge_pressure_pa: float,
+    gauge_sigma_pa: float | None = None,
+    stress_sigma: float = 0.0,
+    seed: int = 0,
+) -> RubberFit:
+    """Fit λ⁻⁶ and, where it is not known, the gauge pressure to inflation levels.
+
+    Parameters
+    ----------
+    base : Samples
+        Of the reference surface.
+    mesh, camera
+        Reference surface and camera in B.
+    mask : (H, W) bool array
+        Pixels in use.
+    levels : sequence of Samples
+        Same camera, other pressures.
+    gauge_pressure_pa : float
+        G, or where to begin.
+    gauge_sigma_pa : float, optional
+        Its standard deviation where it is known.
+    stress_sigma : float
+        Relative standard deviation of the stress that shape and gauge pressure give.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        A level has no gas pressure, or no rubber is near the levels.
+    """
+    pressures = [_mean_pressure(each) for each in (base, *levels)]
+    rises = np.array([mean - pressures[0][0] for mean, _ in pressures[1:]])
+    fit = _Fit(base, mesh, camera, mask, levels, rises)
+    free = (True, gauge_sigma_pa is None)
+    state = fit.solve(gauge_pressure_pa, free)
+    influence, to_rise = fit.influence(state, free)
+    errors = fit.bootstrap(state, influence, seed)
+    rng = np.random.default_rng([seed, 1])
+    shaken = rng.standard_normal((DRAWS, len(pressures))) * [sigma for _, sigma in pressures]
+    errors += (shaken[:, 1:] - shaken[:, :1]) @ to_rise
+    errors += stress_sigma * np.outer(rng.standard_normal(DRAWS), fit.by_stress(state, influence))
+    if gauge_sigma_pa is not None:
+        shift = gauge_sigma_pa / state.gauge_pa * rng.standard_normal(DRAWS)
+        errors[:, 1] = shift
+        errors[:, 0] += shift * fit.q_by_gauge(state)
+    return RubberFit(
+        q=state.q,
+        gauge_pressure_pa=state.gauge_pa,
+        q_errors=errors[:, 0],
+        gauge_errors_pa=state.gauge_pa * errors[:, 1],
+        rms_m=robust_sigma(state.missed_m, center=0.0),
+        change_rms_m=robust_sigma(fit.change_m, center=0.0),
+        rises_pa=tuple(float(rise) for rise in rises),
+    )
+
+
+@dataclass(frozen=True)
+class _State:
+    """A pair of parameters, and what it leaves.
+
+    Attributes
+    ----------
+    q, gauge_pa : float
+    missed_m : (L, k) array
+        Measured less modelled change of range.
+    slopes : (L, k, 2) array
+        Derivatives of the modelled change by q and by ln G, m.
+    nodes_m : list of (n, 3) array
+        Of every level.
+    """
+
+    q: float
+    gauge_pa: float
+    missed_m: np.ndarray
+    slopes: np.ndarray
+    nodes_m: list[np.ndarray]
+
+
+class _Fit:
+    """Gauss–Newton in (q, ln G), down Tukey's loss."""
+
+    def __init__(
+        self,
+        base: Samples,
+        mesh: MembraneMesh,
+        camera: DepthCamera,
+        mask: np.ndarray,
+        levels: Sequence[Samples],
+        rises_pa: np.ndarray,
+    ) -> None:
+        self._base, self._levels, self._rises = base, levels, rises_pa
+        self._pixels = np.flatnonzero(mask.ravel())
+        self._model = LevelModel(mesh, camera, self._pixels)
+        rest = base.statistics.range_m.ravel()[self._pixels]
+        self.change_m = np.stack([self._ranges(each) - rest for each in levels])
+
+    def _ranges(self, level: Samples) -> np.ndarray:
+        statistics = level.statistics
+        if statistics.range_m.shape != self._base.statistics.range_m.shape:
+            raise InputError(
+                f"{level.source_name}: images of another size than {self._base.source_name}'s;"
+                " record all levels with one camera mode"
+            )
+        steady = statistics.validity >= statistics.regular_validity
+        return np.where(steady, statistics.range_m, np.nan).ravel()[self._pixels]
+
+    def solve(self, gauge_pa: float, free: tuple[bool, bool]) -> _State:
+        for q in _STARTS:
+            state = self._descend(q, gauge_pa, free)
+            if state is not None:
+                return state
+        raise InputError(
+            f"{self._base.source_name}: the levels' pressures are beyond what rubber of this shape"
+            " holds; check the gas pressures and the atmospheric pressure"
+        )
+
+    def _descend(self, q: float, gauge_pa: float, free: tuple[bool, bool]) -> _State | None:
+        state, damping = self._state(q, gauge_pa), 1e-3
+        if state is None:
+            return None
+        for _ in range(_STEPS):
+            sigma = max(robust_sigma(state.missed_m, center=0.0), 1e-9)
+            weights = tukey_weights(state.missed_m, sigma)
+            step = _step(state, weights, free, damping)
+            ahead = float(np.clip(state.q + step[0], _LEAST, _MOST))
+            gauge = state.gauge_pa * float(np.exp(np.clip(step[1], -0.5, 0.5)))
+            trial = self._state(ahead, gauge, state)
+            if trial is not None and _loss(trial.missed_m, sigma) <= _loss(state.missed_m, sigma):
+                moved = max(abs(trial.q - state.q), abs(np.log(trial.gauge_pa / state.gauge_pa)))
+                state, damping = trial, damping / 10.0
+                if moved < _SMALL:
+                    break
+            else:
+                damping *= 10.0
+                if damping > 1e6:
+                    break
+        return state
+
+    def _state(self, q: float, gauge_pa: float, near: _State | None = None) -> _State | None:
+        ratios = 1.0 + self._rises / gauge_pa
+        try:
+            shapes = [
+                self._model.at(q, ratio, None if near is None else near.nodes_m[k])
+                for k, ratio in enumerate(ratios)
+            ]
+        except SolveError:
+            return None
+        missed = self.change_m - np.stack([shape.range_m for shape in shapes]) + self._model.rest_m
+        slopes = np.stack([shape.slopes_m for shape in shapes])
+        slopes[..., 1] *= -(self._rises / gauge_pa)[:, None]
+        known = np.isfinite(missed) & np.isfinite(slopes).all(axis=2)
+        missed[~known], slopes[~known] = np.nan, 0.0
+        return _State(q, gauge_pa, missed, slopes, [shape.nodes_m for shape in shapes])
+
+    def influence(self, state: _State, free: tuple[bool, bool]) -> tuple[np.ndarray, np.ndarray]:
+        """Change of (q, ln G) per change of every range (L, k, 2), and of every rise (L, 2)."""
+        sigma = max(robust_sigma(state.missed_m, center=0.0), 1e-9)
+        weights = tukey_weights(state.missed_m, sigma)
+        normal = _normal(state, tukey_slopes(state.missed_m, sigma), free)
+        influence = (weights[..., None] * state.slopes) @ normal
+        by_rise = state.slopes[:, :, 1] / -self._rises[:, None]
+        return influence, -np.einsum("lk,lkp->lp", by_rise, influence)
+
+    def q_by_gauge(self, state: _State) -> float:
+        """Change of the fitted q per change of ln G."""
+        weights = tukey_weights(state.missed_m, max(robust_sigma(state.missed_m, 0.0), 1e-9))
+        by_q, by_gauge = state.slopes[..., 0], state.slopes[..., 1]
+        return -float(np.sum(weights * by_q * by_gauge) / np.sum(weights * by_q**2))
+
+    def by_stress(self, state: _State, influence: np.ndarray) -> np.ndarray:
+        """Change of the fitted (q, ln G), (2,), per relative change of the stress at rest."""
+        ratios, share = 1.0 + self._rises / state.gauge_pa, 0.01
+        tighter = self._model.tighter(share)
+        shapes = [
+            tighter.at(state.q, ratio, nodes)
+            for ratio, nodes in zip(ratios, state.nodes_m, strict=True)
+        ]
+        model = self.change_m - state.missed_m + self._model.rest_m
+        moved = np.nan_to_num(np.stack([shape.range_m for shape in shapes]) - model)
+        return -np.einsum("lk,lkp->p", moved, influence) / share
+
+    def bootstrap(self, state: _State, influence: np.ndarray, seed: int) -> np.ndarray:
+        """Errors of (q, ln G), (R, 2), from noise and from what the model does not explain."""
+        total = np.zeros((DRAWS, 2))
+        for k, level in enumerate(self._levels):
+            total += self._drawn(level, influence[k], np.nan_to_num(state.missed_m[k]), [seed, k])
+        none = np.zeros(len(self._pixels))
+        return total + self._drawn(self._base, -influence.sum(axis=0), none, [seed, -1 & 0xFFFF])
+
+    def _drawn(
+        self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray, seed: list[int]
+    ) -> np.ndarray:
+        statistics, pixels = samples.statistics, self._pixels
+        to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
+        mean = statistics.range_m.ravel()[pixels] / to_depth
+        noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m) / to_depth
+        side = tile_side(len(pixels), statistics.correlation_length_px)
+        table = score_table(
+            samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
+            np.nan_to_num(mean),
+            np.nan_to_num(_CLIP * noise),
+            influence * to_depth[:, None],
+            missed_m / to_depth,
+            tile_numbers(pixels, samples.camera.intrinsics.width, side),
+            parameters=2,
+        )
+        block = max(1, round(_BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
+        return draw_errors(table, block, int(np.random.default_rng(seed).integers(2**31))).total
+
+
+def _loss(missed_m: np.ndarray, sigma: float) -> float:
+    """Tukey's loss up to a factor; pixels without a value count as outliers."""
+    share = np.minimum((missed_m / (4.685 * sigma)) ** 2, 1.0)
+    return float(np.sum(1.0 - (1.0 - np.nan_to_num(share, nan=1.0)) ** 3))
+
+
+def _normal(
+    state: _State, weights: np.ndarray, free: tuple[bool, bool], damping: float = 0.0
+) -> np.ndarray:
+    """Inverse of the normal matrix over the free parameters, 0 for the others, (2, 2)."""
+    matrix = np.einsum("lk,lkp,lkq->pq", weights, state.slopes, state.slopes)
+    matrix[np.diag_indices(2)] *= 1.0 + damping
+    chosen = np.flatnonzero(free)
+    inverse = np.zeros((2, 2))
+    inverse[np.ix_(chosen, chosen)] = np.linalg.pinv(matrix[np.ix_(chosen, chosen)])
+    return inverse
+
+
+def _step(
+    state: _State, weights: np.ndarray, free: tuple[bool, bool], damping: float
+) -> np.ndarray:
+    right = np.einsum("lk,lkp->p", weights * np.nan_to_num(state.missed_m), state.slopes)
+    return _normal(state, weights, free, damping) @ right
+
+
+def _mean_pressure(samples: Samples) -> tuple[float, float]:
+    """Mean absolute gas pressure and its standard error, Pa."""
+    gas = samples.gas_pressure_pa
+    if gas is None:
+        raise InputError(
+            f"{samples.source_name}: no gas pressure; λ needs that of every level: record it"
+        )
+    return float(np.mean(gas)), error_of_mean(gas)

@@ -1,0 +1,157 @@
+"""Sensors of known rubber, recorded at inflation levels: truth to judge an identification by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.inflation import Inflation
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.inflated_sensor import InflatedSensor
+from bubbleviz.study.axial_mesh import swept_mesh
+from bubbleviz.study.rubber_oracle import AxialRubber
+
+ATMOSPHERE_PA = 98_700.0
+"""Some 225 m above the sea, where no sensor file assumes to be."""
+_NODES = 3_000
+CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frames=0.5)
+"""As a RealSense D405 over a soft bubble has: σ and correlation in space and time."""
+
+
+@dataclass(frozen=True)
+class InflatedRubber:
+    """A membrane of known rubber.
+
+    Attributes
+    ----------
+    name : str
+    rim_semi_axes_m : (ax, ay)
+    gauge_pressure_pa : float
+        G at rest.
+    mu_h_n_per_m : float
+    tension_n_per_m : float
+        γ0: mean tension at rest.
+    shape : callable
+        Membrane under a gauge pressure in Pa.
+    """
+
+    name: str
+    rim_semi_axes_m: tuple[float, float]
+    gauge_pressure_pa: float
+    mu_h_n_per_m: float
+    tension_n_per_m: float
+    shape: Callable[[float], MembraneMesh]
+
+    @property
+    def prestretch(self) -> float:
+        """λ of the mean tension, μh = γ0 / (1 − λ⁻⁶)."""
+        return float((1.0 - self.tension_n_per_m / self.mu_h_n_per_m) ** (-1.0 / 6.0))
+
+    @classmethod
+    def round_sheet(
+        cls, rim_radius_m: float, mu_h_n_per_m: float, prestretch: float, gauge_pressure_pa: float
+    ) -> InflatedRubber:
+        """A sheet that was flat, stretched by λ and bulged, by the equations of its meridian."""
+        axial = AxialRubber(rim_radius_m, mu_h_n_per_m, prestretch, gauge_pressure_pa)
+        rest = axial.rest
+        ring = rest.r_m * np.gradient(rest.s_m) * rest.stretches[:, 0]
+        tension = float(rest.tensions_n_per_m.mean(axis=1) @ ring / ring.sum())
+
+        def shape(pressure_pa: float) -> MembraneMesh:
+            return swept_mesh(replace(axial, gauge_pressure_pa=pressure_pa).rest, _NODES)
+
+        rim = rim_radius_m, rim_radius_m
+        return cls("round sheet", rim, gauge_pressure_pa, mu_h_n_per_m, tension, shape)
+
+    @classmethod
+    def oval_sheet(
+        cls,
+        rim_semi_axes_m: tuple[float, float],
+        mu_h_n_per_m: float,
+        prestretch: float,
+        gauge_pressure_pa: float,
+    ) -> InflatedRubber:
+        """The same over an oval rim, on a fine mesh of its own."""
+        cap = mesh_cap(EllipsoidalCap.of(rim_semi_axes_m, 0.3 * min(rim_semi_axes_m)), _NODES)
+        flat = replace(cap, nodes=cap.nodes * [1.0, 1.0, 0.0])
+        stretched = flat, mu_h_n_per_m, prestretch, gauge_pressure_pa
+        return cls._on_mesh("oval sheet", rim_semi_axes_m, *stretched)
+
+    @classmethod
+    def moulded_dome(
+        cls,
+        rim_semi_axes_m: tuple[float, float],
+        height_m: float,
+        mu_h_n_per_m: float,
+        prestretch: float,
+        gauge_pressure_pa: float,
+    ) -> InflatedRubber:
+        """A dome stretched by λ from the same dome, then inflated to equilibrium."""
+        cap = mesh_cap(EllipsoidalCap.of(rim_semi_axes_m, height_m), _NODES)
+        stretched = cap, mu_h_n_per_m, prestretch, gauge_pressure_pa
+        return cls._on_mesh("dome", rim_semi_axes_m, *stretched)
+
+    @classmethod
+    def _on_mesh(
+        cls,
+        name: str,
+        rim: tuple[float, float],
+        mesh: MembraneMesh,
+        mu_h_n_per_m: float,
+        prestretch: float,
+        gauge_pressure_pa: float,
+    ) -> InflatedRubber:
+        rubber = RubberMembrane(mesh, 0.0, prestretch**2 * inverse_metric(mesh), mu_h_n_per_m)
+        inflation = Inflation(rubber, np.zeros_like(mesh.nodes))
+        rest = replace(mesh, nodes=inflation.at(gauge_pressure_pa))
+        half_trace = 0.5 * np.trace(rubber.stress(rest.nodes), axis1=1, axis2=2)
+        tension = float(half_trace @ rest.facet_areas / rest.facet_areas.sum())
+
+        def shape(pressure_pa: float) -> MembraneMesh:
+            return replace(mesh, nodes=inflation.at(pressure_pa, rest.nodes))
+
+        return cls(name, rim, gauge_pressure_pa, mu_h_n_per_m, tension, shape)
+
+    def sensor(self, width: int = 160) -> Sensor:
+        """What a drawing says of the sensor: an inexact height, and the sea's atmosphere."""
+        height = float(self.shape(self.gauge_pressure_pa).nodes[:, 2].max())
+        focal, rows = 0.55 * width, 3 * width // 4
+        return Sensor(
+            name=self.name,
+            membrane=Membrane(
+                shape="ellipsoidal_cap",
+                rim_semi_axes_m=self.rim_semi_axes_m,
+                height_m=round(height, 3),
+            ),
+            pneumatics=Pneumatics(gauge_pressure_pa=2500.0, chamber_volume_m3=3e-4),
+            camera=Camera(
+                width=width,
+                height=rows,
+                fx=focal,
+                fy=focal,
+                cx=0.5 * (width - 1),
+                cy=0.5 * (rows - 1),
+                position_m=(0.0, 0.0, -1.4 * max(self.rim_semi_axes_m)),
+            ),
+        )
+
+    def recording(
+        self,
+        level: float,
+        seed: int,
+        noise: DepthNoise = CAMERA_NOISE,
+        frames: int = 30,
+        width: int = 160,
+    ) -> InflatedSensor:
+        """Frames at a share of the gauge pressure at rest."""
+        gauge = level * self.gauge_pressure_pa
+        camera = DepthCamera.of(self.sensor(width).camera)
+        name, gas = f"{self.name} at {level:g}", ATMOSPHERE_PA + gauge
+        return InflatedSensor(name, camera, self.shape(gauge), gas, noise, frames, seed)
