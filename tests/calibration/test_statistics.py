@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from bubbleviz.calibration.rest.depth_statistics import measure_depth
 from bubbleviz.calibration.rest.noise_correlation import mean_inflation
@@ -42,6 +43,28 @@ def test_white_noise_has_no_spatial_correlation():
     assert np.abs(found.spatial_correlation[1:8]).max() < 0.05
     assert found.correlation_length_px < 1.0
     assert mean_inflation(found.temporal_correlation) < 1.2
+
+
+def test_a_filter_of_the_camera_gives_the_correlation_and_its_length():
+    """White noise blurred with σ = 2 px: exp(−d²/4σ²), which is 1/e at 4 px."""
+    rng = np.random.default_rng(0)
+    blurred = gaussian_filter(rng.standard_normal((40, 80, 100)), (0.0, 2.0, 2.0), mode="wrap")
+    depth = (0.08 + 5e-5 * blurred / blurred.std()).astype(np.float32)
+    found = measure_depth(depth, np.ones((80, 100), np.float32))
+    distance = np.arange(len(found.spatial_correlation))
+    expected = np.exp(-(distance**2) / 16.0)
+    np.testing.assert_allclose(found.spatial_correlation[:12], expected[:12], atol=0.05)
+    assert np.abs(found.spatial_correlation[20:]).max() < 0.1  # known to its end
+    assert found.correlation_length_px == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_pixel_seen_once_has_that_value():
+    depth = noisy(rho=0.0)
+    depth[1:, 7, 7] = np.nan
+    depth[2:, 8, 8] = np.nan
+    found = measure_depth(depth, np.ones((40, 50), np.float32))
+    assert found.range_m[7, 7] == pytest.approx(depth[0, 7, 7], abs=1e-9)
+    assert found.range_m[8, 8] == pytest.approx(depth[:2, 8, 8].mean(), abs=1e-8)
 
 
 def test_quantised_depth_keeps_its_mean_and_a_floor_of_noise():

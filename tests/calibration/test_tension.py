@@ -11,6 +11,7 @@ from bubbleviz.calibration.tension.young_laplace import (
     balance_gradient,
     cap_tension,
     ellipsoid_curvature,
+    local_tension,
 )
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -55,6 +56,7 @@ def test_numbers_of_the_sphere(spheres):
         assert sizes["rim_radius_m"].value == pytest.approx(0.075, abs=2e-4)
         np.testing.assert_allclose(found.camera.T_B_C[:2, 3], 0.0, atol=2e-4)
         assert found.sensor.membrane.shape == "spherical_cap"
+        assert not found.pixels.bias_m[~found.pixels.mask].any()
 
 
 @pytest.mark.parametrize("make", [sphere, oval])
@@ -67,6 +69,15 @@ def test_outliers_holes_and_tilt(make):
     assert found.tension_n_per_m == pytest.approx(truth, rel=0.01)
     assert found.tension.tension.low < truth < found.tension.tension.high
     assert found.tension.dimensions["height_m"].value == pytest.approx(dome.height, abs=2e-4)
+
+
+def test_local_tension_of_a_sphere_is_young_laplace_everywhere():
+    mesh = mesh_cap(EllipsoidalCap.of((0.075, 0.075), 0.05, 0.08125), 3000)
+    local = local_tension(mesh, GAUGE, 5e-3)
+    assert np.isnan(local[mesh.rim]).all()
+    inside = mesh.free[np.hypot(*mesh.nodes[mesh.free, :2].T) < 0.055]
+    np.testing.assert_allclose(local[inside], TRUTH, rtol=0.03)
+    np.testing.assert_allclose(local_tension(mesh, 2.0 * GAUGE, 5e-3), 2.0 * local)
 
 
 def rim_of(dome):

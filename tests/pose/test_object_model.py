@@ -3,6 +3,7 @@
 import numpy as np
 import open3d
 import pytest
+from scipy.spatial import ConvexHull
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.reference_mesh import build_mesh
@@ -136,6 +137,17 @@ def test_distances_are_those_of_a_signed_distance_field(name):
     assert np.abs(np.abs(found.signed_m) - np.abs(exact))[beside].max() < 1e-6
     # over a face the distance is that from its plane, which bends with a smooth surface
     assert np.median(np.abs(np.abs(found.signed_m) - np.abs(exact))[found.over]) < 1e-6
+
+
+def test_a_brick_lies_on_its_largest_faces_first():
+    x, y, z = np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij")
+    corners = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    faces = ConvexHull(corners).simplices
+    chosen = touching_directions(
+        ObjectModel(RigidObject("brick", corners * [2e-2, 5e-3, 1e-2], faces))
+    )
+    assert np.allclose(np.abs(chosen[:6]), np.repeat(np.eye(3)[[1, 2, 0]], 2, axis=0), atol=1e-3)
+    assert np.allclose(chosen[:6:2], -chosen[1:6:2], atol=1e-3)
 
 
 def test_stable_faces_come_first():

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.object_distance import object_distance
 from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.observability import directions
+from bubbleviz.pose.observability import directions, open_axes
 from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.study.presses import made
@@ -159,6 +159,37 @@ def test_jacobian_of_distances_is_their_derivative(frustum):
         back = object_distance(frustum, contact.points, moved(at, -step, contact.center))
         change = (ahead.signed_m - back.signed_m) / (2.0 * step[k])
         assert np.median(np.abs(change - J[:, k])) < 2e-3 * max(1.0, np.abs(J[:, k]).max())
+
+
+def test_open_motions_of_a_plane_a_ball_and_a_rod():
+    flat = disc()
+    plane = directions(surface_information(flat, np.tile([0.0, 0.0, 1.0], (200, 1)), 0.0), 7e-3)
+    shifts, turns = open_axes(plane.open)
+    assert np.allclose(np.abs(turns), [[0.0, 0.0, 1.0]], atol=1e-6)
+    assert shifts.shape == (2, 3) and np.allclose(shifts[:, 2], 0.0, atol=1e-6)
+    assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
+    middle = np.array([0.0, 0.0, 0.015])
+    points = middle - 0.015 * (middle - flat) / np.linalg.norm(middle - flat, axis=1)[:, None]
+    information = surface_information(points, (points - middle) / 0.015, np.zeros(3))
+    shifts, turns = open_axes(directions(information, 7e-3).open)
+    assert shifts.shape == (0, 3) and turns.shape == (3, 3)
+    a, x = np.random.default_rng(1).uniform([-0.8, -0.02], [0.8, 0.02], (300, 2)).T
+    normals = np.column_stack([np.zeros(300), np.sin(a), -np.cos(a)])
+    points = np.column_stack([x, 0.01 * np.sin(a), -0.01 * np.cos(a)])
+    information = surface_information(points, normals, np.zeros(3))
+    shifts, turns = open_axes(directions(information, 0.01).open)
+    for found in (shifts, turns):
+        assert np.allclose(np.abs(found), [[1.0, 0.0, 0.0]], atol=1e-6)
+    none, nothing = open_axes(np.zeros((6, 0)))
+    assert len(none) == len(nothing) == 0
+
+
+def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_is():
+    """0.4 mm of error of the model over a patch of 3 mm; a pixel of 1 mm on each mm²."""
+    noisy, exact = Precision(1e12, 1e-9), Precision(1e30, 3e-3)
+    assert noisy.per_area == pytest.approx(1e12, rel=1e-3)
+    assert exact.per_area == pytest.approx(1.0 / (4e-4 * 3e-3) ** 2, rel=1e-3)
+    assert Precision(exact.per_area, 3e-3).per_area == pytest.approx(0.5 * exact.per_area)
 
 
 def test_motions_undo_each_other():
