@@ -12,8 +12,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import SUFFIXES, read_triangles
 from bubbleviz.files.preset_files import presets_folder
 
-LARGEST_M = 1.0
-SMALLEST_M = 5e-4
+LARGEST_M = 1.0  # of an object's box, m: more is in millimetres
+SMALLEST_M = 5e-4  # of an object's box, m
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from bubbleviz.batch.summary_row import Row
 from bubbleviz.errors import InputError
 from bubbleviz.wording import how_to_install
 
-TIMEOUT_S = 5.0
+TIMEOUT_S = 5.0  # s, to reach the scheduler; chosen
 
 
 def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Row]:

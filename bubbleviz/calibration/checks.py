@@ -12,9 +12,9 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
-_LEAST_SEEN = 0.5
+_LEAST_SEEN = 0.5  # of the dome's area; chosen: the rest is the fit's continuation
 _SIGNIFICANT = 6.0  # standard deviations of a tile
-_LEAST_PIXELS = 20
+_LEAST_PIXELS = 20  # in a dent that counts; chosen: smaller ones are false returns
 _DEEP = 1e-2  # of the dome's radius: what is shallower is the dome's own shape
 
 

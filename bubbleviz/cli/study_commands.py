@@ -11,7 +11,7 @@ import click
 
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
-DEPTH_OF_SWEEP_M = 0.015
+DEPTH_OF_SWEEP_M = 0.015  # of the presses of the sweep over λ, m: the middle of the grid's depths
 
 
 @click.group()

@@ -19,7 +19,7 @@ from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.live.sources.open_stream import open_stream, patience_s
 from bubbleviz.sensor import Sensor
 
-_LOOK_S = 0.1
+_LOOK_S = 0.1  # s between looks at the stream; chosen
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """There is a pose only where the pipeline follows an object."""
 CAMERA_S = 0.5
 """How long the first frames may come without camera info before the sensor file's counts."""
-DIAGNOSTICS_S = 1.0
+DIAGNOSTICS_S = 1.0  # s between diagnostics, ROS's usual 1 Hz
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.errors import InputError
 
 COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-FARTHEST_M = 2.0
+FARTHEST_M = 2.0  # m; further away the numbers are millimetres
 
 
 def parse_pose(text: str) -> np.ndarray:

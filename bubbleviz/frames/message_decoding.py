@@ -15,7 +15,7 @@ DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
 }
 """Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
 
-_MAX_SIDE = 10_000
+_MAX_SIDE = 10_000  # pixels; no depth camera has more
 
 _MODELS: dict[str, DistortionModel] = {
     "": "none",

@@ -27,8 +27,8 @@ from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_
 from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import Series
 
-SAMPLED_ABOVE = 4096
-_GARBAGE_NS = 3_600_000_000_000
+SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
+_GARBAGE_NS = 3_600_000_000_000  # one hour: a stamp further off is from an unset clock
 
 
 class Recording:

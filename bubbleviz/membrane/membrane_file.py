@@ -12,8 +12,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import read_triangles
 from bubbleviz.membrane.mesh import MembraneMesh
 
-LARGEST_M = 1.0
-SMALLEST_M = 2e-3
+LARGEST_M = 1.0  # of the mesh's box, m: more is in millimetres
+SMALLEST_M = 2e-3  # of the mesh's box, m
 
 
 def load_membrane(path: str | Path) -> MembraneMesh:

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 Kind = Literal["returned", "raised", "hung", "died"]
-MEMORY_LIMIT_BYTES = 8 * 2**30
+MEMORY_LIMIT_BYTES = 8 * 2**30  # of a case; chosen: what a small computer has
 
 
 @dataclass(frozen=True)

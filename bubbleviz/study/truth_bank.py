@@ -13,7 +13,7 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
 from bubbleviz.study.presses import Press, made
 
-TRUTH_NODES = 12_500
+TRUTH_NODES = 12_500  # about 15 times the estimator's 800
 
 
 @dataclass(frozen=True)

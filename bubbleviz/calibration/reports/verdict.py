@@ -13,8 +13,8 @@ from bubbleviz.calibration.validation import Validation
 Grade = Literal["good", "usable", "doubtful"]
 
 _GOOD, _USABLE = 0.02, 0.05  # relative half-width of γ0: below a force sensor's; worth a warning
-_WELL_SEEN = 0.8
-_FEW_FRAMES = 30
+_WELL_SEEN = 0.8  # of the dome's area; chosen
+_FEW_FRAMES = 30  # one second of most depth cameras
 
 
 @dataclass(frozen=True)

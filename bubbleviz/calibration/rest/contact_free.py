@@ -15,7 +15,7 @@ from bubbleviz.progress import Progress, quiet
 SIGNIFICANT = 6.0
 """Standard deviations: noise does not get there in a recording's lifetime."""
 
-_TILE_PX = 8
+_TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
 _COVERED = 0.01  # share of the view that a contact must move to count
 _SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
 _LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten

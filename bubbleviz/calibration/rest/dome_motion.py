@@ -10,7 +10,7 @@ from bubbleviz.calibration.surface.cap_fit import fit_sphere
 from bubbleviz.calibration.tension.bootstrap import tile_numbers, tile_side
 from bubbleviz.errors import InputError
 
-_PIXELS = 20_000
+_PIXELS = 20_000  # fitted in each frame; chosen for run time
 _ROUNDS = 5  # outliers give way to the motion
 _LOUD = 4.0  # standard deviations that noise does not reach in some hundred frames
 _WANDER = 5e-3  # of the dome's radius: the error it would put on γ0

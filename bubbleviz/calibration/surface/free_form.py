@@ -26,9 +26,9 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.progress import Progress, quiet
 
-FOLDS = 5
+FOLDS = 5  # of the cross-validation; the usual number
 _DECADES = np.arange(-4.0, 4.5, 0.5)  # of λ around the one at which data and prior weigh alike
-_RELINEARISATIONS = 4
+_RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones change nothing
 
 
 @dataclass(frozen=True)

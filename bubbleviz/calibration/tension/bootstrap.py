@@ -22,9 +22,9 @@ from scipy.special import ndtri, stdtrit
 
 from bubbleviz.progress import Progress, quiet
 
-DRAWS = 4_000
-_MIN_TILES = 30
-_LEAST_BLOCKS = 5
+DRAWS = 4_000  # the 2.5 % quantile then rests on 100 of them
+_MIN_TILES = 30  # of the image at least: fewer say little about their spread
+_LEAST_BLOCKS = 5  # of frames in the recording, however long the correlation
 
 
 @dataclass(frozen=True)

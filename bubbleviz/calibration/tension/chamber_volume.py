@@ -18,7 +18,7 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.progress import Progress, quiet
 
-_RELINEARISATIONS = 4
+_RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones change nothing
 
 
 @dataclass(frozen=True)

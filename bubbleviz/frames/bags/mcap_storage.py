@@ -12,8 +12,8 @@ from bubbleviz.frames.bags.chunks import MAX_SIZE, ChunkCache, LazyChunk
 from bubbleviz.frames.bags.storage import Entries
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
-_MESSAGE_OP, _CHUNK_OP, _INDEX_OP = 0x05, 0x06, 0x07
-_UNCHUNKED = -1
+_MESSAGE_OP, _CHUNK_OP, _INDEX_OP = 0x05, 0x06, 0x07  # record types of the MCAP specification
+_UNCHUNKED = -1  # in place of a chunk's number
 
 
 class _ChunkPlace(NamedTuple):

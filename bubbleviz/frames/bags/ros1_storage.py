@@ -9,9 +9,9 @@ from typing import Any
 from bubbleviz.frames.bags.chunks import MAX_SIZE, ChunkCache, LazyChunk
 from bubbleviz.frames.bags.storage import Entries
 
-_MESSAGE_OP, _CONNECTION_OP = 2, 7
+_MESSAGE_OP, _CONNECTION_OP = 2, 7  # record types of ROS 1 bags, version 2.0
 _MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin like these
-_MAX_HEADER = 1 << 16
+_MAX_HEADER = 1 << 16  # B; ROS writes less than 1 kB
 
 
 class Ros1Storage:

@@ -22,7 +22,7 @@ SYNC_S = 0.4
 """Interval of fsync, s: the most that a crash can lose."""
 QUEUE_BYTES = 256 << 20
 """Messages that may wait for the disk; beyond it the source is made to wait."""
-PRE_ROLL_BYTES = 256 << 20
+PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
 
 
 @dataclass(frozen=True)

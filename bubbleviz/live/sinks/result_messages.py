@@ -24,9 +24,9 @@ from bubbleviz.result import Estimate, Patch, Result
 POSE = "geometry_msgs/msg/PoseStamped"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
-_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
+_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 _LEVELS = {"ok": _OK, "no_contact": _OK, "no_data": _WARN}
-_FLOAT32 = 7
+_FLOAT32 = 7  # datatype of sensor_msgs/PointField
 
 
 class ResultMessages:

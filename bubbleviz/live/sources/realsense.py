@@ -23,9 +23,9 @@ from bubbleviz.wording import how_to_install
 FILES = (".bag", ".db3")
 """What the SDK records: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
 
-_PATIENCE_S = 0.5
-_QUEUE = 64
-_BACK_OFF_S = (0.5, 4.0)
+_PATIENCE_S = 0.5  # s between looks for a request to stop; chosen
+_QUEUE = 64  # pictures between the SDK's thread and ours, two seconds at 30 Hz
+_BACK_OFF_S = (0.5, 4.0)  # s between attempts to open a camera, first and longest; chosen
 
 _MODELS: dict[str, DistortionModel] = {
     "none": "none",

@@ -32,8 +32,8 @@ from bubbleviz.live.sources.zenoh_session import (
 from bubbleviz.live.topic_names import TYPES, TopicNames
 
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
-BACK_OFF_S = (0.2, 2.0)
-CLOSING_S = 2.0
+BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
+CLOSING_S = 2.0  # s; chosen
 LOOK_S = 0.1
 """How often newly announced topics are subscribed to, and the connection is looked at."""
 

@@ -14,7 +14,7 @@ from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.accuracy.accuracy_study import Accuracy, Row, is_deep
 
-TARGET_NOISE = 0.01
+TARGET_NOISE = 0.01  # σ of range over range: the pico flexx's
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.png", "accuracy_baseline.csv")
 
 

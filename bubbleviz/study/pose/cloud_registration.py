@@ -16,7 +16,7 @@ from bubbleviz.pose.object_model import ObjectModel
 SAMPLES = 20_000
 """Points of the object's surface that the libraries register to."""
 
-_ITERATIONS = 60
+_ITERATIONS = 60  # at most; chosen
 
 
 def has_small_gicp() -> bool:

@@ -15,7 +15,7 @@ from bubbleviz.study.pose.pose_study import BOTH, WHOLE_CLOUD, PoseStudy, PoseTr
 from bubbleviz.study.pose.rubber_poses import RubberStudy
 from bubbleviz.study.pose.screw_motion import RECOVERY_FRAMES, Screw
 
-TARGET_NOISE = 0.01
+TARGET_NOISE = 0.01  # σ of range over range: the pico flexx's
 FILES = ("pose.csv", "rubber.csv", "pose.json", "pose.png")
 SUCCESS_OBJECTS = ("frustum", "two_legged_toy")
 

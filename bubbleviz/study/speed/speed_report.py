@@ -17,7 +17,7 @@ from bubbleviz.study.speed.speed_study import SpeedRow
 
 FILES = ("speed.csv", "speed.json", "speed.png")
 STAGES = ("observe", "linearise", "assemble", "solve", "patch", "other")
-SAME_IOU = 0.01
+SAME_IOU = 0.01  # difference below which two patches are equally good; chosen
 SMALLEST_FITTED = {"nodes": 800, "pixels": 20_000}
 
 

@@ -26,7 +26,7 @@ SOURCE_NODES = 1_000
 """The simulated press has four times as many, whatever the estimator has."""
 ROUND = 150
 """Frames of the moving press."""
-BASELINE_FRAMES = 12
+BASELINE_FRAMES = 12  # the slow solvers take seconds for each
 
 
 @dataclass(frozen=True)

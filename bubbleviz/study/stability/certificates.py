@@ -17,9 +17,9 @@ BALANCE = 1e-3
 """Largest residual of membrane balance and gas law, relative to their largest term."""
 KKT = {"osqp": 5e-2, "osqp-cold": 5e-2}
 """Largest KKT residual of the solvers that stop early; 1e-3 for the others."""
-FORCE_RELATIVE = 0.2
-FORCE_PER_EDGE = 20.0
-FORCE_PER_NOISE = 2.5
+FORCE_RELATIVE = 0.2  # of the true force; chosen as a gross error
+FORCE_PER_EDGE = 20.0  # relative error per m of mesh edge: coarse meshes are worse
+FORCE_PER_NOISE = 2.5  # of γ0 × noise: the force that noise alone makes
 MISFIT = 3.0
 """Largest misfit of a called-ok frame, in units of the noise."""
 

@@ -19,7 +19,7 @@ from bubbleviz.study.stability import extreme_inputs as shapes
 from bubbleviz.study.stability.case import Case
 from bubbleviz.study.stability.stability_trial import TYPICAL_RANGE_M, Streak, Trial
 
-PSI = 6_894.757
+PSI = 6_894.757  # Pa (NIST SP 811)
 Must = Literal["solve", "refuse", "either"]
 
 

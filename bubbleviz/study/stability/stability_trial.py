@@ -25,7 +25,7 @@ from bubbleviz.study.stability.case import FailedError, RefusedError
 from bubbleviz.study.stability.certificates import Band, forward_faults, inverse_faults
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
-TYPICAL_RANGE_M = 0.15
+TYPICAL_RANGE_M = 0.15  # from camera to dome, m
 ANSWERS = ("ok", "no_contact")
 
 MakePipeline = Callable[[Sensor, EstimatorOptions], Pipeline]

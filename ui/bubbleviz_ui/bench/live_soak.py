@@ -32,7 +32,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 WARM_UP_S = 20.0
 """Until then memory may grow: one round of the press, every buffer filled once."""
-_START_S = 60.0
+_START_S = 60.0  # s until the first frame, at most
 
 
 @dataclass(frozen=True)

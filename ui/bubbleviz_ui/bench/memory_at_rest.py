@@ -23,7 +23,7 @@ GLANCE_S = 0.5
 """How long each panel is looked at."""
 CALIBRATION_S = 30.0
 """How long a calibration is waited for; refused ones end sooner."""
-REST_S = 1.5
+REST_S = 1.5  # s without input before memory is read
 OBJECT = "hex_nut"
 
 

@@ -15,10 +15,10 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.window_session import WindowSession, window_session
 
-WARM_UP_S = 2.0
-WINDOW_S = 1.0
-BEAT_MS = 2
-TOO_LONG_MS = 50.0
+WARM_UP_S = 2.0  # s that are not counted
+WINDOW_S = 1.0  # s over which the lowest rate is taken
+BEAT_MS = 2  # between beats that show a blocked event loop
+TOO_LONG_MS = 50.0  # a delay one notices
 
 
 def replay_fps(

@@ -26,7 +26,7 @@ from bubbleviz_ui.bench.replay_rate import run_for
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.window_session import WindowSession
 
-STEP_S = 1.0
+STEP_S = 1.0  # s between readings
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 SLACK_S = 0.004
 """How long a result may wait for the window: a little, so that the window does not wait for it."""
-GAIN = 0.4
-MOST_S = 0.1
+GAIN = 0.4  # of the delay's integral control; chosen
+MOST_S = 0.1  # s; longer delays are felt
 
 
 class RequestDelay:

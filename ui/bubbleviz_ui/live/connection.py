@@ -14,7 +14,7 @@ from bubbleviz.progress import Progress
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.live_frames import LiveFrames
 
-LOOK_S = 0.05
+LOOK_S = 0.05  # s between looks whether to stop
 
 
 @dataclass(frozen=True)

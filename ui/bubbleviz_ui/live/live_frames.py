@@ -19,7 +19,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.frame_history import grown
 
-KEPT_S = 10.0
+KEPT_S = 10.0  # s of frames to look back at
 KEPT_BYTES = 128 << 20
 """Frames one can go back to: of the last seconds, and no more memory than this."""
 CAMERA_S = 0.5

@@ -13,7 +13,7 @@ from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.jobs import Done, Jobs
 
-LOOK_MS = 250
+LOOK_MS = 250  # between looks for new topics
 NOTHING = "\0"
 """No topic begins with it: topics are looked for and none is subscribed to."""
 

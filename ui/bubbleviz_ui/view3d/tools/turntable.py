@@ -8,7 +8,7 @@ from PySide6.QtCore import QObject, Qt, QTimer
 
 from bubbleviz_ui.view3d.render_view import View
 
-EVERY_MS = 33
+EVERY_MS = 33  # 30 pictures a second
 DEGREES_A_SECOND = 30.0
 
 
