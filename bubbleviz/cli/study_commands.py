@@ -54,6 +54,7 @@ def accuracy(
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.accuracy import accuracy_report, linear_model, regularisation
     from bubbleviz.study.accuracy.accuracy_study import full_grid, quick_grid, run_accuracy
+    from bubbleviz.study.report_files import check_free
 
     own = load_sensor(sensor)
     grid = replace(quick_grid() if quick else full_grid(), seed=seed)
@@ -62,9 +63,7 @@ def accuracy(
     parts = None
     if out is not None:
         out_folder(out)
-        accuracy_report.check_free(out)
-        linear_model.check_free(out)
-        regularisation.check_free(out)
+        check_free(out, accuracy_report.FILES + linear_model.FILES + regularisation.FILES)
         parts = out_folder(out / "accuracy_parts")
     with _progress(len(grid.setups), "setup") as bar:
         found = run_accuracy(own, grid, parts, lambda _: bar.update())
@@ -98,12 +97,13 @@ def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
     from bubbleviz.files.tables import out_folder, to_json
     from bubbleviz.sensor import load_sensor
+    from bubbleviz.study.report_files import check_free
     from bubbleviz.study.speed import speed_report
     from bubbleviz.study.speed.speed_study import full_runs, quick_runs, read_ms, run_speed
 
     own = load_sensor(sensor)
     if out is not None:
-        speed_report.check_free(out_folder(out))
+        check_free(out_folder(out), speed_report.FILES)
     runs = quick_runs() if quick else full_runs()
     with _progress(len(runs), "run") as bar:
         rows = run_speed(own, runs, lambda _: bar.update())
@@ -119,8 +119,8 @@ def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
 def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> None:
     """Stiff and extreme cases: each solved within its tolerance, or refused with a reason."""
     from bubbleviz.errors import InputError
-    from bubbleviz.files.output_files import refuse_existing
     from bubbleviz.files.tables import out_folder, to_json, write_csv, write_json
+    from bubbleviz.study.report_files import check_free
     from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
     from bubbleviz.study.stability.stability_study import run_stability, summary
 
@@ -128,8 +128,7 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
     if not cases:
         raise InputError(f"--case {pattern}: no case has this in its name; leave it out")
     if out is not None:
-        for name in ("stability.json", "stability.csv"):
-            refuse_existing(out_folder(out) / name)
+        check_free(out_folder(out), ("stability.json", "stability.csv"))
     with _progress(len(cases), "case") as bar:
         results = run_stability(cases, lambda _: bar.update())
     found = summary(results)
@@ -161,11 +160,12 @@ def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -
     from bubbleviz.study.pose.pose_study import PoseGrid, quick_pose_grid, run_pose_study
     from bubbleviz.study.pose.rubber_poses import RubberGrid, quick_rubber_grid, run_rubber_study
     from bubbleviz.study.pose.screw_motion import SEEDS, run_screws, screw_source
+    from bubbleviz.study.report_files import check_free
 
     own = load_sensor(sensor)
     grid = replace(quick_pose_grid() if quick else PoseGrid(), seed=seed)
     if out is not None:
-        pose_report.check_free(out_folder(out))
+        check_free(out_folder(out), pose_report.FILES)
     with _progress(grid.poses * len(grid.objects), "press") as bar:
         trials = run_pose_study(own, grid, lambda _: bar.update())
     rubber_grid = replace(quick_rubber_grid() if quick else RubberGrid(), seed=seed)

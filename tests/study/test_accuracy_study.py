@@ -24,6 +24,7 @@ from bubbleviz.study.accuracy.accuracy_study import (
 from bubbleviz.study.accuracy.threshold_baseline import THRESHOLDS_M, iou_by_threshold
 from bubbleviz.study.error_metrics import Judge, iou
 from bubbleviz.study.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press, made, presses
+from bubbleviz.study.report_files import check_free
 from bubbleviz.study.truth_bank import TruthBank
 
 SETUPS = (Setup(), Setup(nodes=300, relinearisations=0))
@@ -193,7 +194,7 @@ def test_report_files(study, tmp_path):
     assert any(point["on_front"] for point in data["points"])
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     with pytest.raises(InputError, match="exists"):
-        accuracy_report.check_free(tmp_path)
+        check_free(tmp_path, accuracy_report.FILES)
 
 
 def row(setup, ms, overlap, force):

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.accuracy.accuracy_study import Accuracy, Row, is_deep
+from bubbleviz.study.report_files import Target, at_least, at_most, save_figure, target_table
 
 TARGET_NOISE = 0.01  # σ of range over range: the pico flexx's
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.png", "accuracy_baseline.csv")
@@ -38,16 +38,6 @@ class Point:
     gas_error_pa_median: float
     not_ok: int
     on_front: bool = False
-
-
-@dataclass(frozen=True)
-class Target:
-    """A target value, and whether it is met."""
-
-    name: str
-    value: float
-    limit: str
-    met: bool
 
 
 def selected(
@@ -116,16 +106,16 @@ def targets(accuracy: Accuracy) -> list[Target]:
             force = float(np.median([row.force_error_relative for row in rows]))
             mean_iou = float(np.mean([row.iou for row in rows]))
             found += [
-                Target(f"{of}, 1 %: median force error", force, "≤ 0.02", force <= 0.02),
-                Target(f"{of}, 1 %: mean patch IoU", mean_iou, "≥ 0.75", mean_iou >= 0.75),
+                at_most(f"{of}, 1 %: median force error", force, 0.02),
+                at_least(f"{of}, 1 %: mean patch IoU", mean_iou, 0.75),
             ]
         clean = selected(accuracy, label, 0.0, held_out=held_out)
         if clean:
             force = float(np.median([row.force_error_relative for row in clean]))
             rms = float(np.median([row.displacement_rms_m for row in clean]))
             found += [
-                Target(f"{of}, no noise: median force error", force, "≤ 0.01", force <= 0.01),
-                Target(f"{of}, no noise: median rms of u in m", rms, "≤ 6e-5", rms <= 6e-5),
+                at_most(f"{of}, no noise: median force error", force, 0.01),
+                at_most(f"{of}, no noise: median rms of u in m", rms, 6e-5),
             ]
     return [*found, *_against_baseline(accuracy, label)]
 
@@ -173,16 +163,12 @@ def to_text(accuracy: Accuracy) -> str:
         )
         for p in points(accuracy)
     ]  # fmt: skip
-    aims = [
-        (t.name, f"{t.value:.3g}", t.limit, "met" if t.met else "NOT met")
-        for t in targets(accuracy)
-    ]
     parts = [
         "Grid objects, 10–20 mm, 1 % noise; * on the Pareto front",
         table(header, lines),
         "",
         "Shipped default",
-        table(("target", "value", "limit", ""), aims),
+        target_table(targets(accuracy)),
         "",
         "Shipped default by object, 10–20 mm, 1 % noise; ℓ: width of the estimate's response",
         table(("object", "", "IoU", "at best level", "patch width / ℓ"), _by_object(accuracy)),
@@ -210,12 +196,6 @@ def _by_object(accuracy: Accuracy) -> list[tuple[str, ...]]:
                 )
             )
     return found
-
-
-def check_free(folder: Path) -> None:
-    """Refuse a folder that has a report already, before the long work."""
-    for name in FILES:
-        refuse_existing(folder / name)
 
 
 def write(accuracy: Accuracy, folder: Path) -> list[Path]:
@@ -246,8 +226,7 @@ def _plot(accuracy: Accuracy, path: Path) -> None:
         axes.set(xlabel="run time of a warm frame, ms (median)", xscale="log")
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path)
 
 
 def _width_panel(axes: Any, accuracy: Accuracy) -> None:

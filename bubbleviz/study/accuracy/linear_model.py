@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bubbleviz.errors import SolveError
-from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import write_csv
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
@@ -17,6 +16,7 @@ from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz.study.accuracy.exact_bubble import AxialContact, Bubble, axial_contact
+from bubbleviz.study.report_files import save_figure
 
 FILES = ("linear_model.csv", "linear_model.png")
 BALLS_M = {"ball of 15 mm": 0.015, "ball of 30 mm": 0.030, "plate": np.inf}
@@ -103,12 +103,6 @@ def _exact_gap(mesh: MembraneMesh, tip_m: float, ball: float) -> np.ndarray:
     return np.where(inside > 0.0, -along - np.sqrt(np.maximum(inside, 0.0)), np.inf)
 
 
-def check_free(folder: Path) -> None:
-    """Refuse a folder that has a report already."""
-    for name in FILES:
-        refuse_existing(folder / name)
-
-
 def write(comparisons: list[Comparison], folder: Path) -> list[Path]:
     """Write linear_model.csv and linear_model.png; the paths."""
     paths = [folder / name for name in FILES]
@@ -136,5 +130,4 @@ def _plot(comparisons: list[Comparison], path: Path) -> None:
         axes.set(xlabel="depth, mm")
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path)

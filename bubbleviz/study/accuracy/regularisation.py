@@ -15,7 +15,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv
 from bubbleviz.inverse.estimator import PRESSURE_SCALE, EstimatorOptions
 from bubbleviz.membrane.stiffness import cotangent_laplacian
@@ -24,6 +23,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.study.accuracy.accuracy_study import PRODUCTS
 from bubbleviz.study.error_metrics import Judge
 from bubbleviz.study.presses import Press
+from bubbleviz.study.report_files import save_figure
 from bubbleviz.study.truth_bank import Sighting, TruthBank
 
 FILES = ("regularisation.csv", "regularisation.png")
@@ -185,12 +185,6 @@ def as_dict(found: list[Strength]) -> list[dict[str, object]]:
     return [asdict(s) for s in found]
 
 
-def check_free(folder: Path) -> None:
-    """Refuse a folder that has a report already."""
-    for name in FILES:
-        refuse_existing(folder / name)
-
-
 def write(found: list[Strength], folder: Path) -> list[Path]:
     """Write regularisation.csv and .png; the paths."""
     paths = [folder / name for name in FILES]
@@ -217,5 +211,4 @@ def _plot(found: list[Strength], path: Path) -> None:
             curve.annotate(s.chosen_by, (s.misfit, s.roughness_pa), **place)
     for axes in (quality, curve):
         axes.grid(alpha=0.3)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path)

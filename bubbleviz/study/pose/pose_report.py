@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.pose.pose_study import BOTH, WHOLE_CLOUD, PoseStudy, PoseTrial
 from bubbleviz.study.pose.rubber_poses import RubberStudy
 from bubbleviz.study.pose.screw_motion import RECOVERY_FRAMES, Screw
+from bubbleviz.study.report_files import Target, at_least, at_most, save_figure, target_table
 
 TARGET_NOISE = 0.01  # σ of range over range: the pico flexx's
 FILES = ("pose.csv", "rubber.csv", "pose.json", "pose.png")
@@ -35,16 +35,6 @@ class PosePoint:
     success: float
     total_ms: float
     determined: float
-
-
-@dataclass(frozen=True)
-class PoseTarget:
-    """A target value, and whether it is met."""
-
-    name: str
-    value: float
-    limit: str
-    met: bool
 
 
 @dataclass(frozen=True)
@@ -86,76 +76,66 @@ def _point(name: str, noise: float, method: str, trials: list[PoseTrial]) -> Pos
     )
 
 
-def targets(report: PoseReport) -> list[PoseTarget]:
+def targets(report: PoseReport) -> list[Target]:
     """Targets, and whether each is met."""
     found = {
         (p.object_name, p.method): p
         for p in points(report.study)
         if p.noise_relative == TARGET_NOISE
     }
-    result: list[PoseTarget] = []
+    result: list[Target] = []
     for name in report.study.grid.objects:
         own, rival = found.get((name, BOTH)), found.get((name, WHOLE_CLOUD))
         if own is None or rival is None:
             continue
         degrees = float(np.degrees(own.error_rad))
         result += [
-            _at_most(f"{name}, 1 %: median error in mm", 1e3 * own.error_m, 1.0),
-            _at_most(f"{name}, 1 %: median error in °", degrees, 2.0),
+            at_most(f"{name}, 1 %: median error in mm", 1e3 * own.error_m, 1.0),
+            at_most(f"{name}, 1 %: median error in °", degrees, 2.0),
         ]
         if name in SUCCESS_OBJECTS:
-            result.append(_at_least(f"{name}, 1 %: success", own.success, 0.9))
+            result.append(at_least(f"{name}, 1 %: success", own.success, 0.9))
         better = (
             own.error_m < rival.error_m
             and own.error_rad < rival.error_rad
             and own.success > rival.success
         )
-        result.append(
-            PoseTarget(f"{name}, 1 %: better than whole cloud", float(better), "= 1", better)
-        )
+        result.append(Target(f"{name}, 1 %: better than whole cloud", float(better), "= 1", better))
     return [*result, *_rubber_targets(report.rubber), *_screw_targets(report.screws)]
 
 
-def _rubber_targets(study: RubberStudy) -> list[PoseTarget]:
+def _rubber_targets(study: RubberStudy) -> list[Target]:
     """All that moves the membrane, flat faces that slid and turned with it; no pose is infinite."""
     off = np.nan_to_num(np.array([trial.seen_m for trial in study.trials]), nan=np.inf)
     turned = np.nan_to_num(np.array([trial.seen_rad for trial in study.trials]), nan=np.inf)
     runs = f"rubber, {len(off)} starts"
     return [
-        _at_most(f"{runs}: median error in mm", 1e3 * np.median(off), 0.4),
-        _at_most(f"{runs}: worst error in mm", 1e3 * off.max(), 1.0),
-        _at_most(f"{runs}: worst error in °", np.degrees(turned.max()), 3.0),
+        at_most(f"{runs}: median error in mm", 1e3 * np.median(off), 0.4),
+        at_most(f"{runs}: worst error in mm", 1e3 * off.max(), 1.0),
+        at_most(f"{runs}: worst error in °", np.degrees(turned.max()), 3.0),
     ]
 
 
-def _screw_targets(screws: list[Screw]) -> list[PoseTarget]:
+def _screw_targets(screws: list[Screw]) -> list[Target]:
     """What is asked of runs with other noise, and of those with blank frames."""
     plain = [screw for screw in screws if not screw.blanked]
     worst = np.degrees([screw.rotation_error_rad_max for screw in plain])
     runs = f"screw, {len(plain)} runs"
     result = [
-        _at_most(f"{runs}: frames not ok", sum(s.frames - s.status.get("ok", 0) for s in plain), 0),
-        _at_most(f"{runs}: largest rotation error in °, typical run", np.median(worst), 3.0),
-        _at_most(f"{runs}: largest rotation error in °, worst run", worst.max(), 3.0),
-        _at_most(f"{runs}: median ms", np.median([s.median_total_ms for s in plain]), 20.0),
-        _at_most(f"{runs}: p95 ms", np.median([s.p95_total_ms for s in plain]), 40.0),
+        at_most(f"{runs}: frames not ok", sum(s.frames - s.status.get("ok", 0) for s in plain), 0),
+        at_most(f"{runs}: largest rotation error in °, typical run", np.median(worst), 3.0),
+        at_most(f"{runs}: largest rotation error in °, worst run", worst.max(), 3.0),
+        at_most(f"{runs}: median ms", np.median([s.median_total_ms for s in plain]), 20.0),
+        at_most(f"{runs}: p95 ms", np.median([s.p95_total_ms for s in plain]), 40.0),
     ]
     for screw in screws:
         if screw.blanked:
             after, lost = screw.recovered_after or np.inf, screw.status.get("lost", 0)
             result += [
-                _at_least("screw, 10 frames blank: frames lost", lost, 1.0),
-                _at_most("screw, 10 frames blank: frames to recover", after, RECOVERY_FRAMES),
+                at_least("screw, 10 frames blank: frames lost", lost, 1.0),
+                at_most("screw, 10 frames blank: frames to recover", after, RECOVERY_FRAMES),
             ]
     return result
-
-
-def _at_most(name: str, value: float, limit: float) -> PoseTarget:
-    return PoseTarget(name, float(value), f"≤ {limit:g}", bool(value <= limit))
-
-
-def _at_least(name: str, value: float, limit: float) -> PoseTarget:
-    return PoseTarget(name, float(value), f"≥ {limit:g}", bool(value >= limit))
 
 
 def as_dict(report: PoseReport) -> dict[str, Any]:
@@ -185,9 +165,6 @@ def to_text(report: PoseReport) -> str:
         )
         for p in points(report.study)
     ]  # fmt: skip
-    aims = [
-        (t.name, f"{t.value:.3g}", t.limit, "met" if t.met else "NOT met") for t in targets(report)
-    ]
     parts = [
         "Medians over the directions that the true contact determines, modulo symmetry; over all",
         table(header, lines),
@@ -195,7 +172,7 @@ def to_text(report: PoseReport) -> str:
         "On rubber, pressed by the exact model; starts 3 mm and 8° off; determined, then all seen",
         _rubber_table(report.rubber),
         "",
-        table(("target", "value", "limit", ""), aims),
+        target_table(targets(report)),
         *(_screw_line(screw) for screw in report.screws),
         *(f"left out: {line}" for line in [*report.study.omitted, *report.rubber.omitted]),
     ]
@@ -243,12 +220,6 @@ def _screw_line(screw: Screw) -> str:
     )
 
 
-def check_free(folder: Path) -> None:
-    """Refuse a folder that has a report already, before the long work."""
-    for name in FILES:
-        refuse_existing(folder / name)
-
-
 def write(report: PoseReport, folder: Path) -> list[Path]:
     """Write pose.csv, rubber.csv, pose.json and pose.png; the paths."""
     paths = [folder / name for name in FILES]
@@ -277,5 +248,4 @@ def _plot(report: PoseReport, path: Path) -> None:
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
     figure.suptitle("Pose, 1 % noise, a point for each object")
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import table, write_csv, write_json
-from bubbleviz.study.accuracy.accuracy_report import Target
+from bubbleviz.study.report_files import Target, at_least, at_most, save_figure, target_table
 from bubbleviz.study.speed.speed_study import SpeedRow
 
 FILES = ("speed.csv", "speed.json", "speed.png")
@@ -84,20 +83,20 @@ def targets(speed: Speed) -> list[Target]:
     if "default" in streams:
         own = streams["default"]
         found += [
-            Target("stream, median ms", own.total_ms, "≤ 8", own.total_ms <= 8.0),
-            Target("stream, p95 ms", own.total_p95_ms, "≤ 16", own.total_p95_ms <= 16.0),
+            at_most("stream, median ms", own.total_ms, 8.0),
+            at_most("stream, p95 ms", own.total_p95_ms, 16.0),
         ]
     found += _against_baseline([r for r in rows if r.sweep == "baseline" and not r.error])
     for growth in growths(rows):
         if growth.sweep == "nodes":
             name = f"{growth.setup}, exponent in nodes"
-            found.append(Target(name, growth.exponent, "≤ 1.6", growth.exponent <= 1.6))
+            found.append(at_most(name, growth.exponent, 1.6))
     pixels = {row.pixels: row for row in rows if row.sweep == "pixels" and not row.error}
     small = [row for count, row in pixels.items() if 30_000 < count < 50_000]
     large = [row for count, row in pixels.items() if count > 900_000]
     if small and large:
         ratio = large[0].total_ms / small[0].total_ms
-        found.append(Target("1M pixels over 38k", ratio, "≤ 10", ratio <= 10.0))
+        found.append(at_most("1M pixels over 38k", ratio, 10.0))
     return found
 
 
@@ -115,7 +114,7 @@ def _against_baseline(rows: Sequence[SpeedRow]) -> list[Target]:
     ratio = other.total_ms / own[0].total_ms
     reached = "" if equal else ", the best it reaches"
     ious = f"IoU {own[0].iou_mean:.3f} against {other.iou_mean:.3f}{reached}"
-    return [Target(f"times faster than {other.setup} ({ious})", ratio, "≥ 10", ratio >= 10.0)]
+    return [at_least(f"times faster than {other.setup} ({ious})", ratio, 10.0)]
 
 
 def as_dict(speed: Speed) -> dict[str, Any]:
@@ -139,9 +138,6 @@ def to_text(speed: Speed) -> str:
         (f"{g.sweep}, {g.setup}", f"{g.exponent:.2f}", f"{g.memory_exponent:.2f}", str(g.sizes))
         for g in growths(speed.rows)
     ]
-    aims = [
-        (t.name, f"{t.value:.3g}", t.limit, "met" if t.met else "NOT met") for t in targets(speed)
-    ]
     return "\n".join(
         [
             f"reading a frame: {speed.read_ms:.2f} ms",
@@ -150,7 +146,7 @@ def to_text(speed: Speed) -> str:
             "",
             table(("growth", "exponent", "of memory", "sizes"), fits),
             "",
-            table(("target", "value", "limit", ""), aims),
+            target_table(targets(speed)),
         ]
     )
 
@@ -164,12 +160,6 @@ def _line(row: SpeedRow) -> tuple[str, ...]:
     memory, force = row.memory_peak_bytes / 2**20, 100 * row.force_error_relative_median
     quality = (f"{memory:.0f}", f"{row.iou_mean:.3f}", f"{force:.2f}")
     return (*head, *(f"{t:.1f}" for t in times), *quality)
-
-
-def check_free(folder: Path) -> None:
-    """Refuse a folder that has a report already, before the long work."""
-    for name in FILES:
-        refuse_existing(folder / name)
 
 
 def write(speed: Speed, folder: Path) -> list[Path]:
@@ -203,5 +193,4 @@ def _plot(speed: Speed, path: Path) -> None:
         axes.set(xlabel=sweep, ylabel="ms", title=f"Growth with {sweep}")
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=8)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path)
