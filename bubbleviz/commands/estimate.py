@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from tqdm import tqdm
 
 import bubbleviz
 from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.result_writer import UNKNOWN, CsvWriter, ResultWriter
@@ -29,7 +29,7 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
 
 @dataclass(frozen=True)
-class EstimateSummary:
+class EstimateSummary(Summary):
     """What `estimate` says about its run; None where there is no frame to say it about.
 
     Attributes
@@ -68,10 +68,6 @@ class EstimateSummary:
     max_force_n: float | None
     median_residual_rms_m: float | None
     max_kkt_residual: float | None
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys, SI units but for ms."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.files.output_files import whole_file
@@ -22,7 +22,7 @@ from bubbleviz.wording import count_of
 
 
 @dataclass(frozen=True)
-class ExportSummary:
+class ExportSummary(Summary):
     """Summary of an export.
 
     Attributes
@@ -40,10 +40,6 @@ class ExportSummary:
     frames: int
     files: int
     stages: Mapping[str, int]
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, ensure_ascii=False)
 
     def to_text(self) -> str:
         """Text for the terminal."""

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.commands.summary import Summary
 from bubbleviz.frames.bags import Topic
 from bubbleviz.frames.gaps import Gap, find_gaps, usual_step
 from bubbleviz.frames.recording import Recording
 
 
 @dataclass(frozen=True)
-class RecordingInfo:
+class RecordingInfo(Summary):
     """Facts of a recording.
 
     Attributes
@@ -63,10 +63,6 @@ class RecordingInfo:
     gas_pressure_pa: tuple[float, float] | None
     wrench: bool
     note: str = ""
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

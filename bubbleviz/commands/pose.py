@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose
@@ -26,7 +26,7 @@ PRODUCTS: frozenset[Product] = frozenset({"pose"})
 
 
 @dataclass(frozen=True)
-class PoseSummary:
+class PoseSummary(Summary):
     """What `pose` says about its run; None where there is no frame to say it about.
 
     Attributes
@@ -51,10 +51,6 @@ class PoseSummary:
     median_rmse_m: float | None
     median_total_ms: float | None
     p95_total_ms: float | None
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys, SI units but for ms."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from bubbleviz.commands.stop_signals import stopped_by_signals
+from bubbleviz.commands.summary import Summary
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.open_stream import open_stream
@@ -20,7 +20,7 @@ LINGER_S = 0.5
 
 
 @dataclass(frozen=True)
-class PublishSummary:
+class PublishSummary(Summary):
     """What `publish` says about its run.
 
     Attributes
@@ -33,10 +33,6 @@ class PublishSummary:
     source: str
     endpoint: str
     sent: dict[str, int]
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, ensure_ascii=False)
 
     def to_text(self) -> str:
         """A line for each topic."""

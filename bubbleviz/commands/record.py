@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from bubbleviz.commands.stop_signals import stopped_by_signals
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
@@ -23,7 +23,7 @@ _LOOK_S = 0.1  # s between looks at the stream; chosen
 
 
 @dataclass(frozen=True)
-class RecordSummary:
+class RecordSummary(Summary):
     """What `record` says about its run.
 
     Attributes
@@ -49,10 +49,6 @@ class RecordSummary:
     most_waiting_bytes: int
     stalls: int
     counters: dict[str, Any]
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

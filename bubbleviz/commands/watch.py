@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from tqdm import tqdm
 
 from bubbleviz.calibration.pressure_zero import PressureZero, zeroed
 from bubbleviz.commands.stop_signals import stopped_by_signals
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import RESULTS
 from bubbleviz.frames.frame import Frame
@@ -69,7 +69,7 @@ class WatchOptions:
 
 
 @dataclass(frozen=True)
-class WatchSummary:
+class WatchSummary(Summary):
     """What `watch` says about its run.
 
     Attributes
@@ -95,10 +95,6 @@ class WatchSummary:
     latency_p95_s: float | None
     pressure_offset_pa: float | None
     counters: dict[str, Any]
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

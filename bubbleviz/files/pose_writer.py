@@ -1,4 +1,4 @@
-"""Poses as files: POSES.csv of the contract, and TUM trajectories."""
+"""Pose files: POSES.csv and TUM trajectories."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One moment of one sensor, whatever source it came from."""
+"""One frame of one sensor, from any source."""
 
 from __future__ import annotations
 

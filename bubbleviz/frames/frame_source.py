@@ -1,4 +1,4 @@
-"""What every source of frames offers."""
+"""Interface of the frame sources."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class Gap:
 
 
 def find_gaps(times_s: np.ndarray) -> tuple[Gap, ...]:
-    """Places where frames are missing.
+    """Gaps between consecutive frames.
 
     A step of about n + 1 periods misses n frames. A late frame is not a missing one: the steps
     beside it are short by as much, so two on either side count, less their whole periods.
@@ -51,6 +51,6 @@ def find_gaps(times_s: np.ndarray) -> tuple[Gap, ...]:
 
 
 def usual_step(steps: np.ndarray) -> float | None:
-    """Median of the steps that are any, s; None without one."""
+    """Median of the positive time steps, s; None without one."""
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else None

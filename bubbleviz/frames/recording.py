@@ -1,10 +1,9 @@
-"""Recordings as frames: random access, and nothing read that was not asked for."""
+"""Recordings as frames, with random access; messages are read only when needed."""
 
 from __future__ import annotations
 
 import threading
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -129,12 +128,7 @@ class Recording:
     def __enter__(self) -> Recording:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -197,7 +191,7 @@ class Recording:
 
 
 def _without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
-    """Stamps, but for the few that are an hour and more from where the others are.
+    """Stamps, with those more than an hour off the others replaced.
 
     A camera whose clock was lost for a moment would else end the recording in 1970, or 2100.
     """

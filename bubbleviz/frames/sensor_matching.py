@@ -1,4 +1,4 @@
-"""Which recording goes with which sensor: sizes that must agree, and a preset that fits."""
+"""Matching recordings with sensors: image sizes must agree; finds the preset that fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What went in and what was wrong with it."""
+"""Counters of received and rejected messages."""
 
 from __future__ import annotations
 

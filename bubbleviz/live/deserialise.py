@@ -1,4 +1,4 @@
-"""Bytes that arrived to what they mean; whatever is wrong with them is one ValueError."""
+"""Deserialisation of received messages; any damage is a ValueError."""
 
 from __future__ import annotations
 

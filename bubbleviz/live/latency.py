@@ -23,7 +23,7 @@ class LatencyReport(NamedTuple):
 
 
 class LatencyMeter:
-    """Ages of frames at some place on their way, the last `window` of them."""
+    """Ages of the last `window` frames at one point of the processing."""
 
     def __init__(self, window: int = 600) -> None:
         self._ages: deque[float] = deque(maxlen=window)

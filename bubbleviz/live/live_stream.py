@@ -1,4 +1,4 @@
-"""One sensor, live: a source, the frames made of its messages, and everybody who listens."""
+"""One live sensor: a source, the frames made of its messages, and its listeners."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class LiveStream:
         return self.source.topics()
 
     def _patience_s(self) -> float:
-        """How long to wait before looking whether the frame that waits is due, s."""
+        """Time until the pending frame must be checked again, s."""
         until = self._assembler.waits_until_ns
         return 0.1 if until is None else min(max((until - time.time_ns()) * 1e-9, 0.001), 0.1)
 

@@ -1,4 +1,4 @@
-"""Newest wins: what stands between a source that does not wait and a solver that takes its time."""
+"""A mailbox for one frame between source and solver: a newer frame replaces an older one."""
 
 from __future__ import annotations
 

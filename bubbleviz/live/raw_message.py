@@ -1,4 +1,4 @@
-"""A message as it arrived, before anybody decoded it."""
+"""A message as it arrived, not decoded yet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values measured beside the depth images, the newest of them, at the time of a frame."""
+"""Buffer of scalar signals (gas pressure, wrench), interpolated at the time of a frame."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Samples:
         self._samples.clear()
 
     def covers(self, time_ns: int) -> bool:
-        """Whether a value as new as a time is there, or none is to be expected soon."""
+        """Whether a value at least as new as a time arrived, or none is expected soon."""
         if not self._samples:
             return True
         newest = self._samples[-1].time

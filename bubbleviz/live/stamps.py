@@ -1,4 +1,4 @@
-"""Which stamps of a live stream can be believed."""
+"""Plausibility of the time stamps of a live stream."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TRUSTED_AFTER = 3
 
 
 class Judged(NamedTuple):
-    """A verdict, and the time in ns, on the publisher's clock, to go on with."""
+    """A verdict, and the time on the publisher's clock to use, ns."""
 
     verdict: Verdict
     time_ns: int

@@ -171,7 +171,7 @@ def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
 
 
 def _search(points: np.ndarray, surface: Ellipsoid, freedom: Freedom) -> Ellipsoid:
-    """Cauchy's loss at the scale of the start, then Tukey's at that of what it leads to, twice."""
+    """Cauchy's loss at the start's scale, then Tukey's at the scale it leads to, twice."""
     surface = _descend(points, surface, freedom, cauchy_weights)
     for _ in range(2):
         surface = _descend(points, surface, freedom, tukey_weights)
@@ -181,7 +181,7 @@ def _search(points: np.ndarray, surface: Ellipsoid, freedom: Freedom) -> Ellipso
 def _descend(
     points: np.ndarray, surface: Ellipsoid, freedom: Freedom, loss: Weights, rounds: int = 25
 ) -> Ellipsoid:
-    """Levenberg and Marquardt's damped steps down a loss whose scale stays."""
+    """Levenberg–Marquardt minimisation of a loss of fixed scale."""
     now = surface.distance(points)
     sigma = max(robust_sigma(now, center=0.0), 1e-9)
     damping = 1e-4

@@ -1,4 +1,4 @@
-"""Free-form reference surface: the fitted cap plus the smooth correction the data ask for.
+"""Free-form reference surface: the fitted cap plus a smooth correction.
 
 Nodes move along the line from the centre of the rim plane, so that those of the rim stay in it.
 The correction c is the P1 field that minimises
@@ -115,7 +115,7 @@ def fit_free_form(
     tile_px: int,
     progress: Progress = quiet,
 ) -> FreeForm:
-    """Correct a cap's mesh until its cast ranges explain the measured ones.
+    """Correct a cap's mesh so that its modelled ranges fit the measured ones.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:
 
 
 def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
-    """Fold 0 … 4 of each pixel: whole tiles, spread like the knights of a chess board."""
+    """Fold 0 … 4 of each pixel: whole tiles, offset by a knight's move from row to row."""
     row, column = np.divmod(pixels, width)
     return (row // tile_px * 2 + column // tile_px) % FOLDS
 
@@ -203,7 +203,7 @@ def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> _No
 
 
 def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) -> float:
-    """λ at which data and prior weigh alike: the ratio of the traces."""
+    """λ at which data and prior have equal trace."""
     return float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
 
 

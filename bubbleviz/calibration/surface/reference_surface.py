@@ -1,4 +1,4 @@
-"""The reference surface: cap of a sphere, of an ellipsoid, or free form; the data choose.
+"""The reference surface: spherical cap, ellipsoidal cap or free form, by cross-validation.
 
 The rim belongs to the housing: its plane is the one of the given sensor's camera pose (from the
 drawing), in which only the centre is moved to the fitted dome's. What the cloud's edge says

@@ -1,4 +1,4 @@
-"""γ0 and the dome's dimensions with 95 % intervals, and what the intervals are made of."""
+"""γ0 and the dome's dimensions with 95 % intervals and their contributions."""
 
 from __future__ import annotations
 

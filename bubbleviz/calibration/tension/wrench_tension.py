@@ -1,4 +1,4 @@
-"""A second, separate estimate of γ0: the one whose predicted force explains a measured press.
+"""An independent estimate of γ0: the one whose predicted force fits a measured press.
 
 The frame of a force/torque sensor is rarely documented, so magnitudes are compared. One part of the
 press chooses γ0, another one says how well it predicts.

@@ -1,4 +1,4 @@
-"""An MCAP file that is written as messages come and can be opened wherever writing ended."""
+"""Crash-safe MCAP writer: the file can be opened up to its last sync."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class McapFile:
         _sync_folder(self._file.parent)
 
     def write(self, message: RawMessage) -> None:
-        """Append a message, logged at its arrival; OSError where the disk refuses."""
+        """Append a message, logged at its arrival; OSError if writing fails."""
         key = (message.topic, message.type)
         if key not in self._channels:
             self._channels[key] = self._new_channel(*key)
@@ -86,7 +86,7 @@ class McapFile:
         self.count += 1
 
     def sync(self) -> None:
-        """Close the chunk and have all of it on the disk; OSError where that refuses."""
+        """Close the chunk and fsync the file; OSError if that fails."""
         self._writer.flush()
         os.fsync(self._stream.fileno())
         self.synced_bytes = self._stream.tell()

@@ -54,7 +54,7 @@ class RecorderStatus:
 
 
 class Recorder:
-    """Keeps the last seconds of what it is given, and writes everything once told to.
+    """Keeps the last seconds of messages as pre-roll, and writes a recording when started.
 
     Parameters
     ----------
@@ -102,18 +102,18 @@ class Recorder:
             self._session = session
 
     def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
-        """Put a marker or a note into the recording, at a moment (ns since 1970), else at this."""
+        """Write a marker or note into the recording, at a time (ns since 1970), by default now."""
         content = ros2_types().types[_STRING](data=text)
         when = time.time_ns() if at_ns is None else at_ns
         self.push(RawMessage(MARKERS, _STRING, serialise(content, _STRING), 0, when))
 
     def status(self) -> RecorderStatus | None:
-        """How the present recording is going; None without one."""
+        """State of the present recording; None without one."""
         session = self._session
         return None if session is None else session.status()
 
     def stop(self) -> RecorderStatus:
-        """End the recording, all of it written; how it went. Without a message no file stays."""
+        """End the recording and return its final state. Without a message no file stays."""
         with self._lock:
             session, self._session = self._session, None
         if session is None:

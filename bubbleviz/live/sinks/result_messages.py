@@ -1,4 +1,4 @@
-"""Results to ROS 2 messages: patch, force, pose and how the sensor is doing."""
+"""Results as ROS 2 messages: patch, force, pose and diagnostics."""
 
 from __future__ import annotations
 

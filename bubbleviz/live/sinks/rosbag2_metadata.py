@@ -1,4 +1,4 @@
-"""What a rosbag2 says about itself beside its messages."""
+"""Metadata of a rosbag2: metadata.yaml and its copy in the MCAP file."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class ZenohPublisher:
         self.close()
 
     def announce(self, topic: str, kind: str) -> None:
-        """Tell others of a topic before its first message."""
+        """Announce a topic before its first message."""
         if (topic, kind) in self._publishers:
             return
         type_hash = ros2_types().hash_rihs01(kind)

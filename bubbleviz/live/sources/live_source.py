@@ -1,4 +1,4 @@
-"""What every live source offers."""
+"""Interface of the live sources."""
 
 from __future__ import annotations
 
@@ -47,4 +47,4 @@ class LiveSource(Protocol):
         """Messages lost on the way, by the publishers' sequence numbers; 0 without those."""
 
     def problem(self) -> str:
-        """What the source itself failed at, in words; empty while all is well."""
+        """Failure of the source itself as text; empty without one."""

@@ -1,4 +1,4 @@
-"""From what `--source` says to a live stream."""
+"""Opening a live stream from a source URI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A thread that delivers messages when they are due, and can be stopped at once."""
+"""A thread that delivers messages on schedule and can be stopped immediately."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ class RealSenseLive:
             self._link, self._problem = "up", ""
 
     def _receiver(self, pictures: queue.Queue[_Picture], pace: PacedThread) -> Any:
-        """What the SDK calls with every frame, in its own thread; a recording waits for us."""
+        """Callback for the SDK's thread; playback of a recording is paced by it."""
 
         def receive(frame: Any) -> None:
             depth = frame.as_depth_frame()
@@ -194,7 +194,7 @@ class RealSenseLive:
         raise RuntimeError("the camera is not plugged in")
 
     def _profile(self, sensor: Any) -> Any:
-        """Depth as asked for; a recording has it as it has it."""
+        """Stream profile: depth as requested, or as recorded."""
         offered = [
             profile
             for profile in sensor.get_stream_profiles()

@@ -1,4 +1,4 @@
-"""What `--source` may say: `scheme:place?option=value&…`."""
+"""URIs of live sources: `scheme:place?option=value&…`."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class SourceUri:
 
 
 def parse_uri(text: str) -> SourceUri:
-    """Take a source apart.
+    """Parse a source URI.
 
     Raises
     ------

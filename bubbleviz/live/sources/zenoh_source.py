@@ -103,7 +103,7 @@ class ZenohSource:
         return self._missed
 
     def problem(self) -> str:
-        """What ended the thread that looks after the subscriptions."""
+        """Error that ended the subscription thread."""
         return "" if self._connector is None else self._connector.problem
 
     def _named(self) -> list[tuple[str, str]]:
