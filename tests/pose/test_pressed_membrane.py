@@ -56,11 +56,12 @@ def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
     gas = pipeline.estimator.gas
     expected = RubberForward(rubber, gas).press(made("sphere"), pose())
     assert expected.converged
-    displacement = found.nodes - pipeline.mesh.nodes
-    largest = np.abs(expected.displacement_3d_m).max()
+    displacement = found.nodes - found.window.mesh.nodes
+    there = expected.displacement_3d_m[found.window.nodes]
+    largest = np.abs(there).max()
     assert largest > 8e-3
     # nodes are kept out of the object there, points of the object out of the membrane here
-    assert np.sqrt(np.mean((displacement - expected.displacement_3d_m) ** 2)) < 0.02 * largest
+    assert np.sqrt(np.mean((displacement - there) ** 2)) < 0.02 * largest
     force = expected.nodal_force_n.sum(axis=0)
     assert np.linalg.norm(found.force_n - force) < 0.03 * np.linalg.norm(force)
 
@@ -68,7 +69,7 @@ def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
 def test_slopes_are_what_the_membrane_does_when_the_object_moves(pipeline, rubber, contact):
     membrane = pressed(pipeline, rubber, "cylinder")
     press = membrane.press(pose(), contact)
-    normals = pipeline.mesh.normals
+    normals = press.window.mesh.normals
     for motion, size, alike, off in (
         ([0, 0, 1, 0, 0, 0], 5e-4, 0.98, 0.05),
         ([0, 0, 0, 1, 0, 0], 0.01, 0.95, 0.1),
@@ -92,12 +93,12 @@ def test_from_pose_to_pose_as_from_the_start(pipeline, rubber, contact):
     membrane.forget()
     anew = membrane.press(there, contact)
     assert np.abs(followed.nodes - anew.nodes).max() < 1e-4
-    assert np.abs(followed.nodes - pipeline.mesh.nodes).max() > 8e-3
+    assert np.abs(followed.nodes - followed.window.mesh.nodes).max() > 8e-3
 
 
 def test_no_contact_and_the_membrane_is_at_rest(pipeline, rubber, contact):
     press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), contact)
-    assert np.abs(press.nodes - pipeline.mesh.nodes).max() < 1e-6
+    assert np.abs(press.nodes - press.window.mesh.nodes).max() < 1e-6
     assert not press.slopes.any()
     assert not press.held.any()
 
@@ -106,7 +107,7 @@ def test_a_measured_gas_pressure_holds_where_the_gas_law_does_not(pipeline, rubb
     gas = pipeline.estimator.gas
     by_law = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     more = pressed(pipeline, rubber, "cylinder").press(pose(), contact, gas.P0 + 1500.0)
-    bulge = np.einsum("ij,ij->i", more.nodes - by_law.nodes, pipeline.mesh.normals)
+    bulge = np.einsum("ij,ij->i", more.nodes - by_law.nodes, more.window.mesh.normals)
     assert np.median(bulge) > 1e-3
     assert np.linalg.norm(more.force_n) > 1.2 * np.linalg.norm(by_law.force_n)
 

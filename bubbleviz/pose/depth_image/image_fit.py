@@ -92,11 +92,11 @@ class ImageFit:
         self, observer: RangeObserver, pressed: PressedMembrane, options: ImageOptions
     ) -> None:
         self._observer, self._pressed, self._options = observer, pressed, options
-        self.mesh = pressed.mesh
         camera = observer.camera
         self._directions = camera.directions[observer.pixel]
-        caster = RayCaster(camera.center, self._directions, self.mesh.triangles)
-        at_rest = caster.cast(self.mesh.nodes, self.mesh.normals)
+        mesh = pressed.mesh
+        caster = RayCaster(camera.center, self._directions, mesh.triangles)
+        at_rest = caster.cast(mesh.nodes, mesh.normals)
         self._rest_m = np.full(len(observer.pixel), np.nan)
         self._rest_m[at_rest.ray] = at_rest.range_m
         self._places = camera.center + self._rest_m[:, None] * self._directions
@@ -193,20 +193,17 @@ class ImageFit:
 
     def _seen(self, press: Press, contact: ContactPoints) -> PredictedImage:
         """The membrane and its derivatives as the camera would see them."""
-        mesh = self.mesh
+        mesh = press.window.mesh
         reach = contact.extent_m + self._options.around_m
         pixel = np.flatnonzero(_near(self._places, contact.rest_center, reach))
         every = max(1, -(-len(pixel) // self._options.most_pixels))
         pixel = pixel[::every]
-        close = _near(mesh.nodes, contact.rest_center, reach + 2.0 * mesh.edge_length)
-        near = np.flatnonzero(close[mesh.triangles].any(axis=1))
-        triangles = mesh.triangles[near]
         rays = self._directions[pixel]
-        caster = RayCaster(self._observer.camera.center, rays, triangles)
+        caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
         hits = caster.cast(press.nodes, mesh.normals)
         pixel, rays = pixel[hits.ray], rays[hits.ray]
-        corners = triangles[hits.triangle]
-        a, b, c = (press.nodes[triangles[:, k]] for k in range(3))
+        corners = mesh.triangles[hits.triangle]
+        a, b, c = (press.nodes[mesh.triangles[:, k]] for k in range(3))
         facet = cross(b - a, c - a)[hits.triangle]
         facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
         moved = np.einsum("ba,qbai->qbi", hits.barycentric, press.slopes[:, corners])
@@ -217,7 +214,7 @@ class ImageFit:
             every=every,
             expected_m=hits.range_m - self._rest_m[pixel],
             jacobian=np.einsum("qbi,bi->bq", moved, facet),
-            held=press.held[near[hits.triangle]],
+            held=press.held[hits.triangle],
         )
 
 

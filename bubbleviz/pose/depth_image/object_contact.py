@@ -123,8 +123,6 @@ class ObjectContact:
     Parameters
     ----------
     model : ObjectModel
-    triangles : (m, 3) int array
-        Of the membrane.
     spacing_m : float
         Distance of the points on the object.
     pressure_pa, tension_n_per_m : float
@@ -135,13 +133,12 @@ class ObjectContact:
     def __init__(
         self,
         model: ObjectModel,
-        triangles: np.ndarray,
         spacing_m: float,
         pressure_pa: float,
         tension_n_per_m: float,
         options: PressOptions,
     ) -> None:
-        self._triangles, self._options = triangles, options
+        self._options = options
         self._points, self._normals = contact_samples(model, spacing_m)
         self._edge = np.any(self._normals[:, 0] != self._normals[:, 1], axis=1)
         face, edge = pressure_pa * spacing_m**2, tension_n_per_m * 0.5 * spacing_m
@@ -152,56 +149,40 @@ class ObjectContact:
         """Begin anew with the directions in which edges push."""
         self._pushing = np.zeros_like(self._points)
 
-    def touching(self, x: np.ndarray, T_B_O: np.ndarray, near: np.ndarray) -> Touching:
-        """Points inside the membrane with nodes x (n, 3), under some of its triangles (t,)."""
+    def touching(self, x: np.ndarray, triangles: np.ndarray, T_B_O: np.ndarray) -> Touching:
+        """Points inside the membrane with nodes x (n, 3) and triangles (m, 3)."""
         R = T_B_O[:3, :3]
-        corners = self._triangles[near]
-        places = x[corners]
+        places = x[triangles]
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
-        points = self._points @ R.T + T_B_O[:3, 3]
-        margin = self._options.deepest_m
+        points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.deepest_m
         low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
         close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
         if not len(close):
-            return self._of(close, points[close], near[:0], x, np.zeros((0, 3)), points[close])
-        found = TriangleScene(x, corners).closest(points[close])
-        smooth = _gathered(corners, np.repeat(vectors[:, None], 3, axis=1), len(x))
-        smooth = np.einsum("ci,cij->cj", found.barycentric, smooth[corners[found.triangle]])
+            close = np.zeros(1, int)  # any one: it is too far away
+        found = TriangleScene(x, triangles).closest(points[close])
+        corners, weights = triangles[found.triangle], found.barycentric
+        smooth = _gathered(triangles, np.repeat(vectors[:, None], 3, axis=1), len(x))
+        smooth = np.einsum("ci,cij->cj", weights, smooth[corners])
         smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
         normals = self._normals[close] @ R.T
         pushing = self._turned(close, normals, -smooth, R)
-        away = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.sideways
-        place = np.einsum("ci,cij->cj", found.barycentric, places[found.triangle])
-        gap = np.einsum("ij,ij->i", place - points[close], pushing)
-        inside = np.flatnonzero(away & (gap < 0.0) & (gap > -self._options.deepest_m))
-        kept = close[inside]
-        return self._of(
-            kept, points[kept], near[found.triangle[inside]], x, found.barycentric[inside],
-            pushing[inside], -gap[inside],
-        )  # fmt: skip
-
-    def _of(
-        self,
-        which: np.ndarray,
-        points: np.ndarray,
-        triangle: np.ndarray,
-        x: np.ndarray,
-        weights: np.ndarray,
-        normals: np.ndarray,
-        depth_m: np.ndarray | None = None,
-    ) -> Touching:
-        corners = self._triangles[triangle]
-        places = x[corners]
-        opposite = np.roll(places, -2, axis=1) - np.roll(places, -1, axis=1)
-        vectors = cross(opposite[:, 2], -opposite[:, 1])
-        square = np.einsum("ij,ij->i", vectors, vectors)[:, None]
-        gradients = np.stack([cross(vectors / square, opposite[:, a]) for a in range(3)], axis=1)
-        stiffness = self._stiffness[which]
-        depth = np.zeros(len(which)) if depth_m is None else depth_m
+        facing = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.sideways
+        way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
+        depth = -np.einsum("ij,ij->i", way, pushing)
+        near = np.linalg.norm(way, axis=1) < self._options.deepest_m
+        inside = np.flatnonzero(facing & near & (depth > 0.0))
+        kept, corners = close[inside], corners[inside]
         return Touching(
-            points, triangle, corners, weights, gradients, normals, stiffness * depth, stiffness,
-            self._edge[which],
-        )  # fmt: skip
+            points=points[kept],
+            triangle=found.triangle[inside],
+            corners=corners,
+            weights=weights[inside],
+            gradients=_gradients(x[corners]),
+            normals=pushing[inside],
+            force_n=self._stiffness[kept] * depth[inside],
+            stiffness_n_per_m=self._stiffness[kept],
+            edge=self._edge[kept],
+        )
 
     def _turned(
         self, which: np.ndarray, normals: np.ndarray, inward: np.ndarray, R: np.ndarray
@@ -234,6 +215,14 @@ def _between(first: np.ndarray, second: np.ndarray, wanted: np.ndarray) -> np.nd
     mixed = by_first[:, None] * first + by_second[:, None] * second
     unit: np.ndarray = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
     return unit
+
+
+def _gradients(places: np.ndarray) -> np.ndarray:
+    """Gradients (c, 3, 3) of the barycentric coordinates of triangles (c, 3, 3), by corner, 1/m."""
+    opposite = np.roll(places, -2, axis=1) - np.roll(places, -1, axis=1)
+    vectors = cross(opposite[:, 2], -opposite[:, 1])
+    scaled = vectors / np.einsum("ij,ij->i", vectors, vectors)[:, None]
+    return np.stack([cross(scaled, opposite[:, corner]) for corner in range(3)], axis=1)
 
 
 def _gathered(corners: np.ndarray, shares: np.ndarray, count: int) -> np.ndarray:
