@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import click
-
-from bubbleviz.errors import InputError
-
-if TYPE_CHECKING:
-    from bubbleviz.calibration.validation import KnownPress
 
 
 @click.command()
@@ -49,7 +42,7 @@ def identify(
     contact_free: str | None,
     out: Path,
     report: Path | None,
-    surface: str | None,
+    surface: Literal["sphere", "ellipsoid", "free-form"] | None,
     nodes: int,
     levels: tuple[Path, ...],
     vented: Path | None,
@@ -62,65 +55,28 @@ def identify(
 
     Inflation levels with their gas pressures give λ and the gauge pressure, too.
     """
-    from bubbleviz.calibration.identification import identify as run
-    from bubbleviz.calibration.identification import with_rubber
-    from bubbleviz.calibration.rectification import Level, rectify
-    from bubbleviz.calibration.rubber.vented import Vented
-    from bubbleviz.calibration.save_identification import check_outputs, save
-    from bubbleviz.frames.recording import Recording
-    from bubbleviz.sensor import load_sensor
+    from bubbleviz.commands.identify import identify_recording, known_press
 
-    check_outputs(out, report)
-    press = _known_press(obj, pose, pressed)
-    given = load_sensor(sensor)
-    frames = None if contact_free is None else parse_frames("--contact-free", contact_free)
-    opened = None
-    if vented is not None:
-        with Recording(vented) as open_chamber:
-            opened = Vented.measure(open_chamber)
-        given = opened.set_in(given)
-    with Recording(recording) as source, _Bar() as bar:
-        found = run(source, given, frames, nodes=nodes, surface=surface, progress=bar)  # type: ignore[arg-type]
-        measured = []
-        for path in levels:
-            with Recording(path) as level:
-                measured.append(Level.measure(level, given, nodes, bar))
-        found, validation = rectify(found, measured), None
-        bar("inflating rubber", 0.0)
-        found = with_rubber(found, [each.samples for each in measured if each.samples], opened)
-        if press is not None:
-            bar("predicting the known press", 0.0)
-            validation = press.validate(found.model, source)
-        numbers = save(found, source, sensor, out, report, bar, validation)
-    if as_json:
-        click.echo(json.dumps(numbers, indent=2, ensure_ascii=False))
-        return
-    verdict = numbers["verdict"]
-    click.echo("\n".join([verdict["summary"], *(f"- {line}" for line in verdict["advice"])]))
-    click.echo(f"wrote {out}" + (f" and {report / 'report.html'}" if report else ""))
-
-
-def _known_press(obj: str | None, pose: str | None, pressed: str | None) -> KnownPress | None:
-    """What to validate by; a pose that cannot be read is refused before the work."""
-    if obj is None and pose is None and pressed is None:
-        return None
-    if obj is None or pose is None or pressed is None:
+    press = None
+    if obj is not None and pose is not None and pressed is not None:
+        press = known_press(obj, pose, pressed)
+    elif (obj, pose, pressed) != (None, None, None):
         raise click.UsageError("validation needs --object, --pose and --pressed together")
-    from bubbleviz.calibration.validation import KnownPress
-    from bubbleviz.files.pose_reader import parse_pose
-    from bubbleviz.rigid_object import load_object
-
-    load_object(obj), parse_pose(pose)
-    frames = parse_frames("--pressed", pressed)
-    return KnownPress(obj, pose, frames.start, frames.stop)
-
-
-def parse_frames(option: str, text: str) -> range:
-    """Frames of "A:B", A to B−1; InputError where it is not that."""
-    match = re.fullmatch(r"(\d+):(\d+)", text.strip())
-    if match is None or int(match[1]) >= int(match[2]):
-        raise InputError(f"{option} {text}: give A:B with A < B, for example 0:100")
-    return range(int(match[1]), int(match[2]))
+    with _Bar() as bar:
+        summary = identify_recording(
+            recording,
+            sensor,
+            out,
+            report,
+            contact_free=contact_free,
+            surface=surface,
+            nodes=nodes,
+            levels=levels,
+            vented=vented,
+            press=press,
+            progress=bar,
+        )
+    click.echo(summary.to_json() if as_json else summary.to_text())
 
 
 class _Bar:

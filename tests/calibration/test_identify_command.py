@@ -4,6 +4,7 @@ import base64
 import hashlib
 import json
 import re
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -93,11 +94,15 @@ def test_verdict_speaks(made):
     assert "spherical" in advice and "no gas pressure" in advice
 
 
-def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path):
-    recording, given = recorded(make_twin(2), nominal_sensor(), tmp_path)
-    out = tmp_path / "oval.toml"
+def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path, monkeypatch):
+    twin = make_twin(2)
+    recording, given = recorded(twin, nominal_sensor(), tmp_path)
+    out, read = tmp_path / "oval.toml", Counter()
+    frame = Recording.__getitem__
+    monkeypatch.setattr(Recording, "__getitem__", lambda own, k: read.update([k]) or frame(own, k))
     result = run(recording, "--sensor", given, "--out", out, "--nodes", 300)
     assert result.exit_code == 0, result.output
+    assert read == dict.fromkeys(range(len(twin)), 1)  # each frame once
     assert "Dome not spherical: the sphere misses by" in result.stdout
     assert "use the free-form surface" in result.stdout
     sensor = load_sensor(out)

@@ -114,7 +114,7 @@ MUTANTS = {
 @pytest.mark.parametrize("spoil", MUTANTS)
 def test_a_broken_estimator_fails(spoil):
     kind = type("Spoilt", (Broken,), {"spoil": staticmethod(spoil)})
-    trial = replace(SMALL, make=lambda sensor, options: kind(sensor, options=options))
+    trial = replace(SMALL, make=lambda sensor, options: kind.of(sensor, options=options))
     with pytest.raises(FailedError, match=MUTANTS[spoil]):
         trial()
 
@@ -133,7 +133,7 @@ def test_a_pipeline_that_remembers_too_much_fails():
             pipeline.first = pipeline.first or estimate
             return pipeline.first
 
-    streak = Streak((0.012, -0.01), make=lambda sensor, options: Stuck(sensor, options=options))
+    streak = Streak((0.012, -0.01), make=lambda sensor, options: Stuck.of(sensor, options=options))
     assert attempt(Case("stuck", streak))[0] == "failed"
 
 

@@ -1,0 +1,169 @@
+"""The work of `bubbleviz study …`: measurements, their reports, and what they say."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.tables import out_folder, to_json, write_csv, write_json
+from bubbleviz.sensor import load_sensor
+from bubbleviz.study.accuracy import accuracy_report, linear_model, regularisation
+from bubbleviz.study.accuracy.accuracy_study import full_grid, quick_grid, run_accuracy
+from bubbleviz.study.pose import pose_report
+from bubbleviz.study.pose.pose_study import PoseGrid, quick_pose_grid, run_pose_study
+from bubbleviz.study.pose.rubber_poses import RubberGrid, quick_rubber_grid, run_rubber_study
+from bubbleviz.study.pose.screw_motion import SEEDS, run_screws, screw_source
+from bubbleviz.study.report_files import check_free
+from bubbleviz.study.speed import speed_report
+from bubbleviz.study.speed.speed_study import full_runs, quick_runs, read_ms, run_speed
+from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
+from bubbleviz.study.stability.stability_study import run_stability, summary
+
+DEPTH_OF_SWEEP_M = 0.015
+"""Of the presses of the sweep over λ, m: the middle of the grid's depths."""
+STABILITY_FILES = ("stability.json", "stability.csv")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a study found.
+
+    Attributes
+    ----------
+    numbers : dict
+        SI units.
+    text : str
+        The same for people, with units.
+    written : list of Path
+        Files of the report.
+    """
+
+    numbers: dict[str, Any]
+    text: str
+    written: list[Path]
+
+    def to_json(self) -> str:
+        """The numbers as JSON."""
+        return to_json(self.numbers)
+
+    def to_text(self) -> str:
+        """The text, and what was written."""
+        wrote = [f"wrote {', '.join(map(str, self.written))}"] if self.written else []
+        return "\n".join([self.text, *wrote])
+
+
+def study_accuracy(
+    sensor_name: str, out: Path | None, *, quick: bool, seed: int, shipped_only: bool
+) -> Findings:
+    """Error of patch, force and shape against run time; the linear model against the exact one.
+
+    Parameters
+    ----------
+    sensor_name : str
+    out : Path or None
+        Folder for the report; a stopped study goes on there.
+    quick : bool
+        A few cases.
+    seed : int
+        Of poses and noise.
+    shipped_only : bool
+        With the shipped default only.
+
+    Raises
+    ------
+    InputError
+        No such sensor, or the folder has a report already.
+    """
+    sensor = load_sensor(sensor_name)
+    grid = replace(quick_grid() if quick else full_grid(), seed=seed)
+    if shipped_only:
+        grid = replace(grid, setups=grid.setups[:1])
+    parts = None
+    if out is not None:
+        out_folder(out)
+        check_free(out, accuracy_report.FILES + linear_model.FILES + regularisation.FILES)
+        parts = out_folder(out / "accuracy_parts")
+    with _progress(len(grid.setups), "setup") as bar:
+        found = run_accuracy(sensor, grid, parts, lambda _: bar.update())
+    strengths = regularisation.sweep(
+        sensor,
+        [press for press in grid.presses() if press.depth_m == DEPTH_OF_SWEEP_M],
+        np.logspace(-1, 1, 3) if quick else np.logspace(-3, 4, 15),
+        seed=seed,
+        truth_nodes=grid.truth_nodes,
+    )
+    written: list[Path] = []
+    if out is not None:
+        written = accuracy_report.write(found, out) + regularisation.write(strengths, out)
+        bubble = linear_model.bubble_of(sensor)
+        if bubble is not None:
+            depths = np.linspace(0.04, 0.6, 3 if quick else 15) * bubble.height_m
+            compared = linear_model.compare(bubble, depths, 1_500 if quick else 6_000)
+            written += linear_model.write(compared, out)
+    numbers = {
+        **accuracy_report.as_dict(found),
+        "regularisation": regularisation.as_dict(strengths),
+    }
+    text = accuracy_report.to_text(found) + "\n\n" + regularisation.to_text(strengths)
+    return Findings(numbers, text, written)
+
+
+def study_speed(sensor_name: str, out: Path | None, *, quick: bool) -> Findings:
+    """Time by stage, growth with nodes and pixels, memory; as `study_accuracy`."""
+    sensor = load_sensor(sensor_name)
+    if out is not None:
+        check_free(out_folder(out), speed_report.FILES)
+    runs = quick_runs() if quick else full_runs()
+    with _progress(len(runs), "run") as bar:
+        rows = run_speed(sensor, runs, lambda _: bar.update())
+    found = speed_report.Speed(rows, read_ms(sensor))
+    written = speed_report.write(found, out) if out is not None else []
+    return Findings(speed_report.as_dict(found), speed_report.to_text(found), written)
+
+
+def study_stability(pattern: str, out: Path | None, *, quick: bool) -> Findings:
+    """Stiff and extreme cases with `pattern` in their name; as `study_accuracy`."""
+    cases = [case for case in (quick_cases() if quick else all_cases()) if pattern in case.name]
+    if not cases:
+        raise InputError(f"--case {pattern}: no case has this in its name; leave it out")
+    if out is not None:
+        check_free(out_folder(out), STABILITY_FILES)
+    with _progress(len(cases), "case") as bar:
+        results = run_stability(cases, lambda _: bar.update())
+    found = summary(results)
+    written: list[Path] = []
+    if out is not None:
+        written = [out / name for name in STABILITY_FILES]
+        write_json(written[0], found)
+        write_csv(written[1], results)
+    lines = [f"{r.verdict:8} {r.name:44} {r.ms:8.0f} ms  {r.detail}" for r in results]
+    counts = ", ".join(f"{found[key]} {key}" for key in ("passed", "refused", "failed"))
+    return Findings(found, "\n".join([*lines, f"{found['cases']} cases: {counts}"]), written)
+
+
+def study_pose(sensor_name: str, out: Path | None, *, quick: bool, seed: int) -> Findings:
+    """Pose error against run time and other libraries, on rubber, too; as `study_accuracy`."""
+    sensor = load_sensor(sensor_name)
+    grid = replace(quick_pose_grid() if quick else PoseGrid(), seed=seed)
+    if out is not None:
+        check_free(out_folder(out), pose_report.FILES)
+    with _progress(grid.poses * len(grid.objects), "press") as bar:
+        trials = run_pose_study(sensor, grid, lambda _: bar.update())
+    rubber_grid = replace(quick_rubber_grid() if quick else RubberGrid(), seed=seed)
+    with _progress(rubber_grid.presses * len(rubber_grid.objects), "press on rubber") as bar:
+        rubber = run_rubber_study(sensor, rubber_grid, lambda _: bar.update())
+    nut = screw_source(sensor, nodes=grid.truth_nodes) if quick else screw_source(sensor)
+    screws = run_screws(sensor, nut, SEEDS[:1] if quick else SEEDS)
+    found = pose_report.PoseReport(trials, rubber, screws)
+    written = pose_report.write(found, out) if out is not None else []
+    return Findings(pose_report.as_dict(found), pose_report.to_text(found), written)
+
+
+def _progress(total: int, unit: str) -> AbstractContextManager[Any]:
+    return tqdm(total=total, unit=unit, disable=None)  # only on a terminal
