@@ -37,16 +37,17 @@ RIM_SLACK_M = 1.5e-4
 _NEAR, _FAR = 0.05, 0.5
 """Shares of a mesh edge. A tangent serves while the shape is nearer than the first to where it was
 taken; a frame of a stream that moved the shape by less than the second is done."""
-_STEPS, _WARM_STEPS = 30, 3
+_STEPS, _WARM_STEPS = 16, 8
 """Gauss–Newton steps of a frame alone, and of one of a stream."""
-_SELECTIONS = 8
-"""Times that the support is looked for in a frame."""
+_SELECTIONS = 2
+"""Times that the support is looked for anew where the shape stands."""
 _LONGEST = 1.0
 """Longest step in mesh edges."""
 _BALANCED = 1e-3
 """Force left at a node over the gas load on one of mean area."""
-_NEWTON = 12
-"""Steps to equilibrium under a contact pressure."""
+_NEWTON, _FRESH, _HALVINGS = 10, 2, 3
+"""Steps to equilibrium under a contact pressure, tangents taken anew for them, and shorter ways
+that are tried where they do not get there."""
 _SAMPLE = 200
 """Nodes among which the best-seen one is looked for."""
 
@@ -275,17 +276,20 @@ class RubberEstimator:
             if not balanced:
                 return "not_converged"
             moved = float(np.abs(state.x - before.x).max())
-            chosen += selecting
-            if moved <= (self._far_m if warm else self._near_m):
+            lasting = warm and contact.pressure.any()
+            if moved <= (self._far_m if lasting else self._near_m):
                 if selecting or chosen > _SELECTIONS:
                     break
                 selecting = True
+                chosen += 1
             else:
-                selecting = moved > self._far_m and chosen <= _SELECTIONS
+                selecting = moved > self._far_m
         else:
             return "not_converged"
         left = error - view.jacobian @ (state.x - before.x).ravel()
-        noise = self.observer.noise_left(observation, view.block, left)
+        noise = start.noise
+        if moved <= self._near_m and (contact.pivots == 0 or contact.pressure.any()):
+            noise = self.observer.noise_left(observation, view.block, left)
         misfit = self.observer.left(observation, view.block, left)
         gas = measured_gas if measured_gas is not None else self._gas_at(state.x)[0]
         contradicts = measured_gas is not None and self._contradicts(rubber, view, weight, left)
@@ -340,7 +344,7 @@ class RubberEstimator:
     ) -> tuple[State, bool]:
         """Towards a contact pressure, and to equilibrium under it."""
         share = min(1.0, self._longest_m / max(float(np.abs(contact.motion).max()), 1e-300))
-        for _ in range(6):
+        for _ in range(_HALVINGS):
             pressure = state.pressure + share * (contact.pressure - state.pressure)
             x, balanced = self._settled(rubber, state.x + share * contact.motion, pressure, gas)
             if balanced:
@@ -352,7 +356,7 @@ class RubberEstimator:
         self, rubber: LinearisedRubber, x: np.ndarray, pressure: np.ndarray, gas: float | None
     ) -> tuple[np.ndarray, bool]:
         """Equilibrium under a contact pressure, from close by: Newton's method."""
-        last = np.inf
+        last, fresh = np.inf, 0
         for _ in range(_NEWTON):
             left = self._residual(x, pressure, gas)
             size = float(np.abs(left[self.membrane.moving]).max()) / self._load
@@ -361,7 +365,10 @@ class RubberEstimator:
             if not size < 1e3:
                 break
             if size > 0.3 * last:
+                if fresh == _FRESH:
+                    break
                 rubber = self._linearised(State(x, pressure, pressure > 0.0), gas)
+                fresh += 1
             last = size
             motion = rubber.motion(-left)
             x = x + min(1.0, self._longest_m / float(np.abs(motion).max())) * motion
