@@ -106,7 +106,8 @@ class Pipeline:
             model.pixels,
             self.options.block or self._block_size(),
         )
-        if self.options.solver == RUBBER:
+        known = model.sensor.membrane.prestretch is not None
+        if self.options.solver == RUBBER or (self.options.solver is None and known):
             tension = model.tension_n_per_m
             rubber = build_rubber(model.sensor, model.mesh, tension, RIM_SLACK_M)
             return RubberEstimator(observer, rubber, model.gas, self.options)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bubbleviz.cli.shared_options import solver_option
+
 if TYPE_CHECKING:
     from bubbleviz.batch.summary_row import Row
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.5:8786.")
 @click.option("--resume", is_flag=True, help="Go on in OUT; keep what is up to date.")
 @click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
-@click.option("--solver", help="Solver of the inverse problem.")
+@solver_option
 @click.option("--frames", help="A:B[:STEP] of each recording, B left out; all by default.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def batch(

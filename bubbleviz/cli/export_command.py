@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from bubbleviz.cli.shared_options import solver_option
+
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
@@ -25,7 +27,7 @@ import click
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
 @click.option("--poses", type=click.Path(path_type=Path), help="POSES.csv to join to the table.")
 @click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
-@click.option("--solver", help="Solver of the inverse problem.")
+@solver_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def export(
     recording: Path,

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from bubbleviz.cli.shared_options import solver_option
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
 
@@ -36,7 +37,7 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @click.option("--publish-to", metavar="ENDPOINT", help="Publish results through this router.")
 @click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
-@click.option("--solver", help="Solver of the inverse problem.")
+@solver_option
 @click.option("--object", "object_name", help="Object to track: a mesh or a preset.")
 @click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")

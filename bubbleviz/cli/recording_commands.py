@@ -7,6 +7,8 @@ from typing import Literal
 
 import click
 
+from bubbleviz.cli.shared_options import solver_option
+
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
@@ -35,9 +37,7 @@ def info(recording: Path, as_json: bool) -> None:
 @click.option(
     "--model",
     type=click.Choice(["rubber", "linear"]),
-    default="linear",
-    show_default=True,
-    help="The exact membrane, or the linear one that estimate has.",
+    help="The exact membrane (default where the sensor has a prestretch), or the linear one.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap.")
 @click.option("--truth", type=click.Path(path_type=Path), help="TRUTH.npz.")
@@ -54,7 +54,7 @@ def simulate(
     holes: float,
     outliers: float,
     seed: int,
-    model: Literal["rubber", "linear"],
+    model: Literal["rubber", "linear"] | None,
     out: Path,
     truth: Path | None,
 ) -> None:
@@ -84,7 +84,7 @@ def simulate(
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
 @click.option("--sensor", required=True, help="Sensor file, preset, or auto: the preset that fits.")
 @click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
-@click.option("--solver", help="Solver of the inverse problem.")
+@solver_option
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="RESULT.npz.")
 @click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="RESULT.csv.")
@@ -123,7 +123,7 @@ def estimate(
 @click.option("--object", "object_name", required=True, help="Object mesh or preset.")
 @click.option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
 @click.option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
-@click.option("--solver", help="Solver of the inverse problem.")
+@solver_option
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="POSES.csv.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")

@@ -28,7 +28,7 @@ def simulated_press(
     frames: int = 1,
     rate_hz: float = 30.0,
     seed: int = 0,
-    model: Model = "linear",
+    model: Model | None = None,
 ) -> SyntheticSource:
     """Source of the frames that the command line describes.
 
@@ -43,8 +43,8 @@ def simulated_press(
     rate_hz : float
         Where the CSV has no times.
     seed : int
-    model : {"rubber", "linear"}
-        Membrane to press into.
+    model : {"rubber", "linear"}, optional
+        As of `SyntheticSource`.
     """
     obj, times = load_object(object_name), None
     if isinstance(pose, Path):

@@ -15,7 +15,7 @@ from bubbleviz.inverse.plausibility import GAS_LINEAR, GAS_NOISE, contradicts_ga
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solvers.inverse_solver import DEFAULT, make_solver
+from bubbleviz.inverse.solvers.inverse_solver import LINEAR, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status
@@ -46,7 +46,8 @@ class EstimatorOptions:
     Attributes
     ----------
     solver : str or None
-        Name of the solver; None for the default.
+        `rubber` for the exact membrane, else a solver of the linear one; None for the exact one
+        where the sensor's pre-stretch is known and `linear` where it is not.
     relinearisations : int
         How often rays may be re-cast at the current shape within one frame of a stream.
     nodes : int or None
@@ -71,8 +72,8 @@ class EstimatorOptions:
         """Options of a `--solver` name: `fast`, a solver's own, or None for the default."""
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
-            return cls("active-set", relinearisations=1, nodes=400)
-        return cls(name)
+            return cls(LINEAR, relinearisations=1, nodes=400)
+        return cls(LINEAR if name == "active-set" else name)  # its name up to version 0.1
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ class Estimator:
         self._normal = NormalEquations(self.mesh)
         Q, _ = self._normal.assemble(observer.observe_everything(), observer.linearise())
         reference_Q = Q * self.scales.length_m**2
-        self.solver_name = self.options.solver or DEFAULT
+        self.solver_name = self.options.solver or LINEAR
         expected = self.options.pressure_scale
         self._lambda = 1.0 / (expected * self._held) ** 2
         self._solver = make_solver(

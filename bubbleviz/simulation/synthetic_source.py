@@ -101,8 +101,9 @@ class SyntheticSource:
         Target number of nodes of the simulation's mesh.
     sharp : bool
         Refine that mesh where edges of the object press; see `sharpened`.
-    model : {"linear", "rubber"}
-        Membrane to press into.
+    model : {"rubber", "linear"}, optional
+        Membrane to press into; the exact one where the sensor's pre-stretch is known, as it is
+        estimated with.
 
     Attributes
     ----------
@@ -124,7 +125,7 @@ class SyntheticSource:
         times_s: np.ndarray | None = None,
         nodes: int | None = None,
         sharp: bool = False,
-        model: Model = "linear",
+        model: Model | None = None,
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
@@ -141,7 +142,7 @@ class SyntheticSource:
         gas = Gas.of(sensor.pneumatics, self.mesh)
         self._model: ForwardModel | RubberForward = (
             RubberForward(build_rubber(sensor, self.mesh, tension), gas)
-            if model == "rubber"
+            if model == "rubber" or (model is None and sensor.membrane.prestretch is not None)
             else ForwardModel(self.mesh, tension, gas)
         )
         self._view = MembraneView(self.camera, self.mesh)

@@ -10,14 +10,16 @@ import pytest
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import RangeObserver
+from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.inverse.rubber_estimator import RIM_SLACK_M, RubberEstimator
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Camera
+from bubbleviz.sensor import Camera, load_sensor
 from bubbleviz.study.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
@@ -162,3 +164,20 @@ def test_no_number_where_there_is_no_answer():
         assert estimate.status == status
         assert np.isnan(estimate.force_n).all()
         assert not estimate.contact_pressure_pa.any()
+
+
+def test_the_exact_membrane_is_the_default_where_the_prestretch_is_known():
+    sensor = load_sensor("pico_flexx_75mm")
+    small = {"nodes": 100}
+    known = sensor.model_copy(
+        update={"membrane": sensor.membrane.model_copy(update={"prestretch": 1.2, **small})}
+    )
+    unknown = sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update=small)})
+    for each, name, solver in (
+        (known, None, "rubber"),
+        (unknown, None, "linear"),
+        (unknown, "rubber", "rubber"),
+        (known, "linear", "linear"),
+    ):
+        options = EstimatorOptions.named(name)
+        assert Pipeline.of(each, options=options).estimator.solver_name == solver

@@ -16,7 +16,7 @@ from bubbleviz.inverse.solvers.clarabel_solver import ClarabelSolver
 from bubbleviz.inverse.solvers.osqp_solver import ColdOsqp, OsqpSolver
 from bubbleviz.inverse.solvers.two_stage import TwoStage
 
-DEFAULT = "active-set"
+LINEAR = "linear"
 """Best point on the curve of error against run time at every size of mesh, see `study accuracy`."""
 
 
@@ -59,7 +59,7 @@ def _clarabel(
 
 
 SOLVERS: dict[str, Make] = {
-    "active-set": _active_set,
+    LINEAR: _active_set,
     "osqp": _osqp,
     "osqp-cold": _osqp_cold,
     "clarabel": _clarabel,
@@ -69,8 +69,11 @@ SOLVERS: dict[str, Make] = {
 RUBBER = "rubber"
 """The exact membrane, which `RubberEstimator` solves; the others are solvers of the linear one."""
 
-SOLVER_NAMES = (RUBBER, *SOLVERS, "fast")
-"""Names for `EstimatorOptions.named`; `fast` is the default on a coarse mesh."""
+ESTIMATORS = (RUBBER, *SOLVERS)
+"""Names for `EstimatorOptions.solver`."""
+
+SOLVER_NAMES = (*ESTIMATORS, "fast")
+"""Names for `EstimatorOptions.named`; `fast` is the linear model on a coarse mesh."""
 
 
 def make_solver(

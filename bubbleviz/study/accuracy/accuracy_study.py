@@ -25,7 +25,7 @@ from bubbleviz.study.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press, press
 from bubbleviz.study.truth_bank import TRUTH_NODES, Sighting, TruthBank
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
-SOLVERS = ("active-set", "osqp", "osqp-cold", "clarabel")
+SOLVERS = ("linear", "osqp", "osqp-cold", "clarabel")
 
 
 @dataclass(frozen=True)

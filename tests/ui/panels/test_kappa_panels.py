@@ -209,7 +209,7 @@ def test_lambda_and_blocks_reach_the_estimator(drive: Drive) -> None:
     panel.b.block.setValue(3)
     panel.b.recasts.setValue(1)
     assert panel.b.options() == EstimatorOptions(
-        "active-set", relinearisations=1, pressure_scale=0.5, block=3
+        "linear", relinearisations=1, pressure_scale=0.5, block=3
     )
     bench = driver.server.session.side_by_side
     driver.wait(lambda: panel.b.options() in bench.pipelines)

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
-from bubbleviz.inverse.solvers.inverse_solver import DEFAULT, SOLVERS
+from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS, LINEAR
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared
 from bubbleviz_ui.model.choices import Setting
@@ -50,7 +50,7 @@ class Column:
 
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
-        self.solver = options(QComboBox(), {name: name for name in SOLVERS})
+        self.solver = options(QComboBox(), {name: name for name in ESTIMATORS})
         self.pressure_scale = QDoubleSpinBox()
         self.pressure_scale.setRange(0.1, 100.0)
         self.pressure_scale.setSingleStep(0.5)
@@ -66,7 +66,7 @@ class Column:
         self.block.setSuffix(" px")
         self.values = {name: QLabel(NOTHING) for name in ROWS}
         usual = EstimatorOptions()
-        self._bind("solver", DEFAULT)
+        self._bind("solver", LINEAR)
         self._bind("pressure_scale", usual.pressure_scale)
         self._bind("recasts", usual.relinearisations)
         self._bind("nodes", 0)

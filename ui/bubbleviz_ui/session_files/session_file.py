@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import SUFFIXES
 from bubbleviz.files.preset_files import presets_folder
-from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES, SOLVERS
+from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS, SOLVER_NAMES
 from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import OWN_CHOICES, SPEEDS, Choices
@@ -121,7 +121,7 @@ def usable_choices(fields: dict[str, Any]) -> Choices:
             continue
     choices = Choices(**usable)
     known = choices.solver in (None, *SOLVER_NAMES)
-    comparable = all(each.solver in (None, *SOLVERS) for each in choices.compared)
+    comparable = all(each.solver in (None, *ESTIMATORS) for each in choices.compared)
     return replace(
         choices,
         layers=choices.layers & frozenset(LAYERS),
