@@ -34,9 +34,10 @@ from bubbleviz.result import Estimate, Status
 RIM_SLACK_M = 1.5e-4
 """Motion of the rim under the pull of the mean tension: how precisely a clamp holds rubber."""
 
-_NEAR, _FAR = 0.05, 0.5
-"""Shares of a mesh edge. A tangent serves while the shape is nearer than the first to where it was
-taken; a frame of a stream that moved the shape by less than the second is done."""
+_NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
+"""Shares of a mesh edge. A frame alone is done when it moves the shape by less than the first, one
+of a stream by less than the last; a tangent serves while the shape is nearer than the second to
+where it was taken, for what it misses the exact residual puts right."""
 _STEPS, _WARM_STEPS = 16, 8
 """Gauss–Newton steps of a frame alone, and of one of a stream."""
 _SELECTIONS = 2
@@ -404,7 +405,7 @@ class RubberEstimator:
             return self._rest_rubber[measured]
         if last is None or last.with_gas is measured:
             return self._linearised(state, gas)
-        near = float(np.abs(state.x - last.x).max()) <= self._near_m
+        near = float(np.abs(state.x - last.x).max()) <= _SERVES * self.mesh.edge_length
         return last if near else self._linearised(state, gas)
 
     # -- what is to be believed -----------------------------------------------------------------
