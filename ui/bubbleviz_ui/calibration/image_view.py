@@ -96,6 +96,8 @@ class ImageView(QWidget):
             width=BAR, orientation="h", interactive=False, colorMapMenu=False
         )
         self._bar.setImageItem(self._item)
+        menu = self._bar.ctrlMenu  # its menu is never shown, and without a parent it never ends
+        menu.setParent(view, menu.windowFlags())
         layout.addItem(self._bar, 1, 0)
         view.scene().sigMouseMoved.connect(self._on_mouse)
         view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
