@@ -55,8 +55,8 @@ def stretched(height):
 @pytest.fixture(scope="module")
 def found():
     dome = stretched(0.05)
-    plain = identify(dome, dome.sensor, range(12), nodes=1000)
-    levels = [Level.measure(stretched(height), dome.sensor, 1000) for height in (0.045, 0.055)]
+    plain = identify(dome, dome.sensor, range(12), nodes=500)
+    levels = [Level.measure(stretched(height), dome.sensor, 500) for height in (0.045, 0.055)]
     return plain, rectify(plain, levels)
 
 

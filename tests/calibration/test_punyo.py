@@ -28,14 +28,19 @@ def press():
     recording.close()
 
 
+@pytest.fixture(scope="module")
+def found(press):
+    """Identified from the first 40 of 60 contact-free frames."""
+    return identify(press, load_sensor("punyo_oval_d405"), range(40))
+
+
 @needs_press
 def test_contact_free_frames(press):
     assert abs(find_contact_free(press).frames.stop - 60) <= 3
 
 
 @needs_press
-def test_held_out_residual_and_fits(press):
-    found = identify(press, load_sensor("punyo_oval_d405"), range(40))
+def test_held_out_residual_and_fits(press, found):
     residual, bias = residuals_and_bias(found, [press[k] for k in range(40, 60)])
     assert np.sqrt(np.nanmean(residual**2)) < 0.25e-3
     assert np.sqrt(np.nanmean((residual - bias) ** 2)) < 0.08e-3
@@ -46,8 +51,7 @@ def test_held_out_residual_and_fits(press):
 
 
 @needs_press
-def test_no_force_on_frames_not_used(press, tmp_path):
-    found = identify(press, load_sensor("punyo_oval_d405"), range(40))
+def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert found.surfaces.chosen == "free-form"
     assert found.tension.tension.half_width < 0.05 * found.tension_n_per_m
     write_sensor(found, tmp_path / "half.toml")
