@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from bubbleviz.calibration.tension.wrench_tension import tension_by_wrench
-from bubbleviz.calibration.validation import validate
+from bubbleviz.calibration.validation import mean_frame, validate
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
@@ -102,3 +103,13 @@ def test_wrench_needs_a_wrench_and_two_parts(model, press):
         tension_by_wrench(press, model, range(2), (5,), (6,))
     with pytest.raises(InputError, match="others to test"):
         tension_by_wrench(WithWrench(press), model, range(2), (5, 6), (6,))
+
+
+def test_the_mean_of_frames_leaves_out_what_most_did_not_see():
+    depth = np.array([[[1.0, 2.0, np.nan, np.nan]], [[3.0, np.nan, np.nan, np.nan]],
+                      [[5.0, 4.0, 7.0, np.nan]]], np.float32)  # fmt: skip
+    frames = [Frame(k, 0.0, image, gas_pressure_pa=1e5 + k) for k, image in enumerate(depth)]
+    mean = mean_frame(frames)
+    np.testing.assert_allclose(mean.depth_m, [[3.0, 3.0, np.nan, np.nan]])
+    assert mean.gas_pressure_pa == pytest.approx(1e5 + 1.0)
+    assert mean_frame([*frames, Frame(3, 0.0, depth[0])]).gas_pressure_pa is None

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.solvers import active_set
-from tests.inverse.conftest import SENSOR, TENSION, estimator, first, press
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.reference_mesh import build_mesh
+from tests.inverse.conftest import CAMERA, SENSOR, TENSION, estimator, first, press
 
 
 def force_of(solver, estimate):
@@ -92,6 +95,14 @@ def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
     reference = np.linalg.norm(sphere.force)
     assert np.linalg.norm(force_of(warm, a) - force_of(warm, b)) < 0.02 * reference
     assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
+
+
+def test_what_the_solver_did_not_finish_is_said(sphere):
+    mesh = build_mesh(SENSOR, 200)
+    observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
+    never = EstimatorOptions(tolerance=1e-30)
+    solver = Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, never)
+    assert first(solver, sphere.depth(0.002)).status == "not_converged"
 
 
 def test_a_frame_like_the_last_one_costs_a_pivot_or_two(sphere):

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
-from bubbleviz.pose.rigid_motion import motion_between
+from bubbleviz.pose.rigid_motion import motion_between, moved
 
 CENTER = np.array([0.01, 0.0, 0.04])
 
@@ -52,3 +52,34 @@ def test_coasting_ends():
     moving = Motion(np.eye(4), np.array([0.1, 0, 0, 0, 0, 0.0]), np.eye(12), CENTER)
     assert moving.after(60.0).T_B_O[0, 3] < 0.1
     assert np.allclose(moving.after(-1.0).T_B_O, np.eye(4))
+
+
+def test_coasting_is_that_of_an_unknown_steady_acceleration():
+    """F P Fᵀ and what accelerations drawn at random add: ½ a t² and a t, wholly correlated."""
+    rng, dt = np.random.default_rng(0), 0.05
+    root = rng.standard_normal((12, 12))
+    motion = Motion(np.eye(4), np.zeros(6), root @ root.T, CENTER)
+    F = np.eye(12)
+    F[:6, 6:] = dt * np.eye(6)
+    noise = motion.after(dt).covariance - F @ motion.covariance @ F.T
+    deviation = np.sqrt(np.diag(noise)[6:]) / dt  # of the acceleration
+    assert np.all(deviation > 0.1)
+    drawn = deviation * rng.standard_normal((100_000, 6))
+    seen = np.cov(np.hstack([0.5 * dt**2 * drawn, dt * drawn]).T)
+    scale = np.sqrt(np.outer(np.diag(noise), np.diag(noise)))
+    np.testing.assert_allclose(noise / scale, seen / scale, atol=0.02)
+
+
+def test_a_correction_is_kalmans():
+    rng = np.random.default_rng(1)
+    root, seen = rng.standard_normal((12, 12)), rng.standard_normal((6, 6))
+    P, R = root @ root.T, seen @ seen.T + 0.1 * np.eye(6)
+    motion = Motion(np.eye(4), rng.standard_normal(6), P, CENTER)
+    H = np.eye(6, 12)
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    measured = 1e-4 * rng.standard_normal(6)
+    T = moved(motion.T_B_O, (gain @ measured)[:6], CENTER)
+    after = motion.corrected(T, np.linalg.inv(R))
+    np.testing.assert_allclose(after.covariance, (np.eye(12) - gain @ H) @ P, atol=1e-8)
+    np.testing.assert_allclose(after.velocity, motion.velocity + (gain @ measured)[6:], atol=1e-7)
+    np.testing.assert_allclose(after.information, np.linalg.inv(after.covariance[:6, :6]))

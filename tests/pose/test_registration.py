@@ -184,6 +184,14 @@ def test_open_motions_of_a_plane_a_ball_and_a_rod():
     assert len(none) == len(nothing) == 0
 
 
+def test_shifts_whose_turns_are_rounding_errors_are_no_turns():
+    motions = np.eye(6)[:, :2].copy()
+    motions[3:] = 1e-9 * np.random.default_rng(0).standard_normal((3, 2))
+    shifts, turns = open_axes(motions)
+    assert len(turns) == 0
+    assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
+
+
 def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_is():
     """0.4 mm of error of the model over a patch of 3 mm; a pixel of 1 mm on each mm²."""
     noisy, exact = Precision(1e12, 1e-9), Precision(1e30, 3e-3)

@@ -1,0 +1,81 @@
+"""Factorised tangents and their blocks against dense matrices."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
+from bubbleviz.membrane.stiffness import cotangent_laplacian
+
+SHIFT = 0.3
+
+
+@pytest.fixture(scope="module")
+def matrix():
+    """Symmetric and positive definite, with a full block wherever nodes of a mesh meet."""
+    mesh = mesh_cap(spherical_cap(0.075, 0.05), 60)
+    meet = sparse.csc_array(cotangent_laplacian(mesh) != 0.0).astype(float)
+    full = sparse.kron(meet, np.ones((3, 3)), format="csc")
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal(full.shape)
+    values = np.where(full.toarray() > 0.0, values + values.T, 0.0)
+    values += np.diag(np.abs(values).sum(axis=1) + rng.uniform(1.0, 5.0, len(values)))
+    found = sparse.csc_array(values)
+    found.sort_indices()
+    return found
+
+
+def dense(matrix, data):
+    return sparse.csc_array((data, matrix.indices, matrix.indptr), shape=matrix.shape).toarray()
+
+
+def test_solutions_are_those_of_the_dense_matrix(matrix):
+    K, rng = matrix.toarray(), np.random.default_rng(1)
+    factor = Factoriser(matrix).factor(matrix.data)
+    one, some = rng.standard_normal(len(K)), rng.standard_normal((len(K), 4))
+    vector = rng.standard_normal(len(K))
+    for right in (one, some):
+        np.testing.assert_allclose(K @ factor.solve(right), right, atol=1e-9)
+        bordered = K + 0.7 * np.outer(vector, vector)
+        with_it = factor.solve_with(right, vector, 0.7)
+        np.testing.assert_allclose(bordered @ with_it, right, atol=1e-9)
+    skew = matrix.copy()
+    skew.data = skew.data * rng.uniform(0.9, 1.1, len(skew.data))
+    other = Factoriser(matrix).factor(skew.data)
+    np.testing.assert_allclose(skew.toarray().T @ other.solve(one, transposed=True), one, atol=1e-9)
+
+
+@pytest.mark.parametrize("negative", [0, 1, 5])
+def test_negative_directions_are_counted(matrix, negative):
+    lowered = matrix.toarray()
+    values = np.linalg.eigvalsh(lowered)
+    level = 0.5 * (values[negative - 1] + values[negative]) if negative else 0.0
+    found = matrix.copy()
+    found.setdiag(found.diagonal() - level)
+    found.sort_indices()
+    assert Factoriser(matrix).factor(found.data).negative_directions() == negative
+
+
+def test_products_and_shifts(matrix):
+    K, blocks = matrix.toarray(), NodeBlocks(matrix)
+    v = np.random.default_rng(2).standard_normal((len(K) // 3, 3))
+    np.testing.assert_allclose(blocks.times(matrix.data, v).ravel(), K @ v.ravel())
+    expected = K + SHIFT * np.abs(np.diag(K)).mean() * np.eye(len(K))
+    np.testing.assert_allclose(dense(matrix, blocks.shifted(matrix.data, SHIFT)), expected)
+
+
+def test_held_nodes_move_across_their_normals_alone(matrix):
+    K, rng = matrix.toarray(), np.random.default_rng(3)
+    nodes = np.array([2, 7, 11])
+    normals = rng.standard_normal((3, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    P, N = np.eye(len(K)), np.zeros((len(K), 3))
+    for k, (node, normal) in enumerate(zip(nodes, normals, strict=True)):
+        N[3 * node : 3 * node + 3, k] = normal
+    P -= N @ N.T
+    held = dense(matrix, NodeBlocks(matrix).held(matrix.data, nodes, normals))
+    rest = held - P @ K @ P  # s N Nᵀ, with s of the size of the diagonal
+    size = np.trace(N.T @ rest @ N) / 3.0
+    np.testing.assert_allclose(rest, size * N @ N.T, atol=1e-9 * size)
+    assert 0.5 < size / np.abs(np.diag(K)).mean() < 2.0
