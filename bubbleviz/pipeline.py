@@ -135,7 +135,7 @@ class Pipeline:
         return replace(result, times_ms=times)
 
     def restart(self) -> None:
-        """Start the next frame from rest, as the first one was."""
+        """Forget the warm start: the next frame is solved from rest."""
         self._start = None
 
     def estimate_aside(self, frame: Frame) -> Estimate:
@@ -150,7 +150,7 @@ class Pipeline:
         return self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa, self._start)[0]
 
     def prepare(self, products: frozenset[Product]) -> None:
-        """Build now what the first frame would otherwise wait for."""
+        """Build the solvers now, so that the first frame does not wait for them."""
         needed = stages(products)
         if "estimate" in needed:
             _ = self.estimator
@@ -158,7 +158,7 @@ class Pipeline:
             _ = self._finder, self.model.view
 
     def follow(self, obj: RigidObject | None, start: np.ndarray | None = None) -> None:
-        """Look for an object in frames to come, or for none.
+        """Track an object from the next frame on, or none.
 
         Parameters
         ----------

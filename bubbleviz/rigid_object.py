@@ -1,4 +1,4 @@
-"""Rigid objects: a triangle mesh in its own frame O."""
+"""Rigid objects: triangle meshes in the object frame O."""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ class RangeObserver:
         return Observation(mean, self._weight(total), share, measured.valid_pixels)
 
     def _noise_scale(self, precision: np.ndarray, residual: np.ndarray) -> float:
-        """How many times noisier than expected this frame is, at least 1.
+        """Factor by which this frame is noisier than expected, at least 1.
 
         From the scatter of pixels about their block's median. Pixels that a filter has made
         alike scatter less than their σ says, and are not taken for better.
@@ -337,7 +337,7 @@ class RangeObserver:
         return self.left(observation, hits.ray[seen], error[seen])
 
     def left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
-        """The same of errors (k,) of some blocks."""
+        """The same for errors (k,) of some blocks."""
         weight = observation.weight[block]
         seen = weight > 0.0
         error, weight = error_m[seen], weight[seen] / observation.trusted
@@ -352,7 +352,7 @@ class RangeObserver:
         )
 
     def noise_left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> float:
-        """How many times more than noise errors (k,) of some blocks add up to, at least 1.
+        """Factor by which errors (k,) of some blocks exceed the noise, at least 1.
 
         By the median of their sums over squares of blocks, which white noise has at random. What
         the model gets wrong is alike from block to block, and so is correlated noise.

@@ -30,7 +30,7 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
 @dataclass(frozen=True)
 class EstimateSummary(Summary):
-    """What `estimate` says about its run; None where there is no frame to say it about.
+    """Summary of `estimate`; None for statistics without frames.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ def _check_arguments(out: Path, csv: Path | None, kappa: float | None) -> None:
 
 
 def _zero(source: Recording, pipeline: Pipeline) -> PressureZero:
-    """Of the whole recording, whatever frames are solved."""
+    """Gas pressure zero of the whole recording, whichever frames are solved."""
     return zero_of((source[k] for k in range(len(source))), pipeline, str(source.path))
 
 

@@ -27,7 +27,7 @@ PRODUCTS: frozenset[Product] = frozenset({"pose"})
 
 @dataclass(frozen=True)
 class PoseSummary(Summary):
-    """What `pose` says about its run; None where there is no frame to say it about.
+    """Summary of `pose`; None for statistics without frames.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ def _follow(source: Recording, chosen: range, pipeline: Pipeline, out: Path) -> 
 
 
 def _check_any(rows: list[PoseRow], path: Path) -> None:
-    """Refuse a run without a single pose, with the reason most frames had."""
+    """Raise if no frame has a pose, with the most frequent reason."""
     if any(row.status == "ok" for row in rows):
         return
     why = Counter(row.status for row in rows).most_common(1)[0][0]

@@ -21,7 +21,7 @@ LINGER_S = 0.5
 
 @dataclass(frozen=True)
 class PublishSummary(Summary):
-    """What `publish` says about its run.
+    """Summary of `publish`.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ _LOOK_S = 0.1  # s between looks at the stream; chosen
 
 @dataclass(frozen=True)
 class RecordSummary(Summary):
-    """What `record` says about its run.
+    """Summary of `record`.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ def _wait(
     duration_s: float | None,
     patience: float,
 ) -> float | None:
-    """Until it is over; when the first message came, of `time.monotonic`."""
+    """Wait until recording ends; returns when the first message came (`time.monotonic`)."""
     began, first = time.monotonic(), None
     with tqdm(unit=" messages", disable=None, file=sys.stderr) as bar:  # only on a terminal
         while not stop.wait(_LOOK_S if first is None else 0.5 * _LOOK_S):

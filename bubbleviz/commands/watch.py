@@ -70,7 +70,7 @@ class WatchOptions:
 
 @dataclass(frozen=True)
 class WatchSummary(Summary):
-    """What `watch` says about its run.
+    """Summary of `watch`.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
 
 
 def _first_frame(stream: LiveStream, stop: Any, patience: float) -> Frame | None:
-    """A frame with camera info, or without where none comes."""
+    """The first frame with camera info, or the first at all if none arrives."""
     began, frame = time.monotonic(), None
     deadline: float | None = None
     while not stop.is_set() and stream.source.link() != "ended":

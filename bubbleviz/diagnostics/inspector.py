@@ -34,7 +34,7 @@ NEEDS: dict[Look, frozenset[Product]] = {
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was looked at.
+    """The requested diagnostics of a frame.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Inspector:
         kappa: float | None = None,
         truth: np.ndarray | None = None,
     ) -> Inspection:
-        """Make what is asked for of a result; what the result lacks products for is left out.
+        """Compute the requested diagnostics of a result; those that lack a product are left out.
 
         Parameters
         ----------

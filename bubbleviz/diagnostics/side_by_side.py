@@ -71,7 +71,7 @@ class SideBySide:
         self.pipelines: dict[EstimatorOptions, Pipeline] = {}
 
     def keep(self, settings: Collection[EstimatorOptions]) -> None:
-        """Forget what was built for other settings: a large mesh's solver takes a lot of memory."""
+        """Drop pipelines built for other settings, whose solvers take a lot of memory."""
         self.pipelines = {o: pipeline for o, pipeline in self.pipelines.items() if o in settings}
 
     def measure(
@@ -81,7 +81,7 @@ class SideBySide:
         kappa: float | None = None,
         truth: Truth | None = None,
     ) -> Measured:
-        """Process a frame with a setting, started as playback would be: from a frame before.
+        """Process a frame with a setting, warm-started from the frame before as in playback.
 
         Raises
         ------

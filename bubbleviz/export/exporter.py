@@ -35,5 +35,5 @@ def estimate_of(result: Result) -> Estimate:
 
 
 def is_known(estimate: Estimate) -> bool:
-    """Whether anything is known about the frame's membrane."""
+    """Whether the estimate has a membrane shape."""
     return estimate.status not in UNKNOWN

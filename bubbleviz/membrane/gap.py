@@ -92,7 +92,7 @@ class GapFinder:
 
     @property
     def reach(self) -> np.ndarray:
-        """How far inward a node's line is its own, shape (n,), m."""
+        """Distance inward along each normal that belongs to the node's own line, (n,), m."""
         if self._reach is None:
             mesh = self.mesh
             step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles

@@ -64,7 +64,7 @@ def _check_size(nodes: np.ndarray) -> None:
 
 
 def _check_triangles(nodes: np.ndarray, triangles: np.ndarray) -> None:
-    """Refuse triangles of no area and triangles that stand twice."""
+    """Raise on degenerate and duplicate triangles."""
     corners = nodes[triangles]
     edges = np.roll(corners, -1, axis=1) - corners
     double = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)

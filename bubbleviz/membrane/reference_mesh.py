@@ -1,4 +1,4 @@
-"""From the sensor file's membrane section to the mesh of the reference surface."""
+"""Meshing the reference surface of a sensor file."""
 
 from __future__ import annotations
 

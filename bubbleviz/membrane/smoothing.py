@@ -1,4 +1,4 @@
-"""Better-shaped triangles on a surface: edge flips and tangential smoothing."""
+"""Mesh improvement on a surface: edge flips and tangential smoothing."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class PatchFinder:
         self._pairs = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))
 
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
-        """Patch of an estimate, by physics or at the paper's threshold.
+        """Patch of an estimate: above half the held pressure, or at the paper's threshold κ.
 
         The force is that of the whole contact pressure; the centre of pressure is that of the
         parts in contact, so that what noise puts elsewhere does not pull it aside.

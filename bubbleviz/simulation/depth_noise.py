@@ -1,4 +1,4 @@
-"""Noise of a simulated depth camera, the same for a seed and frame whatever was asked before."""
+"""Noise of a simulated depth camera, reproducible for a seed and frame in any order."""
 
 from __future__ import annotations
 

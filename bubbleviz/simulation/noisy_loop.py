@@ -45,7 +45,7 @@ class NoisyLoop:
         return replace(frame, depth_m=depth)
 
     def truth(self, index: int) -> Truth | None:
-        """What is true of a frame of every round."""
+        """Ground truth of a frame, the same in every round."""
         return truth_of(self._source, index)
 
     def close(self) -> None:

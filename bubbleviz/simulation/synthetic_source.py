@@ -1,4 +1,4 @@
-"""A simulated sensor as a source of frames, with the truth behind them."""
+"""A simulated sensor as a frame source, with ground truth."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _LEVELS, _LOOKS = 3, 40
 
 @dataclass(frozen=True)
 class Truth:
-    """What the simulation knows about one frame; names and units as in TRUTH.npz.
+    """Ground truth of one frame; names and units as in TRUTH.npz.
 
     Attributes
     ----------
@@ -68,14 +68,14 @@ class Truth:
 
 @runtime_checkable
 class KnowsTruth(Protocol):
-    """A source that may know what is true of its frames."""
+    """A source that may have ground truth."""
 
     def truth(self, index: int) -> Truth | None:
-        """What is true of a frame; None when it is not known."""
+        """Ground truth of a frame; None when it is not known."""
 
 
 def truth_of(source: object, index: int) -> Truth | None:
-    """What is true of a frame of any source; None for all but simulations."""
+    """Ground truth of a frame of any source; None for all but simulations."""
     return source.truth(index) if isinstance(source, KnowsTruth) else None
 
 

@@ -1,4 +1,4 @@
-"""TRUTH.npz of a simulation, and a recording of that simulation which knows it."""
+"""TRUTH.npz of a simulation, and recordings with their ground truth."""
 
 from __future__ import annotations
 
