@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import whole_file
+from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_encoding import Encoding, FrameMessages, ros2_types
+from bubbleviz.frames.message_encoding import Encoding, FrameMessages
+
+CHUNK_BYTES = 1 << 20
+"""About a depth image before compression: reading one frame decompresses little else."""
 
 
 class RecordingWriter:
@@ -50,27 +52,15 @@ class RecordingWriter:
         self.count = 0
         self._messages = FrameMessages(encoding, prefix, frame_id)
         self._output: AbstractContextManager[Path] = whole_file(self.path)
-        self._temporary: Path
-        self._writer: Any = None
-        self._connections: dict[str, Any] = {}
+        self._file: McapFile
 
     def __enter__(self) -> RecordingWriter:
-        # the simulation behind the window's live sensor starts without a writer
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-
-        self._temporary = self._output.__enter__()
-        # rosbags writes a folder X with X.mcap in it: stage it under its final name
-        self._staging = self._temporary.with_suffix(".staging")
-        writer = Writer(
-            self._staging / self.path.stem, version=9, storage_plugin=StoragePlugin.MCAP
-        )
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        temporary = self._output.__enter__()
         try:
-            writer.open()
+            self._file = McapFile(temporary, name=self.path.name, chunk_bytes=CHUNK_BYTES)
         except BaseException as error:
-            self.__exit__(type(error), error, error.__traceback__)
+            self._output.__exit__(type(error), error, error.__traceback__)
             raise
-        self._writer = writer
         return self
 
     def __exit__(
@@ -80,34 +70,19 @@ class RecordingWriter:
         trace: TracebackType | None,
     ) -> None:
         try:
-            self._finish(failed=error is not None)
+            if error is None and self.count:
+                self._file.close()
+            else:
+                self._file.discard()
+            if error is None and not self.count:
+                raise InputError(f"{self.path}: no frames to write; nothing was written")
         except BaseException as second:
             self._output.__exit__(type(second), second, second.__traceback__)
             raise
-        finally:
-            shutil.rmtree(self._staging, ignore_errors=True)
         self._output.__exit__(kind, error, trace)
 
     def write(self, frame: Frame) -> None:
         """Append a frame; its stamp is `stamp_ns`, or `time_s` where that is 0."""
-        for topic, kind, payload, stamp in self._messages.of(frame):
-            if topic not in self._connections:
-                self._connections[topic] = self._writer.add_connection(
-                    topic, kind, typestore=ros2_types()
-                )
-            self._writer.write(self._connections[topic], stamp, payload)
+        for message in self._messages.of(frame):
+            self._file.write(message, log_ns=message[3])
         self.count += 1
-
-    def _finish(self, *, failed: bool) -> None:
-        writer, self._writer = self._writer, None
-        if writer is None:
-            return
-        if failed or not self.count:
-            writer.abort()
-            if not failed:
-                raise InputError(f"{self.path}: no frames to write; nothing was written")
-            return
-        writer.close()
-        folder = self._staging / self.path.stem
-        bare = self.path.suffix == ".mcap"
-        (folder / f"{folder.name}.mcap" if bare else folder).rename(self._temporary)

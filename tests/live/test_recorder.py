@@ -22,7 +22,6 @@ from wire import (
     NOW,
     PERIOD,
     WIDTH,
-    arrived,
     camera_info,
     depth,
     gas,
@@ -32,9 +31,9 @@ from wire import (
 
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
+from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.recording import Recording
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.mcap_file import McapFile
 from bubbleviz.live.sinks.recorder import MARKERS, Recorder
 
 INFO = "sensor_msgs/msg/CameraInfo"
@@ -151,7 +150,7 @@ def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path: Path) ->
     for k in range(30):
         noise = rng.integers(1, 60_000, HEIGHT * WIDTH, dtype="<u2").view(np.uint8)
         stamp = NOW + k * PERIOD
-        file.write(arrived("/cam/depth", IMAGE, image(stamp, data=noise), stamp))
+        file.write(("/cam/depth", IMAGE, image(stamp, data=noise), stamp), log_ns=stamp)
         if k % 7 == 6:
             file.sync()
     file.close()

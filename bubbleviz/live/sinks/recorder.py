@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bubbleviz.errors import InputError
+from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.depth_topics import RESULTS
 from bubbleviz.frames.message_encoding import ros2_types, serialise
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.mcap_file import McapFile
 
 MARKERS = f"{RESULTS}markers"
 """Topic of markers and notes, `std_msgs/msg/String`, logged when they were made."""
@@ -195,7 +195,8 @@ class _Session:
         while True:
             messages, ending = self._take(SYNC_S / 2)
             for message in messages:
-                self._file.write(message)
+                row = (message.topic, message.type, message.payload, message.stamp_ns)
+                self._file.write(row, message.arrival_ns, message.sequence or 0)
                 with self._changed:
                     self._bytes -= len(message.payload)
                     self._changed.notify_all()

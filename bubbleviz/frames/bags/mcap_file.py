@@ -10,9 +10,8 @@ import bubbleviz
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import cannot_write, refuse_existing
 from bubbleviz.frames.bags.cut_mcap import OUR_LIBRARY
+from bubbleviz.frames.bags.rosbag2_metadata import BagFacts, metadata_yaml
 from bubbleviz.frames.message_encoding import ros2_types
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.rosbag2_metadata import BagFacts, metadata_yaml
 
 CHUNK_BYTES = 4 << 20
 """Messages of a chunk before compression: it is closed early, by `sync`, where the data is slow."""
@@ -29,6 +28,10 @@ class McapFile:
     ----------
     path : path-like
         `X.mcap` for one bare file, any other name for a rosbag2 folder.
+    name : str
+        Of the file in a folder, without its suffix; the folder's when empty.
+    chunk_bytes : int
+        Messages of a chunk before compression: all of it is read for any of them.
 
     Attributes
     ----------
@@ -44,7 +47,7 @@ class McapFile:
         The path exists or cannot be written.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, name: str = "", chunk_bytes: int = CHUNK_BYTES) -> None:
         from mcap.writer import CompressionType, Writer  # the window starts without it
 
         self.path = Path(path)
@@ -53,7 +56,9 @@ class McapFile:
         try:
             if self._folder is not None:
                 self._folder.mkdir()
-            self._file = self.path if self._folder is None else self.path / f"{self.path.name}.mcap"
+            self._file = (
+                self.path if self._folder is None else self.path / f"{name or self.path.name}.mcap"
+            )
             self._stream = self._file.open("xb")
         except OSError as error:
             raise cannot_write(self.path, error) from error
@@ -63,26 +68,32 @@ class McapFile:
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._writer: Any = Writer(
-            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+            self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD
         )
         self._writer.start("ros2", f"{OUR_LIBRARY} {bubbleviz.__version__}")
         self.sync()
         _sync_folder(self._file.parent)
 
-    def write(self, message: RawMessage) -> None:
-        """Append a message, logged at its arrival; OSError if writing fails."""
-        key = (message.topic, message.type)
-        if key not in self._channels:
-            self._channels[key] = self._new_channel(*key)
-        log_ns = max(message.arrival_ns, 0)
+    def write(self, message: tuple[str, str, bytes, int], log_ns: int, sequence: int = 0) -> None:
+        """Append topic, type, payload and stamp in ns, logged at a time, ns since 1970.
+
+        Raises
+        ------
+        OSError
+            Writing failed.
+        """
+        topic, kind, payload, stamp_ns = message
+        if (topic, kind) not in self._channels:
+            self._channels[topic, kind] = self._new_channel(topic, kind)
+        log_ns = max(log_ns, 0)
         self._writer.add_message(
-            self._channels[key],
+            self._channels[topic, kind],
             log_time=log_ns,
-            publish_time=max(message.stamp_ns, 0) or log_ns,
-            sequence=(message.sequence or 0) & 0xFFFF_FFFF,
-            data=message.payload,
+            publish_time=max(stamp_ns, 0) or log_ns,
+            sequence=sequence & 0xFFFF_FFFF,
+            data=payload,
         )
-        self._facts.add(message.topic, log_ns)
+        self._facts.add(topic, log_ns)
         self.count += 1
 
     def sync(self) -> None:
