@@ -85,3 +85,39 @@ def build_rubber(
         return RubberMembrane.uniform(mesh, gauge, tension_n_per_m, None, rim_slack_m)
     mu_h = shear_stiffness(tension_n_per_m, prestretch)
     return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)
+
+
+def varied_rubber(
+    sensor: Sensor, mesh: MembraneMesh, tension_n_per_m: float, rim_slack_m: float | None = None
+) -> list[RubberMembrane]:
+    """The membrane with γ0, gauge pressure and λ in turn off by one standard deviation.
+
+    Of those whose 95 % interval the sensor's calibration gives; parameters as of `build_rubber`.
+    γ0 follows the gauge pressure, from which Young–Laplace has it.
+    """
+    known, pneumatics = sensor.calibration, sensor.pneumatics
+    if known is None:
+        return []
+    tension = _deviation(known.tension_interval_n_per_m)
+    gauge = _deviation(known.gauge_interval_pa)
+    stretch = _deviation(known.prestretch_interval)
+    varied = []
+    if tension:
+        varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m))
+    if gauge:
+        higher = pneumatics.gauge_pressure_pa + gauge
+        changed = pneumatics.model_copy(update={"gauge_pressure_pa": higher})
+        other = sensor.model_copy(update={"pneumatics": changed})
+        scaled = tension_n_per_m * higher / pneumatics.gauge_pressure_pa
+        varied.append(build_rubber(other, mesh, scaled, rim_slack_m))
+    if stretch and sensor.membrane.prestretch is not None:
+        larger = {"prestretch": sensor.membrane.prestretch + stretch}
+        changed_membrane = sensor.membrane.model_copy(update=larger)
+        other = sensor.model_copy(update={"membrane": changed_membrane})
+        varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m))
+    return varied
+
+
+def _deviation(interval: tuple[float, float] | None) -> float:
+    """Standard deviation of a normal distribution with a 95 % interval; 0 where there is none."""
+    return 0.0 if interval is None else (interval[1] - interval[0]) / (2.0 * 1.96)

@@ -17,6 +17,7 @@ from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
@@ -147,6 +148,37 @@ def test_warm_frames_end_where_cold_ones_do():
     assert error(warm, cold.force_n) < 0.01
     again, _ = solver.estimate(image)
     np.testing.assert_array_equal(again.force_n, cold.force_n)
+
+
+def test_sigma_is_what_another_material_makes_of_the_force():
+    """Against a second solve with the other tension, and the scatter of noisy frames."""
+    mesh, contact = pressed("sphere", 0.007)
+    usual, stiffer = estimator(), estimator(tension=1.02 * TENSION)
+    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    a, b = usual.estimate(image)[0], stiffer.estimate(image)[0]
+    unsure = RubberEstimator(usual.observer, usual.membrane, usual.gas, None, [stiffer.membrane])
+    both = unsure.estimate(image)[0].force_sigma_n[2]
+    by_material = np.sqrt(both**2 - a.force_sigma_n[2] ** 2)
+    assert by_material == pytest.approx(abs(b.force_n[2] - a.force_n[2]), rel=0.15)
+    images = (seen(mesh, contact.displacement_3d_m, NOISE_M, seed=seed) for seed in range(12))
+    forces = np.array([usual.estimate(image)[0].force_n for image in images])
+    assert np.all(forces.std(axis=0) < 2.0 * a.force_sigma_n)
+    assert forces[:, 2].std() > 0.4 * a.force_sigma_n[2]
+
+
+@pytest.mark.parametrize("name", ["sphere", "cylinder"])
+def test_patch_is_where_half_the_gas_pressure_is_exceeded(name):
+    mesh, contact = pressed(name, 0.007, 0.0)
+    solver = estimator(1000)
+    estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    patch = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m).find(estimate)
+    inside = MembraneView(CAMERA, solver.mesh).above(estimate.motion_m, patch.level, 0.0)
+    touching = (contact.contact_pressure_pa > 0.0).astype(float)
+    truth = MembraneView(CAMERA, mesh).above(contact.displacement_3d_m, touching, 0.5)
+    assert np.count_nonzero(inside & truth) > 0.7 * np.count_nonzero(inside | truth)
+    gas = GAUGE + estimate.gas_pressure_change_pa
+    assert patch.threshold_pa == pytest.approx(0.5 * gas)
+    np.testing.assert_array_equal(patch.force_n, estimate.force_n)
 
 
 def test_no_number_where_there_is_no_answer():
