@@ -10,9 +10,10 @@ import pytest
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.rubber_estimator import RIM_SLACK_M, RubberEstimator
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
@@ -148,6 +149,30 @@ def test_warm_frames_end_where_cold_ones_do():
     assert error(warm, cold.force_n) < 0.01
     again, _ = solver.estimate(image)
     np.testing.assert_array_equal(again.force_n, cold.force_n)
+
+
+def test_small_press_on_a_flat_membrane_is_the_linear_model():
+    """λ → ∞ and little curvature: the former estimate is the limit."""
+    gauge, height = 100.0, 0.04 * A
+    mesh = mesh_cap(spherical_cap(A, height), 400)
+    tension = gauge * (A**2 + height**2) / (4 * height)
+    gas = Gas(AIR + gauge, CHAMBER + mesh.cap_volume(), mesh.areas, -gauge, AIR)
+    fine = mesh_cap(spherical_cap(A, height), 1500)
+    T = np.eye(4)
+    T[:3, 3] = 0.006, 0.0, height - 6e-4
+    forward = ForwardModel(
+        fine, tension, Gas(AIR + gauge, CHAMBER + fine.cap_volume(), fine.areas)
+    ).press(load_object("cylinder"), T)
+    image = seen(fine, forward.displacement_m)
+    observer = RangeObserver(CAMERA, mesh, 2e-5, block=3)
+    linear, _ = Estimator(observer, gas, tension).estimate(image)
+    film = RubberMembrane.uniform(mesh, gauge, tension)
+    exact, _ = RubberEstimator(observer, film, gas).estimate(image)
+    assert linear.status == exact.status == "ok"
+    force = -(mesh.areas * linear.contact_pressure_pa) @ mesh.normals
+    assert error(exact, force) < 0.02
+    assert error(exact, forward.nodal_force_n.sum(axis=0)) < 0.03
+    assert exact.gas_pressure_change_pa == pytest.approx(linear.gas_pressure_change_pa, rel=0.03)
 
 
 def test_sigma_is_what_another_material_makes_of_the_force():
