@@ -6,7 +6,13 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.surface.cap_fit import Ellipsoid
-from bubbleviz.calibration.tension.bootstrap import ScoreTable, draw_errors, tile_numbers, tile_side
+from bubbleviz.calibration.tension.bootstrap import (
+    ScoreTable,
+    draw_errors,
+    score_table,
+    tile_numbers,
+    tile_side,
+)
 from bubbleviz.calibration.tension.young_laplace import (
     balance_gradient,
     cap_tension,
@@ -146,6 +152,25 @@ def test_bootstrap_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
         was.append(error.sum())
     assert np.mean(np.square(said)) == pytest.approx(fixed**2 + drift**2 + noise**2, rel=0.3)
     assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
+
+
+def test_scores_are_sums_of_influence_times_error_over_the_samples_that_count():
+    """Pixel by pixel: what is beyond its limit or missing is not in the mean, nor in a score."""
+    rng = np.random.default_rng(0)
+    frames, pixels, tile = 7, 12, np.arange(12) // 4
+    mean, limit = rng.uniform(0.1, 0.2, pixels), np.full(pixels, 2e-3)
+    depth = mean + 5e-4 * rng.uniform(-1.0, 1.0, (frames, pixels))
+    depth[2, 5], depth[3, 5], depth[1, 0] = mean[5] + 0.05, mean[5] - 0.05, np.nan
+    influence, residual = rng.standard_normal((pixels, 2)), 1e-4 * rng.standard_normal(pixels)
+    table = score_table(depth, mean, limit, influence, residual, tile, 1)
+    moving = np.zeros((frames, 3, 2))
+    for p in range(pixels):
+        used = [k for k in range(frames) if abs(depth[k, p] - mean[p]) <= limit[p]]
+        for k in used:
+            moving[k, tile[p]] += influence[p] * (depth[k, p] - mean[p]) / len(used)
+    np.testing.assert_allclose(table.moving, moving, atol=1e-15)
+    static = np.array([influence[tile == t].T @ residual[tile == t] for t in range(3)])
+    np.testing.assert_allclose(table.static, static, atol=1e-15)
 
 
 def test_tiles():
