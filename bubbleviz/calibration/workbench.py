@@ -22,6 +22,7 @@ from bubbleviz.calibration.identification import (
     check_dome,
     measure_chamber,
     rest_gauge_pressure,
+    with_rubber,
 )
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rest.contact_free import ContactFree, find_contact_free
@@ -29,6 +30,7 @@ from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.frame_ranges import Ranges, as_ranges, numbers, tidy
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
 from bubbleviz.calibration.rest.rest_frames import Samples, collect
+from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.surface.reference_surface import (
     Name,
     Surfaces,
@@ -78,6 +80,8 @@ class Settings:
         Target number of nodes of the mesh.
     levels : tuple of path
         Recordings of the untouched sensor at other inflation levels.
+    vented : path or None
+        Recording of the open chamber, for the atmospheric pressure.
     press : KnownPress or None
         What to validate by, in the same source.
     """
@@ -89,6 +93,7 @@ class Settings:
     surface: Name | None = None
     nodes: int = 1000
     levels: tuple[Path, ...] = ()
+    vented: Path | None = None
     press: KnownPress | None = None
 
 
@@ -210,22 +215,40 @@ class Workbench:
         key = (draft.ranges, settings.nodes, settings.surface)
         seen = self._once("seen", key, lambda: check_dome(samples, surfaces))
         wander = self._once("still", draft.ranges, lambda: check_still(samples))
-        gauge = rest_gauge_pressure(samples, self.sensor)
+        vented = self._vented(settings.vented)
+        sensor = self.sensor if vented is None else vented.set_in(self.sensor)
+        gauge = rest_gauge_pressure(samples, sensor)
+        rests_on = (*key, settings.vented)
         tension = self._once(
             "tension",
-            key,
+            rests_on,
             lambda: estimate_tension(samples, surfaces, gauge, progress=progress),
         )
         chamber = self._once(
             "chamber",
-            (*key, settings.min_validity, settings.deviations),
+            (*rests_on, settings.min_validity, settings.deviations),
             lambda: measure_chamber(self.source, samples, surfaces, pixels, tension, progress),
         )
-        found = assemble(self.sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
+        found = assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
         levels = [self._level(path, progress) for path in settings.levels]
         found = rectify(found, levels)
-        draft = replace(draft, tension=tension, pixels=found.pixels, found=found)
+        found = self._once(
+            "rubber",
+            (*rests_on, settings.min_validity, settings.deviations, settings.levels),
+            lambda: with_rubber(found, [each.samples for each in levels if each.samples], vented),
+        )
+        draft = replace(draft, tension=found.tension, pixels=found.pixels, found=found)
         return replace(draft, validation=self._validation(found, settings, progress))
+
+    def _vented(self, path: Path | None) -> Vented | None:
+        if path is None:
+            return None
+
+        def measure() -> Vented:
+            with Recording(path) as chamber:
+                return Vented.measure(chamber)
+
+        return self._once("vented", path, measure)
 
     def _level(self, path: Path, progress: Progress) -> Level:
         def measure() -> Level:

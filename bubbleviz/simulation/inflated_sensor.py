@@ -27,6 +27,11 @@ class InflatedSensor:
     seed : int
     pressure_noise_pa : float
         σ of each frame's pressure, Pa.
+
+    Attributes
+    ----------
+    pressures_pa : (F,) array or None
+        Recorded with the frames, absolute, Pa.
     """
 
     def __init__(
@@ -43,10 +48,10 @@ class InflatedSensor:
         self.name, self.camera, self.noise, self.seed = name, camera, noise, seed
         self.times_s = np.arange(frames) / 30.0
         self._range_m = MembraneView(camera, membrane).range_image(np.zeros(len(membrane.nodes)))
-        self._pressures_pa: np.ndarray | None = None
+        self.pressures_pa: np.ndarray | None = None
         if gas_pressure_pa is not None:
             shaken = np.random.default_rng([seed, 3]).standard_normal(frames)
-            self._pressures_pa = gas_pressure_pa + pressure_noise_pa * shaken
+            self.pressures_pa = gas_pressure_pa + pressure_noise_pa * shaken
 
     def __len__(self) -> int:
         """Count the frames."""
@@ -62,9 +67,7 @@ class InflatedSensor:
             time_s=float(self.times_s[index]),
             depth_m=depth.astype(np.float32),
             intrinsics=self.camera.intrinsics,
-            gas_pressure_pa=None
-            if self._pressures_pa is None
-            else float(self._pressures_pa[index]),
+            gas_pressure_pa=None if self.pressures_pa is None else float(self.pressures_pa[index]),
         )
 
     def close(self) -> None:

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bubbleviz.calibration.identification import identify, with_rubber
+from bubbleviz.calibration.rest.rest_frames import collect
+from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.cli.identify_command import identify as command
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.membrane.rubber_model.inflation import Inflation
 from bubbleviz.membrane.rubber_model.prestress import prestressed
@@ -74,3 +79,87 @@ def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     assert saved.prestretch_from == "inflation levels: low.mcap, high.mcap"
     assert found["levels"]["unexplained_rms_m"] < 0.1 * found["levels"]["change_rms_m"]
     assert "gauge pressure rests on" in (tmp_path / "report" / "report.html").read_text()
+
+
+class Chamber:
+    """Frames of the open chamber, as far as they matter."""
+
+    name = "vented"
+
+    def __init__(self, pressures):
+        self.pressures = pressures
+
+    def __len__(self):
+        return len(self.pressures)
+
+    def __getitem__(self, k):
+        return Frame(k, k / 30.0, np.full((2, 2), np.nan, np.float32), None, self.pressures[k])
+
+
+OFFSET = 400.0
+"""What the absolute sensor shows too much, inflated and vented alike."""
+
+
+@pytest.fixture(scope="module")
+def vented():
+    shown = ATMOSPHERE_PA + OFFSET + np.random.default_rng(0).normal(0.0, 5.0, 60)
+    return Vented.measure(Chamber(list(shown)))
+
+
+@pytest.fixture(scope="module")
+def found(vented):
+    source = shifted(SHEET.recording(1.0, 20, frames=FRAMES, width=WIDTH))
+    return identify(source, vented.set_in(SHEET.sensor(WIDTH)), range(FRAMES), nodes=500)
+
+
+def shifted(source):
+    source.pressures_pa = source.pressures_pa + OFFSET
+    return source
+
+
+def level(found, share, seed):
+    source = shifted(SHEET.recording(share, seed, frames=FRAMES, width=WIDTH))
+    return collect(source, found.given, range(FRAMES))
+
+
+def test_open_chamber_gives_the_gauge_pressure(found, vented):
+    """The zero of the absolute sensor cancels."""
+    only = with_rubber(found, [], vented)
+    assert only.rubber.gauge_from == "vented" and only.rubber.prestretch is None
+    assert only.rubber.gauge.low < G < only.rubber.gauge.high
+    assert only.rubber.gauge.half_width < 0.005 * G
+    assert only.sensor.pneumatics.atmospheric_pressure_pa == pytest.approx(
+        ATMOSPHERE_PA + OFFSET, abs=3.0
+    )
+    assert "no inflation level" in only.rubber.why_not
+
+
+def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
+    levels = [level(found, share, 30 + k) for k, share in enumerate((0.85, 1.15))]
+    known = with_rubber(found, levels, vented).rubber
+    free = with_rubber(found, levels).rubber
+    assert known.prestretch.low < SHEET.prestretch < known.prestretch.high
+    assert known.prestretch.value == pytest.approx(SHEET.prestretch, abs=0.02)
+    width = known.prestretch.half_width
+    assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
+
+
+def test_levels_that_say_nothing(found):
+    silent = [replace(level(found, 0.85, 22), gas_pressure_pa=None)]
+    kept = with_rubber(found, silent)
+    assert kept.rubber.prestretch is None and "gas pressure recorded" in kept.rubber.why_not
+    assert kept.sensor == found.sensor
+    alike = with_rubber(found, [level(found, 1.002, 23)])
+    assert alike.rubber.prestretch is None and "differs" in alike.rubber.why_not
+    wrong = level(found, 0.85, 24)
+    wrong = replace(wrong, gas_pressure_pa=wrong.gas_pressure_pa + 0.25 * G)  # it sank as it rose
+    assert with_rubber(found, [wrong]).rubber.prestretch is None
+
+
+def test_open_chamber_needs_gas_pressures(found, vented):
+    with pytest.raises(InputError, match="leave --vented out"):
+        with_rubber(
+            replace(found, samples=replace(found.samples, gas_pressure_pa=None)), [], vented
+        )
+    with pytest.raises(InputError, match="chamber open"):
+        Vented.measure(Chamber([None] * 30))

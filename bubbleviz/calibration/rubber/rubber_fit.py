@@ -35,6 +35,8 @@ from bubbleviz.membrane.stiffness import mean_curvature
 
 _LEAST, _MOST = 1e-3, 0.97
 """Range of q: λ from 3.2, which is as good as constant tension, to 1.005."""
+_LEAST_RISE = 0.01
+"""Change of the gauge pressure, over itself, below which a level says nothing."""
 _STARTS = (0.35, 0.05)
 """λ of 1.19 to begin with; where that cannot hold the levels, 1.65."""
 _STEPS = 12
@@ -191,6 +193,12 @@ def fit_rubber(
     """
     pressures = [_mean_pressure(each) for each in (base, *levels)]
     rises = np.array([mean - pressures[0][0] for mean, _ in pressures[1:]])
+    for each, rise in zip(levels, rises, strict=True):
+        if abs(rise) < _LEAST_RISE * gauge_pressure_pa:
+            raise InputError(
+                f"{each.source_name}: its gas pressure differs from {base.source_name}'s by"
+                f" {rise:.0f} Pa only; inflate by 15 % more and less"
+            )
     fit = _Fit(base, mesh, camera, mask, levels, rises)
     free = (True, gauge_sigma_pa is None)
     state = fit.solve(gauge_pressure_pa, free)
@@ -200,6 +208,8 @@ def fit_rubber(
     shaken = rng.standard_normal((DRAWS, len(pressures))) * [sigma for _, sigma in pressures]
     errors += (shaken[:, 1:] - shaken[:, :1]) @ to_rise
     errors += stress_sigma * np.outer(rng.standard_normal(DRAWS), fit.by_stress(state, influence))
+    facets = (mesh.edge_length * 0.5 * mean_curvature(mesh)) ** 2
+    errors += facets * np.outer(rng.standard_normal(DRAWS), fit.by_motion(state, influence))
     if gauge_sigma_pa is not None:
         shift = gauge_sigma_pa / state.gauge_pa * rng.standard_normal(DRAWS)
         errors[:, 1] = shift
@@ -339,6 +349,14 @@ class _Fit:
         model = self.change_m - state.missed_m + self._model.rest_m
         moved = np.nan_to_num(np.stack([shape.range_m for shape in shapes]) - model)
         return -np.einsum("lk,lkp->p", moved, influence) / share
+
+    def by_motion(self, state: _State, influence: np.ndarray) -> np.ndarray:
+        """Change of the fitted (q, ln G), (2,), where the mesh moves too much by a share of it.
+
+        Facets are wrong by the square of their size over the radius of curvature.
+        """
+        modelled = np.nan_to_num(self.change_m - state.missed_m)
+        return -np.einsum("lk,lkp->p", modelled, influence)
 
     def bootstrap(self, state: _State, influence: np.ndarray, seed: int) -> np.ndarray:
         """Errors of (q, ln G), (R, 2), from noise and from what the model does not explain."""

@@ -387,6 +387,7 @@ def test_another_inflation_level_is_added_and_undone(bench: Bench, tmp_path: Pat
     bench.done()
     assert panel.calibration.answer.draft.found.pixels.line.levels == 2
     assert "2 levels" in panel.rectification.numbers.text("line")
+    assert panel.rectification.numbers.text("λ").startswith("not determined: ")
     bench.undo()
     assert panel.calibration.answer.draft.found.pixels.line is None
 

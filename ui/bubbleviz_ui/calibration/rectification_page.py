@@ -1,4 +1,4 @@
-"""Step 5: what each pixel is off by, from one inflation level or several, before and after."""
+"""Step 5: inflation levels and the open chamber: what each pixel is off by, λ, gauge pressure."""
 
 from __future__ import annotations
 
@@ -29,18 +29,21 @@ class RectificationPage(Page):
         self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
         self.add.setToolTip("Recording of the untouched membrane at another gauge pressure")
         self.drop.setToolTip("Take the recording added last out again")
+        self.vented = QPushButton("Open chamber…")
+        self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
         self.numbers = Numbers()
         row = QHBoxLayout()
         row.addWidget(self.add)
         row.addWidget(self.drop)
+        row.addWidget(self.vented)
         self.column.addWidget(self.before)
         self.column.addWidget(self.after)
         self.column.addWidget(self.numbers)
         self.column.addWidget(self.levels)
         self.column.addLayout(row)
         self.column.addStretch(1)
-        self.add.setToolTip("Recording of the untouched sensor at another inflation level")
         self.add.clicked.connect(self._choose_level)
+        self.vented.clicked.connect(self._choose_vented)
         self.drop.clicked.connect(
             lambda: calibration.edit("Take a level out", levels=calibration.settings.levels[:-1])
         )
@@ -49,6 +52,10 @@ class RectificationPage(Page):
         """Rectify with another inflation level, too."""
         levels = (*self.calibration.settings.levels, path)
         self.calibration.edit(f"Add the level {path.name}", levels=levels)
+
+    def set_vented(self, path: Path) -> None:
+        """Take the atmospheric pressure from a recording of the open chamber."""
+        self.calibration.edit(f"Take {path.name} as the open chamber", vented=path)
 
     def show_answer(self, answer: Answer) -> None:
         """Show both images, their rms and the levels."""
@@ -65,6 +72,7 @@ class RectificationPage(Page):
             rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
             self.numbers.set(name, unit.text(rms))
         self._show_levels(answer)
+        self._show_rubber(answer)
 
     def _show_levels(self, answer: Answer) -> None:
         levels = self.calibration.settings.levels
@@ -82,6 +90,31 @@ class RectificationPage(Page):
         span = float(np.median((line.farthest_m - line.nearest_m)[mask]))
         text = f"{self.units.length.text(span)}; beyond, the nearest level's offset"
         self.numbers.set("holds over", text)
+
+    def _show_rubber(self, answer: Answer) -> None:
+        """λ and gauge pressure as the levels and the open chamber tell, or why they do not."""
+        found, pressure = answer.draft.found, self.units.gas_pressure
+        rubber = found.rubber if found is not None else None
+        if rubber is None:
+            self.numbers.set("λ", "not determined: add levels")
+            self.numbers.set("gauge pressure", None)
+            self.numbers.set("gauge pressure rests on", "the sensor file's atmospheric pressure")
+            return
+        stretch, gauge = rubber.prestretch, rubber.gauge
+        self.numbers.set(
+            "λ",
+            f"not determined: {rubber.why_not}"
+            if stretch is None
+            else f"{stretch.value:.3f}, 95 % {stretch.low:.3f} … {stretch.high:.3f}",
+        )
+        text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
+        self.numbers.set("gauge pressure", text)
+        self.numbers.set("gauge pressure rests on", rubber.gauge_rests_on)
+
+    def _choose_vented(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self, "Recording of the open chamber", "", RECORDINGS)
+        if name:
+            self.set_vented(Path(name))
 
     def _choose_level(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self, "Add an inflation level", "", RECORDINGS)
