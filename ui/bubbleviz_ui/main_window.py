@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
-from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QGraphicsView, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.files.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
 from bubbleviz.files.mesh_reader import SUFFIXES
@@ -202,12 +202,13 @@ class MainWindow(QMainWindow):
         self.open_panels.close()
         self._rates.stop()
         self.state.blockSignals(True)  # nothing is left to tell
+        for canvas in self.findChildren(QGraphicsView):
+            canvas.close()  # pyqtgraph's would keep the window alive
         self.gamma0.close_all()
         self.exporting.close()
         self._memory.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()
-        self.pose.close_plots()
         self.live_controller.close()
         self.controller.close()
         self.view.close()

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from PySide6.QtCore import QEvent, Signal
 from PySide6.QtWidgets import (
     QButtonGroup,
-    QGraphicsView,
     QHBoxLayout,
     QLabel,
     QProgressBar,
@@ -140,9 +139,7 @@ class Gamma0Panel(QWidget):
         return any(sensor.folder == Path(folder.name) for folder in self._folders)
 
     def close_all(self) -> None:
-        """Stop the threads, let go of the plots, remove what was written for the time being."""
-        for plot in self.findChildren(QGraphicsView):
-            plot.close()  # pyqtgraph's would keep the window alive
+        """Stop the threads, remove what was written for the time being."""
         self.frames.collect.collector.close()
         self.calibration.close()
         for folder in self._folders:

@@ -23,7 +23,7 @@ class RectificationPage(Page):
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
-        self.before, self.after = ImageView(), ImageView()
+        self.before, self.after = ImageView("around zero"), ImageView("around zero")
         self.levels = QLabel()
         self.levels.setWordWrap(True)
         self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
@@ -67,7 +67,7 @@ class RectificationPage(Page):
             (self.before, "Last frame before", before),
             (self.after, "Last frame after", after),
         ):
-            view.show_image(title, image, unit, -limit, limit, diverging=True)
+            view.show_image(title, image, unit, -limit, limit)
         for name, image in (("rms before", before), ("rms after", after)):
             rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
             self.numbers.set(name, unit.text(rms))

@@ -49,7 +49,7 @@ class ReportPage(Page):
         self.compared.setWordWrap(True)
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["", "in use", "new"])
-        self.view = ImageView()
+        self.view = ImageView("around zero")
         self.use_it = QPushButton("Use it")
         self.save_as = QPushButton("Save as a preset…")
         self._lay_out()
@@ -71,8 +71,7 @@ class ReportPage(Page):
         limit = comparison.largest_m if comparison is not None else 1e-3
         self.view.show_image(
             "Range expected of the untouched membrane, new minus in use",
-            difference, length, -limit, limit, diverging=True,
-        )  # fmt: skip
+            difference, length, -limit, limit)  # fmt: skip
 
     def _show_table(self, comparison: Comparison | None) -> None:
         rows = comparison.rows if comparison is not None else ()

@@ -30,7 +30,7 @@ class SurfacePage(Page):
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
-        self.view = ImageView()
+        self.view = ImageView("around zero")
         self.choice = QComboBox()
         self.choice.addItem("as the data say", None)
         for name in NAMES:
@@ -75,9 +75,7 @@ class SurfacePage(Page):
             return
         mask = draft.pixels.mask
         limit = 3.0 * float(np.std(surfaces.residual_m[mask])) if mask.any() else 1e-3
-        self.view.show_image(
-            "Mean range minus surface", surfaces.residual_m, length, -limit, limit, diverging=True
-        )
+        self.view.show_image("Mean range minus surface", surfaces.residual_m, length, -limit, limit)
         self._show_numbers(draft, surfaces)
 
     def _show_numbers(self, draft: Draft, surfaces: Surfaces) -> None:

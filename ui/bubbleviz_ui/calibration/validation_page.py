@@ -39,7 +39,7 @@ class ValidationPage(Page):
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
-        self.view = ImageView()
+        self.view = ImageView("around zero")
         self.obj = QComboBox()
         self.obj.setEditable(True)
         self.obj.addItems(sorted(p.stem for p in presets_folder("objects").glob("*.*")))
@@ -82,7 +82,7 @@ class ValidationPage(Page):
         image = found.distance_image_m if found is not None else None
         limit = 3.0 * found.rms_m if found is not None else 1e-3
         title = "Cloud's distance from the predicted membrane"
-        self.view.show_image(title, image, units.fine_length, -limit, limit, diverging=True)
+        self.view.show_image(title, image, units.fine_length, -limit, limit)
         self._show_numbers(found)
 
     def _show_numbers(self, found: Validation | None) -> None:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
+from PySide6.QtGui import QColor
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.model.units import NOTHING, Unit, Units
@@ -47,9 +48,16 @@ PICTURES = MappingProxyType(
 
 
 class ImageCell:
-    """An image with a line of text above and marks on it."""
+    """An image with a line of text above and marks on it.
 
-    def __init__(self, picture: Picture) -> None:
+    Parameters
+    ----------
+    picture : Picture
+    head : float
+        Room for the text, screen pixels.
+    """
+
+    def __init__(self, picture: Picture, head: float = 2 * HEAD - 3) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
         self.picture = picture
@@ -65,7 +73,7 @@ class ImageCell:
         for item in (self.item, self.halo, self.pixel, self.node):
             self.box.addItem(item)
         self.frame: Any = pg.GraphicsLayout()
-        self.frame.layout.setContentsMargins(0, 2 * HEAD - 3, 0, 0)
+        self.frame.layout.setContentsMargins(0, head, 0, 0)
         self.frame.addItem(self.box, 0, 0)
         self.words = pg.LabelItem(justify="left", size="9pt")
         self.words.setParentItem(self.frame)
@@ -80,17 +88,28 @@ class ImageCell:
         self, image: np.ndarray | None, ends: tuple[float, float] | None, units: Units
     ) -> None:
         """Show an image (H, W) in SI whose usual values lie between two ends."""
-        new = image is not None and (self.image is None or self.image.shape != image.shape)
-        self.image = image
         if image is None:
-            self.item.clear()
+            self.clear()
             self._write(f"{self.picture.title}: {NOTHING}")
             return
         low, high = self._range(ends)
+        unit = None if self.picture.unit is None else self.picture.unit(units)
+        self.show(image, low, high)
+        self._write(f"{self.picture.title}<br>{self.legend(low, high, unit)}")
+
+    def clear(self) -> None:
+        """Show nothing."""
+        self.image = None
+        self.item.clear()
+        self._write("")
+
+    def show(self, image: np.ndarray, low: float, high: float) -> None:
+        """Show an image (H, W) in SI with its colours from `low` to `high`."""
+        new = self.image is None or self.image.shape != image.shape
+        self.image = image
         self.item.setImage(image.astype(np.float32), levels=(low, high))
         if new:
             self.box.setRange(self.item.boundingRect(), padding=0.01)
-        self._write(self._legend(low, high, units))
 
     def mark(self, place: Probed | None) -> None:
         """Mark a place's pixel and where the camera sees its node."""
@@ -104,9 +123,9 @@ class ImageCell:
             row, column = place.node_pixel
             self.node.setData([column + 0.5], [row + 0.5])
 
-    def paint(self, colour: str) -> None:
+    def paint(self, dim: QColor, text: QColor) -> None:
         """Take the theme's colour of text."""
-        self.words.setAttr("color", colour)
+        self.words.setAttr("color", text.name())
         self.words.setText(self.text)
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
@@ -122,19 +141,16 @@ class ImageCell:
         self._held = (low, high if high > low else low + 1e-6)
         return self._held
 
-    def _legend(self, low: float, high: float, units: Units) -> str:
+    def legend(self, low: float, high: float, unit: Unit | None) -> str:
+        """Scale of the colours, as HTML; yes and no without a unit."""
         colours = self._map.getLookupTable(nPts=BLOCKS)[:, :3]
         blocks = "".join(f'<span style="color:rgb({r},{g},{b})">█</span>' for r, g, b in colours)
-        if self.picture.unit is None:
+        if unit is None:
             no, yes = (f"rgb({','.join(map(str, colours[k]))})" for k in (0, -1))
-            return (
-                f"{self.picture.title}<br>"
-                f'<span style="color:{yes}">█</span> yes <span style="color:{no}">█</span> no'
-            )
-        unit = self.picture.unit(units)
+            return f'<span style="color:{yes}">█</span> yes <span style="color:{no}">█</span> no'
         ends = (f"{unit.of(end):.{_digits(unit.of(high - low))}f}" for end in (low, high))
         first, last = ends
-        return f"{self.picture.title}<br>{first} {blocks} {last} {unit.symbol}"
+        return f"{first} {blocks} {last} {unit.symbol}"
 
     def _write(self, text: str) -> None:
         self.text = text

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
-from PySide6.QtGui import QPalette, QResizeEvent, QShowEvent
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics.probe import Probed
@@ -18,6 +17,7 @@ from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.plot_host import Part, PlotHost
 
 EVERY_MS = 150
 """While playing: colouring a large image takes some ms."""
@@ -33,7 +33,8 @@ class ImagesPanel(QWidget):
         super().__init__()
         self.setObjectName("images")
         self._state, self._controller, self._hover = state, controller, hover
-        self._grid: Any = None
+        self._host = PlotHost(self._make, spacing=4)
+        self._host.seen.connect(self._draw)
         self._arranged: list[tuple[str, int]] | None = None
         self.cells: dict[str, ImageCell] = {}
         self._due = QTimer(self)
@@ -62,6 +63,7 @@ class ImagesPanel(QWidget):
             text.addWidget(label)
         self._column.addWidget(self.choose, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addLayout(text)
+        self._column.addWidget(self._host, 1)
         self.setMinimumWidth(340)
 
     # -- events -------------------------------------------------------------------------------
@@ -87,23 +89,10 @@ class ImagesPanel(QWidget):
         for cell in self.cells.values():
             cell.mark(place)
 
-    def showEvent(self, event: QShowEvent) -> None:
-        """Load the plotting library when it is needed first."""
-        super().showEvent(event)
-        if self._grid is None:
-            self._make()
-        self._draw()
-
     def resizeEvent(self, event: QResizeEvent) -> None:
         """As large as the images can be."""
         super().resizeEvent(event)
         self._arrange()
-
-    def changeEvent(self, event: QEvent) -> None:
-        """Follow the window's theme."""
-        super().changeEvent(event)
-        if event.type() == QEvent.Type.PaletteChange and self._grid is not None:
-            self._paint_theme()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Notice that the mouse has left the images."""
@@ -113,35 +102,27 @@ class ImagesPanel(QWidget):
 
     # -- drawing ------------------------------------------------------------------------------
 
-    def _make(self) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
-
-        self._grid = pg.GraphicsLayoutWidget()
-        self._grid.ci.layout.setSpacing(4)
-        self._grid.ci.setContentsMargins(0, 0, 0, 0)
-        self._column.addWidget(self._grid, 1)
+    def _make(self) -> list[Part]:
         self.cells = {name: ImageCell(picture) for name, picture in PICTURES.items()}
-        self._grid.scene().sigMouseMoved.connect(self._on_mouse)
-        self._grid.installEventFilter(self)
-        self._paint_theme()
+        self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
+        self._host.canvas.installEventFilter(self)
         self._arrange()
+        return list(self.cells.values())
 
     def _arrange(self) -> None:
         """Put the chosen images into the grid that shows them largest."""
-        if self._grid is None:
+        if self._host.canvas is None:
             return
         shown = [name for name in PICTURES if name in self._state.choices.images]
         columns = best_columns(len(shown), self.width(), self.height() - HEADER)
         if self._arranged == [(name, columns) for name in shown]:
             return
         self._arranged = [(name, columns) for name in shown]
-        self._grid.ci.clear()
-        for k, name in enumerate(shown):
-            self._grid.ci.addItem(self.cells[name].frame, k // columns, k % columns)
+        self._host.arrange([self.cells[name].frame for name in shown], columns)
         self._draw()
 
     def _draw(self) -> None:
-        if self._grid is None or not self.isVisible():
+        if not self._host.ready:
             return
         result, inspection = self._controller.result, self._controller.inspection
         images: dict[str, np.ndarray] = {**inspection.images}
@@ -160,12 +141,6 @@ class ImagesPanel(QWidget):
                 self._hover.at_pixel(math.floor(at.y()), math.floor(at.x()))
                 return
         self._hover.leave()
-
-    def _paint_theme(self) -> None:
-        roles, palette = QPalette.ColorRole, self.palette()
-        self._grid.setBackground(palette.color(roles.Base))
-        for cell in self.cells.values():
-            cell.paint(palette.color(roles.Text).name())
 
 
 def words(place: Probed | None, units: Units) -> tuple[str, str, str]:

@@ -32,7 +32,7 @@ class OverKappa:
     def __init__(self, line_width: int = 1) -> None:
         import pyqtgraph as pg
 
-        self.frame = PlotFrame(seconds=False)
+        self.frame = PlotFrame("logarithm")
         self.box = self.frame.box
         self.box.setMouseEnabled(x=False, y=False)
         self.line = pg.InfiniteLine(movable=True)

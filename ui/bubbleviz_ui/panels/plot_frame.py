@@ -5,7 +5,7 @@ pyqtgraph is imported with the first plot: the window starts 0.2 s earlier.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from PySide6.QtGui import QColor
 
@@ -20,8 +20,8 @@ class PlotFrame:
 
     Parameters
     ----------
-    seconds : bool
-        The axis below is time, else a logarithm.
+    below : {"seconds", "logarithm", "number"}
+        What the axis below has.
 
     Attributes
     ----------
@@ -33,12 +33,13 @@ class PlotFrame:
         What is written above, as HTML.
     """
 
-    def __init__(self, *, seconds: bool) -> None:
+    def __init__(self, below: Literal["seconds", "logarithm", "number"]) -> None:
         import pyqtgraph as pg
 
         self.box = pg.ViewBox(enableMenu=False)
-        self._axes = [pg.AxisItem("left"), _seconds() if seconds else pg.AxisItem("bottom")]
-        self._axes[1].setLogMode(not seconds)
+        timed = below == "seconds"
+        self._axes = [pg.AxisItem("left"), _seconds() if timed else pg.AxisItem("bottom")]
+        self._axes[1].setLogMode(below == "logarithm")
         self.item = pg.GraphicsLayout()
         self.item.setContentsMargins(0, HEAD, 4, 0)
         self.item.layout.setSpacing(0)

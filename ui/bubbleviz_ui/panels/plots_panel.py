@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, QTimer
-from PySide6.QtGui import QPalette, QResizeEvent, QShowEvent
+from PySide6.QtCore import QTimer
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
@@ -21,6 +21,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 
 EVERY_MS = 200
@@ -42,7 +43,7 @@ class PlotsPanel(QWidget):
         self._due.setSingleShot(True)
         self._due.setInterval(EVERY_MS)
         self._due.timeout.connect(lambda: self._draw())
-        self._grid: Any = None
+        self._host = PlotHost(self._make)
         self._arranged: list[tuple[int, int, int]] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
@@ -74,6 +75,7 @@ class PlotsPanel(QWidget):
         row.addStretch(1)
         row.addWidget(self.hint)
         self._column.addLayout(row)
+        self._column.addWidget(self._host, 1)
         self.progress.setFixedWidth(160)
         self.progress.hide()
         self.cancel.hide()
@@ -83,6 +85,7 @@ class PlotsPanel(QWidget):
         self.cancel.clicked.connect(lambda: self._controller.analysis.stop())
         self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._show_kappa)
+        self._host.seen.connect(self._on_seen)
 
     # -- events -------------------------------------------------------------------------------
 
@@ -100,7 +103,7 @@ class PlotsPanel(QWidget):
 
     def _later(self) -> None:
         """Draw soon, once for all that changes until then."""
-        if self._grid is not None and self.isVisible() and not self._due.isActive():
+        if self._host.ready and not self._due.isActive():
             self._due.start()
 
     def _show_all_time(self) -> None:
@@ -118,11 +121,8 @@ class PlotsPanel(QWidget):
         self.progress.setValue(done)
         self.progress.setFormat(f"{done} / {frames}")
 
-    def showEvent(self, event: QShowEvent) -> None:
-        """Load the plotting library when it is needed first."""
-        super().showEvent(event)
-        if self._grid is None:
-            self._make()
+    def _on_seen(self) -> None:
+        self._arrange()
         self._draw()
         self._show_kappa()
 
@@ -131,31 +131,18 @@ class PlotsPanel(QWidget):
         super().resizeEvent(event)
         self._arrange()
 
-    def changeEvent(self, event: QEvent) -> None:
-        """Follow the window's theme."""
-        super().changeEvent(event)
-        if event.type() == QEvent.Type.PaletteChange and self._grid is not None:
-            self._paint_theme()
-
     # -- drawing ------------------------------------------------------------------------------
 
-    def _make(self) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
-
-        self._grid = pg.GraphicsLayoutWidget()
-        self._grid.ci.layout.setSpacing(2)
-        self._grid.ci.setContentsMargins(0, 0, 0, 0)
-        self._column.addWidget(self._grid, 1)
+    def _make(self) -> list[Part]:
         for name, trace in TRACES.items():
             self.plots[name] = plot = TimePlot(trace)
             plot.box.sigXRangeChanged.connect(self._on_zoomed)
             plot.cursor.sigDragged.connect(self._on_dragged)
         self.kappa = KappaPlot()
         self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
-        self._grid.scene().sigMouseClicked.connect(self._on_click)
-        self._paint_theme()
-        self._arrange()
+        self._host.canvas.scene().sigMouseClicked.connect(self._on_click)
         self._show_all_time()
+        return [*self.plots.values(), self.kappa]
 
     def _shown(self) -> list[Any]:
         everything: dict[str, Any] = {**self.plots, "kappa": self.kappa}
@@ -163,7 +150,7 @@ class PlotsPanel(QWidget):
 
     def _arrange(self) -> None:
         """Put the chosen plots into a grid."""
-        if self._grid is None:
+        if self._host.canvas is None:
             return
         shown = self._shown()
         columns = min(max(self.width() // CELL[0], 1), max(len(shown), 1))
@@ -172,18 +159,16 @@ class PlotsPanel(QWidget):
         if wanted == self._arranged:
             return
         self._arranged = wanted
-        self._grid.setMinimumHeight(CELL[1] * -(-len(shown) // columns))
-        self._grid.ci.clear()
+        self._host.canvas.setMinimumHeight(CELL[1] * -(-len(shown) // columns))
+        self._host.arrange([plot.frame.item for plot in shown], columns)
         timed = [plot for plot in shown if isinstance(plot, TimePlot)]
-        for k, plot in enumerate(shown):
-            self._grid.ci.addItem(plot.frame.item, k // columns, k % columns)
         for plot in timed[1:]:
             plot.box.setXLink(timed[0].box)
 
     def _draw(self) -> None:
         """Draw all curves anew."""
         facts = self._state.facts
-        if self._grid is None or not self.isVisible() or facts is None:
+        if not self._host.ready or facts is None:
             return
         if facts.grows and not self._state.frozen:
             self._follow(float(facts.times_s[-1]))
@@ -199,15 +184,15 @@ class PlotsPanel(QWidget):
 
     def _draw_cursor(self) -> None:
         facts = self._state.facts
-        if self._grid is None or not self.isVisible() or facts is None:
+        if not self._host.ready or facts is None:
             return
         frame = min(self._state.frame, facts.frames - 1)
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
 
-    def _show_kappa(self, _: object = None) -> None:
-        if self.kappa is not None and self.isVisible() and "kappa" in self._state.choices.plots:
+    def _show_kappa(self) -> None:
+        if self.kappa is not None and self._host.ready and "kappa" in self._state.choices.plots:
             result, curve = self._controller.result, self._controller.inspection.kappa_curve
             self.kappa.draw(curve, result, self._state.choices.kappa, self._state.units)
 
@@ -231,11 +216,3 @@ class PlotsPanel(QWidget):
         facts = self._state.facts
         if facts is not None:
             self._state.seek(int(np.abs(facts.times_s - time_s).argmin()))
-
-    def _paint_theme(self) -> None:
-        roles, palette = QPalette.ColorRole, self.palette()
-        self._grid.setBackground(palette.color(roles.Base))
-        text = palette.color(roles.PlaceholderText)
-        for plot in [*self.plots.values(), self.kappa]:
-            if plot is not None:
-                plot.paint(text, palette.color(roles.Text))

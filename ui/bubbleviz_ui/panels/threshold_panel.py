@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from PySide6.QtCore import QEvent, Qt
-from PySide6.QtGui import QPalette, QShowEvent
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QDoubleSpinBox,
@@ -29,6 +29,7 @@ from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind_quantity
 from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.plot_host import Part, PlotHost
 
 ROW = 20
 """Height of a row of the table, screen pixels."""
@@ -46,7 +47,9 @@ class ThresholdPanel(QWidget):
         self.setObjectName("threshold")
         self._state, self._controller = state, controller
         self._mesh: MembraneMesh | None = None
-        self._grid: Any = None
+        self._host = PlotHost(self._make)
+        self._host.setMinimumHeight(HEIGHT)
+        self._host.seen.connect(self._draw)
         self.histogram: KappaHistogram | None = None
         self.curve: KappaPlot | None = None
         self.table = QTableWidget(0, len(COLUMNS))
@@ -63,13 +66,14 @@ class ThresholdPanel(QWidget):
         state.choices_changed.connect(self._draw)
 
     def _lay_out(self) -> None:
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(8, 6, 8, 8)
-        self._column.setSpacing(6)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(8, 6, 8, 8)
+        column.setSpacing(6)
+        column.addWidget(self._host, 2)
         row = QHBoxLayout()
         row.addWidget(QLabel("Leave out parts below"))
         row.addWidget(self.least, 1)
-        self._column.addLayout(row)
+        column.addLayout(row)
         table = self.table
         table.setHorizontalHeaderLabels(list(COLUMNS))
         table.verticalHeader().hide()
@@ -80,38 +84,17 @@ class ThresholdPanel(QWidget):
         table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         table.setMinimumHeight(96)
-        self._column.addWidget(table, 1)
+        column.addWidget(table, 1)
 
-    def _make(self) -> None:
-        """Load the plotting library when it is needed first."""
-        import pyqtgraph as pg  # 0.2 s later than the window
-
-        self._grid = pg.GraphicsLayoutWidget()
-        self._grid.setMinimumHeight(HEIGHT)
-        self._grid.ci.setContentsMargins(0, 0, 0, 0)
+    def _make(self) -> list[Part]:
         self.histogram, self.curve = KappaHistogram(), KappaPlot()
-        self._grid.ci.addItem(self.histogram.frame.item, 0, 0)
-        self._grid.ci.addItem(self.curve.frame.item, 1, 0)
+        self._host.arrange([self.histogram.frame.item, self.curve.frame.item])
         self.curve.box.setXLink(self.histogram.box)
         for plot in (self.histogram, self.curve):
             plot.line.sigPositionChangeFinished.connect(self._on_dragged)
-        self._column.insertWidget(0, self._grid, 2)
-        self._paint_theme()
+        return [self.histogram, self.curve]
 
     # -- events -------------------------------------------------------------------------------
-
-    def showEvent(self, event: QShowEvent) -> None:
-        """Draw what there is."""
-        super().showEvent(event)
-        if self._grid is None:
-            self._make()
-        self._draw()
-
-    def changeEvent(self, event: QEvent) -> None:
-        """Follow the window's theme."""
-        super().changeEvent(event)
-        if event.type() == QEvent.Type.PaletteChange and self._grid is not None:
-            self._paint_theme()
 
     def _on_opened(self, opened: Opened) -> None:
         self._mesh = opened.mesh
@@ -122,7 +105,7 @@ class ThresholdPanel(QWidget):
     # -- drawing ------------------------------------------------------------------------------
 
     def _draw(self) -> None:
-        if self._grid is None or not self.isVisible():
+        if not self._host.ready:
             return
         result, inspection = self._controller.result, self._controller.inspection
         units = self._state.units
@@ -159,10 +142,3 @@ class ThresholdPanel(QWidget):
         if not parts:
             self.table.setRowCount(1)
             self.table.setItem(0, 0, QTableWidgetItem(NOTHING))
-
-    def _paint_theme(self) -> None:
-        roles, palette = QPalette.ColorRole, self.palette()
-        self._grid.setBackground(palette.color(roles.Base))
-        for plot in (self.histogram, self.curve):
-            if plot is not None:
-                plot.paint(palette.color(roles.PlaceholderText), palette.color(roles.Text))

@@ -84,7 +84,7 @@ class TimePlot:
 
         self.trace = trace
         self._history: History | None = None
-        self.frame = PlotFrame(seconds=True)
+        self.frame = PlotFrame("seconds")
         self.box = self.frame.box
         self.box.setMouseEnabled(x=True, y=False)
         self.box.enableAutoRange(y=True)

@@ -108,11 +108,6 @@ class PosePanel(QWidget):
         """Look for the object of a mesh file, in the unit that is chosen."""
         self.session.choose(str(path.absolute()))
 
-    def close_plots(self) -> None:
-        """Let go of the plots before the window is gone."""
-        if self._curves is not None:
-            self._curves.close_plots()
-
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
         self.object.setToolTip("Object to look for: a preset, or a mesh file dropped here")
