@@ -132,8 +132,7 @@ class MainWindow(QMainWindow):
         self._lay_out()
         self.menus = Menus(self.menuBar(), self, self.session_saver)
         self.shortcuts = Shortcuts(self.menuBar())
-        self._rates = QTimer(self)
-        self._rates.setInterval(RATES_EVERY_MS)
+        self._rates = QTimer(self, interval=RATES_EVERY_MS)
         self._connect()
 
     def open_file(self, path: Path) -> None:

@@ -24,8 +24,7 @@ class RectificationPage(Page):
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
         self.before, self.after = ImageView("around zero"), ImageView("around zero")
-        self.levels = QLabel()
-        self.levels.setWordWrap(True)
+        self.levels = QLabel(wordWrap=True)
         self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
         self.add.setToolTip("Recording of the untouched membrane at another gauge pressure")
         self.drop.setToolTip("Take the recording added last out again")

@@ -42,11 +42,9 @@ class ReportPage(Page):
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
-        self.advice = QLabel()
-        self.advice.setWordWrap(True)
+        self.advice = QLabel(wordWrap=True)
         self.advice.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.compared = QLabel()
-        self.compared.setWordWrap(True)
+        self.compared = QLabel(wordWrap=True)
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["", "in use", "new"])
         self.view = ImageView("around zero")

@@ -35,9 +35,7 @@ class SurfacePage(Page):
         self.choice.addItem("as the data say", None)
         for name in NAMES:
             self.choice.addItem(name, name)
-        self.nodes = QSpinBox()
-        self.nodes.setRange(30, 20_000)
-        self.nodes.setSingleStep(100)
+        self.nodes = QSpinBox(minimum=30, maximum=20_000, singleStep=100)
         self.nodes.setKeyboardTracking(False)
         self.paint = QPushButton("Paint the residual in the 3-D view")
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")

@@ -53,8 +53,7 @@ class LiveController(QObject):
         self.connection: Connection | None = None
         self.run: LiveRun | None = None
         self._marked: frozenset[int] = frozenset()
-        self._timer = QTimer(self)
-        self._timer.setInterval(LOOK_MS)
+        self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self._on_tick)
         self._due = True
         for part in (self.recording, self.publishing):

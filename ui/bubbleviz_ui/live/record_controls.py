@@ -32,10 +32,9 @@ class RecordControls(QWidget):
         self.button.setText("● Record")
         self.button.setCheckable(True)
         self.button.setToolTip("Record (Ctrl+R)")
-        self.pre_roll = QDoubleSpinBox()
-        self.pre_roll.setRange(0.0, MOST_PRE_ROLL_S)
-        self.pre_roll.setDecimals(1)
-        self.pre_roll.setSuffix(" s before")
+        self.pre_roll = QDoubleSpinBox(
+            minimum=0.0, maximum=MOST_PRE_ROLL_S, decimals=1, suffix=" s before"
+        )
         bind(self.pre_roll, live.state, "pre_roll_s")
         self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
         self.folder = QToolButton()

@@ -34,8 +34,7 @@ class Discovery(QObject):
         self._source: LiveSource | None = None
         self._asked = ""
         self._jobs = Jobs("discovery")
-        self._timer = QTimer(self)
-        self._timer.setInterval(LOOK_MS)
+        self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self._look)
 
     def look_at(self, text: str, sensor: Sensor) -> None:

@@ -37,9 +37,7 @@ class ImagesPanel(QWidget):
         self._host.seen.connect(self._draw)
         self._arranged: list[tuple[str, int]] | None = None
         self.cells: dict[str, ImageCell] = {}
-        self._due = QTimer(self)
-        self._due.setSingleShot(True)
-        self._due.setInterval(EVERY_MS)
+        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._draw)
         titles = {name: picture.title for name, picture in PICTURES.items()}
         tip = "What is shown, and so computed"

@@ -39,9 +39,7 @@ class PlotsPanel(QWidget):
         super().__init__()
         self.setObjectName("plots")
         self._state, self._controller = state, controller
-        self._due = QTimer(self)
-        self._due.setSingleShot(True)
-        self._due.setInterval(EVERY_MS)
+        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(lambda: self._draw())
         self._host = PlotHost(self._make)
         self._arranged: list[tuple[int, int, int]] | None = None

@@ -32,9 +32,7 @@ class Player(QObject):
         self._clock: PlayClock | None = None
         self._read_s = 0.0
         self._came = -1
-        self._timer = QTimer(self)
-        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
-        self._timer.setInterval(TICK_MS)
+        self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=TICK_MS)
         self._timer.timeout.connect(lambda: self._tick())
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)

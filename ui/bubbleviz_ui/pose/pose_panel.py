@@ -84,9 +84,7 @@ class PosePanel(QWidget):
         self._lay_out()
         self._connect()
         keep_keys(self)
-        self._due = QTimer(self)
-        self._due.setSingleShot(True)
-        self._due.setInterval(EVERY_MS)
+        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(lambda: self._write())
         self._write()
 

@@ -81,8 +81,7 @@ class SessionSaver(QObject):
         self._copied: tuple[Sensor, Path, Path] | None = None
         self._file: Path | None = None
         self._written: UserFile | None = None
-        self._timer = QTimer(self)
-        self._timer.setInterval(EVERY_MS)
+        self._timer = QTimer(self, interval=EVERY_MS)
         self._timer.timeout.connect(lambda: self._autosave())
         window.controller.opened.connect(self._on_opened)
         window.controller.failed.connect(self._on_failed)

@@ -27,8 +27,7 @@ class _Bar(QFrame):
     def __init__(self, parent: QWidget, name: str, *widgets: QWidget) -> None:
         super().__init__(parent)
         self.setObjectName(name)
-        self.label = QLabel()
-        self.label.setWordWrap(True)
+        self.label = QLabel(wordWrap=True)
         row = QHBoxLayout(self)
         row.setContentsMargins(12, 6, 8, 6)
         row.addWidget(self.label, 1)
@@ -61,15 +60,12 @@ class BusyBar(_Bar):
     """What is being opened, once it takes a while."""
 
     def __init__(self, parent: QWidget) -> None:
-        self.progress = QProgressBar()
-        self.progress.setRange(0, 0)
+        self.progress = QProgressBar(minimum=0, maximum=0)
         self.progress.setFixedWidth(160)
         self.cancel = QPushButton("Cancel")
         self.cancel.setToolTip("What was open stays")
         super().__init__(parent, "busy", self.progress, self.cancel)
-        self._due = QTimer(self)
-        self._due.setSingleShot(True)
-        self._due.setInterval(SHOWN_AFTER_MS)
+        self._due = QTimer(self, singleShot=True, interval=SHOWN_AFTER_MS)
         self._due.timeout.connect(self.show)
 
     def wait_for(self, what: str) -> None:

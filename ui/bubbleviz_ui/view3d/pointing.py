@@ -28,9 +28,7 @@ class Pointing(QObject):
         super().__init__(view)
         self._state, self._scene, self._hover = state, scene, hover
         self._at = (0.0, 0.0)
-        self._due = QTimer(self)
-        self._due.setSingleShot(True)
-        self._due.setInterval(EVERY_MS)
+        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._pick)
         view.moved.connect(self._on_moved)
         view.left.connect(self._on_left)

@@ -71,8 +71,7 @@ class View(QtInteractor):  # type: ignore[misc]
         self.renders = RateMeter()
         self.render_count = 0
         self.busy_s = 0.0
-        self._due = QTimer(self)
-        self._due.setSingleShot(True)
+        self._due = QTimer(self, singleShot=True)
         self._due.timeout.connect(self._draw)
         self.frameSwapped.connect(self._on_screen)
         # Plain: a gradient costs a quarter of an empty render.

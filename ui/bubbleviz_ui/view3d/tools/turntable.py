@@ -19,9 +19,7 @@ class Turntable(QObject):
         super().__init__(view)
         self._view = view
         self._last_s = 0.0
-        self._timer = QTimer(self)
-        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
-        self._timer.setInterval(EVERY_MS)
+        self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=EVERY_MS)
         self._timer.timeout.connect(self._turn)
 
     @property

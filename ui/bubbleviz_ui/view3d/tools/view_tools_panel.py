@@ -103,10 +103,9 @@ class ViewTools(QWidget):
     def _make_settings(self) -> None:
         self.colour_map = options(QComboBox(), {name: name for name in COLOUR_MAPS})
         self.colour_map.setToolTip("Colours of the contact pressure, perceptually uniform")
-        self.exaggeration = QDoubleSpinBox()
-        self.exaggeration.setRange(0.0, MOST_EXAGGERATED)
-        self.exaggeration.setSingleStep(0.5)
-        self.exaggeration.setSuffix(" ×")
+        self.exaggeration = QDoubleSpinBox(
+            minimum=0.0, maximum=MOST_EXAGGERATED, singleStep=0.5, suffix=" ×"
+        )
         self.exaggeration.setToolTip("Displacement u drawn so many times as large")
         self.section = options(QComboBox(), SECTIONS)
         self.section_at = QSlider(Qt.Orientation.Horizontal)
@@ -262,8 +261,7 @@ class ViewTools(QWidget):
 
 
 def _pixels() -> QSpinBox:
-    box = QSpinBox()
-    box.setRange(16, LARGEST_PIXELS)
+    box = QSpinBox(minimum=16, maximum=LARGEST_PIXELS)
     box.setKeyboardTracking(False)
     box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
     box.setToolTip("Pixels")
