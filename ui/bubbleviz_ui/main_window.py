@@ -40,6 +40,7 @@ from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.costs_popup import CostsPopup
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.status_bar import Rates, StatusBar
 from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
@@ -223,14 +224,16 @@ class MainWindow(QMainWindow):
 
     def _lay_out(self) -> None:
         centre = QWidget()
-        column = QVBoxLayout(centre)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.message)
-        column.addWidget(self.busy)
-        column.addWidget(self.hint)
-        column.addWidget(self.live)
-        column.addWidget(self.view, 1)
+        fill(
+            QVBoxLayout(centre),
+            self.message,
+            self.busy,
+            self.hint,
+            self.live,
+            (self.view, 1),
+            margins=(0, 0, 0, 0),
+            spacing=0,
+        )
         self.setCentralWidget(centre)
         self.setStatusBar(self.status)
         self.panels = self._make_docks()

@@ -37,6 +37,7 @@ from bubbleviz_ui.calibration.validation_page import ValidationPage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 
@@ -255,22 +256,15 @@ class Gamma0Panel(QWidget):
             self.stack.addWidget(_scrolling(page))
         self.title.setObjectName("value")
         row.addStretch(1)
-        column.addLayout(row)
-        column.addWidget(self.title)
-        column.addWidget(self.stack, 1)
+        fill(column, row, self.title, (self.stack, 1))
         for label in (self.verdict, self.message):
             label.setWordWrap(True)
             label.hide()
             column.addWidget(label)
         self.message.setObjectName("dim")
-        working = QHBoxLayout()
-        working.addWidget(self.progress, 1)
-        working.addWidget(self.cancel)
+        working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
         column.addLayout(working)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.back)
-        buttons.addWidget(self.all)
-        buttons.addWidget(self.next, 1)
+        buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1))
         column.addLayout(buttons)
         self.all.setToolTip("All steps at once")
 

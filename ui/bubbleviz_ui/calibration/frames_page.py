@@ -25,6 +25,7 @@ from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.frame_collector import Collector
 from bubbleviz_ui.calibration.score_plot import ScorePlot
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.playback.range_strip import RangeStrip
 
 ENDED_BY = {
@@ -52,6 +53,7 @@ class FramesPage(Page):
         self.first.setToolTip("First frame of a contact-free range to add")
         self.last.setToolTip("Last frame of a contact-free range to add")
         self.add.setToolTip("Add these frames to the contact-free ones")
+        self.take_out.setToolTip("Take these frames out of the contact-free ones")
         self.find_again.setToolTip("Search the recording for contact-free frames anew")
         self.collect = CollectBox(calibration, units)
         self._lay_out()
@@ -110,24 +112,18 @@ class FramesPage(Page):
         self.set_ranges(left, f"Take out frames {first}–{last}")
 
     def _lay_out(self) -> None:
-        self.column.addWidget(self.plot)
-        self.column.addWidget(self.strip)
-        self.column.addWidget(self.said)
-        row = QHBoxLayout()
-        row.addWidget(QLabel("frames"))
-        row.addWidget(self.first)
-        row.addWidget(QLabel("to"))
-        row.addWidget(self.last)
-        row.addWidget(self.add)
-        row.addWidget(self.take_out)
-        row.addStretch(1)
-        self.column.addLayout(row)
-        self.column.addWidget(self.find_again)
-        self.column.addWidget(self.collect)
-        self.column.addStretch(1)
-        self.first.setToolTip("First frame of a sample")
-        self.last.setToolTip("Last frame of a sample")
-        self.take_out.setToolTip("Leave this sample out; what the others gave is kept")
+        fill(self.column, self.plot, self.strip, self.said)
+        row = fill(
+            QHBoxLayout(),
+            QLabel("frames"),
+            self.first,
+            QLabel("to"),
+            self.last,
+            self.add,
+            self.take_out,
+            1,
+        )
+        fill(self.column, row, self.find_again, self.collect, 1)
 
 
 class CollectBox(QGroupBox):
@@ -168,18 +164,11 @@ class CollectBox(QGroupBox):
         self.untouched.setToolTip("As the sensor in use sees it")
         self.stop.setText("Use what is there")
         self.cancel.setText("Cancel")
-        column = QVBoxLayout(self)
-        row = QHBoxLayout()
-        for widget in (self.count, QLabel("or until ±"), self.target):
-            row.addWidget(widget)
-        row.addStretch(1)
-        column.addLayout(row)
-        column.addWidget(self.untouched)
+        row = fill(QHBoxLayout(), self.count, QLabel("or until ±"), self.target, 1)
         buttons = QHBoxLayout()
         for button in (self.button, self.stop, self.cancel):
             buttons.addWidget(button)
-        column.addLayout(buttons)
-        column.addWidget(self.said)
+        fill(QVBoxLayout(self), row, self.untouched, buttons, self.said)
 
     def _start(self) -> None:
         calibration = self._calibration

@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz_ui.model.units import NOTHING, Unit
 from bubbleviz_ui.panels.image_cell import MAPS, ImageCell, Kind, Picture
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 
 HEIGHT, BAR = 290, 10
@@ -39,14 +40,8 @@ class ImageView(QWidget):
         self._host = PlotHost(self._make)
         self.title, self.value = QLabel(wordWrap=True), QLabel()
         self.value.setObjectName("dim")
-        row = QHBoxLayout()
-        row.addWidget(self.title, 1)
-        row.addWidget(self.value)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(3)
-        column.addLayout(row)
-        column.addWidget(self._host)
+        row = fill(QHBoxLayout(), (self.title, 1), self.value)
+        fill(QVBoxLayout(self), row, self._host, margins=(0, 0, 0, 0), spacing=3)
 
     def show_image(
         self, title: str, image: np.ndarray | None, unit: Unit, low: float, high: float

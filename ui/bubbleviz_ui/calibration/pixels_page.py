@@ -14,6 +14,7 @@ from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.panels.layouts import fill
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
 USED = Unit("", 1.0, 0)
@@ -41,10 +42,7 @@ class PixelsPage(Page):
         form.addRow("Picture", self.picture)
         form.addRow("Valid in", self.validity)
         form.addRow("Deviations", self.deviations)
-        self.column.addWidget(self.view)
-        self.column.addLayout(form)
-        self.column.addWidget(self.numbers)
-        self.column.addStretch(1)
+        fill(self.column, self.view, form, self.numbers, 1)
         self.picture.currentIndexChanged.connect(lambda _: self._show_picture(calibration.answer))
         self.validity.changed = lambda v, gesture: calibration.edit(
             "Validity threshold", gesture, min_validity=v or None

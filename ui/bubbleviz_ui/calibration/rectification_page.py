@@ -13,6 +13,7 @@ from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.layouts import fill
 
 
 class RectificationPage(Page):
@@ -31,16 +32,8 @@ class RectificationPage(Page):
         self.vented = QPushButton("Open chamber…")
         self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
         self.numbers = Numbers()
-        row = QHBoxLayout()
-        row.addWidget(self.add)
-        row.addWidget(self.drop)
-        row.addWidget(self.vented)
-        self.column.addWidget(self.before)
-        self.column.addWidget(self.after)
-        self.column.addWidget(self.numbers)
-        self.column.addWidget(self.levels)
-        self.column.addLayout(row)
-        self.column.addStretch(1)
+        row = fill(QHBoxLayout(), self.add, self.drop, self.vented)
+        fill(self.column, self.before, self.after, self.numbers, self.levels, row, 1)
         self.add.clicked.connect(self._choose_level)
         self.vented.clicked.connect(self._choose_vented)
         self.drop.clicked.connect(

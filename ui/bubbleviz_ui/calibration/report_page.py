@@ -22,6 +22,7 @@ from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.panels.layouts import fill
 
 
 class ReportPage(Page):
@@ -114,14 +115,7 @@ class ReportPage(Page):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.use_it)
-        buttons.addWidget(self.save_as)
-        for widget in (self.compared, self.table):
-            self.column.addWidget(widget)
-        self.column.addLayout(buttons)
-        self.column.addWidget(self.view)
-        self.column.addWidget(self.advice)
-        self.column.addStretch(1)
+        buttons = fill(QHBoxLayout(), self.use_it, self.save_as)
+        fill(self.column, self.compared, self.table, buttons, self.view, self.advice, 1)
         self.use_it.setToolTip("Open the new sensor on the present source; undo goes back")
         self.save_as.setToolTip("Sensor file, mesh, pixels and report, all or nothing")

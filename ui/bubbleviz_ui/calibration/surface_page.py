@@ -13,6 +13,7 @@ from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.layouts import fill
 
 
 class SurfacePage(Page):
@@ -45,11 +46,7 @@ class SurfacePage(Page):
         form = QFormLayout()
         form.addRow("Surface", self.choice)
         form.addRow("Nodes of the mesh", self.nodes)
-        self.column.addWidget(self.view)
-        self.column.addLayout(form)
-        self.column.addWidget(self.numbers)
-        self.column.addWidget(self.paint)
-        self.column.addStretch(1)
+        fill(self.column, self.view, form, self.numbers, self.paint, 1)
         self.choice.activated.connect(
             lambda row: calibration.edit("Choose the surface", surface=self.choice.itemData(row))
         )

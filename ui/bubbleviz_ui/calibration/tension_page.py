@@ -8,6 +8,7 @@ from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.layouts import fill
 
 SPREAD = 0.2
 """Of γ0, at the ends of the picture's colours."""
@@ -23,9 +24,7 @@ class TensionPage(Page):
         super().__init__(calibration, units)
         self.view = ImageView()
         self.numbers = Numbers()
-        self.column.addWidget(self.view)
-        self.column.addWidget(self.numbers)
-        self.column.addStretch(1)
+        fill(self.column, self.view, self.numbers, 1)
 
     def enter(self) -> None:
         """Estimate γ0."""

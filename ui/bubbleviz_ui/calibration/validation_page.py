@@ -22,6 +22,7 @@ from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.layouts import fill
 
 
 class ValidationPage(Page):
@@ -115,18 +116,10 @@ class ValidationPage(Page):
         form = QFormLayout()
         form.addRow("Object", self.obj)
         form.addRow("Pose T_B_O", self.pose)
-        frames = QHBoxLayout()
-        for widget in (self.first, QLabel("to"), self.last):
-            frames.addWidget(widget)
-        frames.addStretch(1)
+        frames = fill(QHBoxLayout(), self.first, QLabel("to"), self.last, 1)
         form.addRow("Frames", frames)
         self.column.addLayout(form)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.predict)
-        buttons.addWidget(self.leave_out)
-        self.column.addLayout(buttons)
-        self.column.addWidget(self.numbers)
-        self.column.addWidget(self.paint)
-        self.column.addStretch(1)
+        buttons = fill(QHBoxLayout(), self.predict, self.leave_out)
+        fill(self.column, buttons, self.numbers, self.paint, 1)
         self.obj.setToolTip("Object preset, or a mesh file")
         self.pose.setToolTip("x y z qx qy qz qw in m; origin in the middle of the rim plane")

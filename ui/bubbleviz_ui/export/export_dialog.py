@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.export.export_kinds import KINDS, Kind
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.layouts import fill
 
 RANGE, ALL = False, True
 MOST_STEP = 1000
@@ -77,23 +78,12 @@ class ExportDialog(QDialog):
     # -- inside -------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
-        which = QHBoxLayout()
-        which.addWidget(self.frames, 1)
-        which.addWidget(self.step)
+        which = fill(QHBoxLayout(), (self.frames, 1), self.step)
         form = QFormLayout()
         form.addRow("What", self.kind)
         form.addRow("Frames", which)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.progress, 1)
-        buttons.addStretch()
-        buttons.addWidget(self.cancel)
-        buttons.addWidget(self.export)
-        column = QVBoxLayout(self)
-        column.addLayout(form)
-        for widget in (self.about, self.said):
-            column.addWidget(widget)
-        column.addStretch(1)
-        column.addLayout(buttons)
+        buttons = fill(QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.export)
+        fill(QVBoxLayout(self), form, self.about, self.said, 1, buttons)
 
     def _connect(self) -> None:
         exporting = self._exporting

@@ -30,6 +30,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.source_discovery import Discovery
+from bubbleviz_ui.panels.layouts import fill
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
 KINDS = {
@@ -125,9 +126,7 @@ class ConnectDialog(QDialog):
         return single(self.uri, name)
 
     def _lay_out(self) -> None:
-        where = QHBoxLayout()
-        where.addWidget(self.place, 1)
-        where.addWidget(self.browse)
+        where = fill(QHBoxLayout(), (self.place, 1), self.browse)
         self._form = form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         form.addRow("From", self.kind)
@@ -135,10 +134,7 @@ class ConnectDialog(QDialog):
         form.addRow("Depth images", self.topics)
         form.addRow("Sensor", self.sensor)
         form.addRow("Source", self.source)
-        column = QVBoxLayout(self)
-        column.addLayout(form)
-        column.addWidget(self.problem)
-        column.addWidget(self.buttons)
+        fill(QVBoxLayout(self), form, self.problem, self.buttons)
 
     def _connect(self) -> None:
         self.kind.currentIndexChanged.connect(lambda _: self._show_kind())

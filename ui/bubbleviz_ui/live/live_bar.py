@@ -15,6 +15,7 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.record_controls import RecordControls
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.shell import theme
 
 DOTS: dict[State, str] = {
@@ -107,17 +108,9 @@ class LiveBar(QFrame):
         return button
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 5, 8, 5)
-        column.setSpacing(3)
         self._row = QHBoxLayout()
-        self._row.setSpacing(6)
-        self._row.addWidget(self.state)
-        self._row.addStretch(1)
-        for widget in (self.record, self.zero, self.publish, self.leave):
-            self._row.addWidget(widget)
-        column.addLayout(self._row)
-        column.addWidget(self.counts)
+        fill(self._row, self.state, 1, self.record, self.zero, self.publish, self.leave, spacing=6)
+        fill(QVBoxLayout(self), self._row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
         live = self._live

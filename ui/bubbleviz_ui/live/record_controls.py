@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState
 from bubbleviz_ui.panels.binding import bind
+from bubbleviz_ui.panels.layouts import fill
 
 MOST_PRE_ROLL_S = 60.0
 
@@ -46,10 +47,15 @@ class RecordControls(QWidget):
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
         self._noted_ns: int | None = None
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        for widget in (self.progress, self.note, self.pre_roll, self.folder, self.button):
-            row.addWidget(widget)
+        fill(
+            QHBoxLayout(self),
+            self.progress,
+            self.note,
+            self.pre_roll,
+            self.folder,
+            self.button,
+            margins=(0, 0, 0, 0),
+        )
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(live.toggle_recording)
         self.folder.clicked.connect(self._choose_folder)

@@ -27,6 +27,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 
 NODES = (100, 5_000, 100)
 """Fewest and most nodes to choose, and a step; all below MAX_NODES."""
@@ -127,8 +128,6 @@ class ComparePanel(QWidget):
         state.choices_changed.connect(self._on_choices)
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(6, 8, 2, 8)
         grid = QGridLayout()
         grid.setHorizontalSpacing(4)
         grid.setVerticalSpacing(3)
@@ -157,11 +156,9 @@ class ComparePanel(QWidget):
                 grid.addWidget(each.values[name], row, place)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
-        column.addLayout(grid)
         self.hint = QLabel("Force error and IoU need a simulation's truth.", wordWrap=True)
         self.hint.setObjectName("dim")
-        column.addWidget(self.hint)
-        column.addStretch(1)
+        fill(QVBoxLayout(self), grid, self.hint, 1, margins=(6, 8, 2, 8))
 
     @property
     def _seen(self) -> bool:

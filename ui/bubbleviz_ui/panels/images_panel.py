@@ -17,6 +17,7 @@ from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 
 EVERY_MS = 150
@@ -55,10 +56,7 @@ class ImagesPanel(QWidget):
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(8, 4, 8, 4)
         self._column.setSpacing(4)
-        text = QVBoxLayout()
-        text.setSpacing(0)
-        for label in self.lines:
-            text.addWidget(label)
+        text = fill(QVBoxLayout(), *self.lines, spacing=0)
         self._column.addWidget(self.choose, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addLayout(text)
         self._column.addWidget(self._host, 1)

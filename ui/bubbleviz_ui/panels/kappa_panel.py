@@ -25,6 +25,7 @@ from bubbleviz.result import Patch, Result
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 
 LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100
@@ -79,21 +80,14 @@ class KappaPanel(QWidget):
         self._mesh = mesh
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 10, 12, 12)
-        column.addWidget(self.automatic)
-        row = QHBoxLayout()
-        row.addWidget(self.slider, 1)
-        row.addWidget(self.box)
-        column.addLayout(row)
+        row = fill(QHBoxLayout(), (self.slider, 1), self.box)
         form = QFormLayout()
         form.setHorizontalSpacing(16)
         form.addRow("Threshold", self.threshold)
         form.addRow("Patch area", self.area)
         form.addRow("Force", self.force)
         form.addRow("Solver", self.solver)
-        column.addLayout(form)
-        column.addStretch(1)
+        fill(QVBoxLayout(self), self.automatic, row, form, 1, margins=(12, 10, 12, 12))
 
     def _bind(self, state: SessionState) -> None:
         bind(self.solver, state, "solver")

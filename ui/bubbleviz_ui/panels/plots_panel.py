@@ -21,6 +21,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 
@@ -67,11 +68,9 @@ class PlotsPanel(QWidget):
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(8, 4, 8, 4)
         self._column.setSpacing(4)
-        row = QHBoxLayout()
-        for widget in (self.choose, self.analyse, self.progress, self.cancel):
-            row.addWidget(widget)
-        row.addStretch(1)
-        row.addWidget(self.hint)
+        row = fill(
+            QHBoxLayout(), self.choose, self.analyse, self.progress, self.cancel, 1, self.hint
+        )
         self._column.addLayout(row)
         self._column.addWidget(self._host, 1)
         self.progress.setFixedWidth(160)

@@ -29,6 +29,7 @@ from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind_quantity
 from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 
 ROW = 20
@@ -66,14 +67,7 @@ class ThresholdPanel(QWidget):
         state.choices_changed.connect(self._draw)
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(8, 6, 8, 8)
-        column.setSpacing(6)
-        column.addWidget(self._host, 2)
-        row = QHBoxLayout()
-        row.addWidget(QLabel("Leave out parts below"))
-        row.addWidget(self.least, 1)
-        column.addLayout(row)
+        row = fill(QHBoxLayout(), QLabel("Leave out parts below"), (self.least, 1))
         table = self.table
         table.setHorizontalHeaderLabels(list(COLUMNS))
         table.verticalHeader().hide()
@@ -84,7 +78,7 @@ class ThresholdPanel(QWidget):
         table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         table.setMinimumHeight(96)
-        column.addWidget(table, 1)
+        fill(QVBoxLayout(self), (self._host, 2), row, (table, 1), margins=(8, 6, 8, 8), spacing=6)
 
     def _make(self) -> list[Part]:
         self.histogram, self.curve = KappaHistogram(), KappaPlot()

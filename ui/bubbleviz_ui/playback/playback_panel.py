@@ -21,6 +21,7 @@ from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.playback.playback_icons import icon
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
@@ -104,27 +105,22 @@ class PlaybackPanel(QWidget):
         return button
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(MARGIN, 4, MARGIN, 6)
-        column.setSpacing(0)
-        column.addWidget(self.timeline)
-        column.addWidget(self.strip)
-        row = QHBoxLayout()
-        row.setContentsMargins(0, 4, 0, 0)
-        row.setSpacing(SPACING)
         back, on = list(self.jumps.values())[:2], list(self.jumps.values())[2:]
         moves = (self.first, *back, self.back, self.play, self.forward, *on, self.last)
-        for button in moves:
-            row.addWidget(button)
-        row.addStretch(1)
-        row.addWidget(self.readout)
-        row.addStretch(1)
         how = (self.mark, self.loop, self.freeze, self.now, self.mode, self.speed)
-        for widget in how:
-            row.addWidget(widget)
+        row = fill(
+            QHBoxLayout(), *moves, 1, self.readout, 1, *how, margins=(0, 4, 0, 0), spacing=SPACING
+        )
         self._in_row: tuple[QWidget, ...] = (*moves, self.readout, *how)
-        column.addLayout(row)
-        column.addStretch(1)
+        fill(
+            QVBoxLayout(self),
+            self.timeline,
+            self.strip,
+            row,
+            1,
+            margins=(MARGIN, 4, MARGIN, 6),
+            spacing=0,
+        )
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
 
     def _connect(self) -> None:

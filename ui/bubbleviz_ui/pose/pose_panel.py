@@ -28,6 +28,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
@@ -146,9 +147,7 @@ class PosePanel(QWidget):
         form.addRow("Shown", self.stage)
         column.addLayout(form)
         self._room = QVBoxLayout()
-        column.addLayout(self._room)
-        column.addLayout(_row(QLabel("Export"), self.csv, self.tum))
-        column.addStretch(1)
+        fill(column, self._room, _row(QLabel("Export"), self.csv, self.tum), 1)
         for name, value in self.values.items():
             value.setObjectName(f"pose_{name}")
             value.setWordWrap(True)

@@ -6,6 +6,7 @@ from PySide6.QtCore import QEvent, QObject, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QDialog, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.shell.fuzzy_search import ranked
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 
@@ -28,10 +29,7 @@ class CommandPalette(QDialog):
         self.list = QListWidget()
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(8, 8, 8, 8)
-        column.addWidget(self.search)
-        column.addWidget(self.list)
+        fill(QVBoxLayout(self), self.search, self.list, margins=(8, 8, 8, 8))
         self.search.textChanged.connect(self._find)
         self.search.installEventFilter(self)
         self.list.itemClicked.connect(lambda _: self.do())

@@ -13,6 +13,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz_ui.panels.layouts import fill
+
 SHOWN_AFTER_MS = 400
 """What is done sooner needs no bar."""
 HINT = (
@@ -28,11 +30,7 @@ class _Bar(QFrame):
         super().__init__(parent)
         self.setObjectName(name)
         self.label = QLabel(wordWrap=True)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(12, 6, 8, 6)
-        row.addWidget(self.label, 1)
-        for widget in widgets:
-            row.addWidget(widget)
+        fill(QHBoxLayout(self), (self.label, 1), *widgets, margins=(12, 6, 8, 6))
         self.hide()
 
 

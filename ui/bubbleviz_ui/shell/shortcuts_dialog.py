@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.shell.fuzzy_search import score
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 
@@ -72,10 +73,7 @@ class ShortcutsDialog(QDialog):
         for button in (self.set, self.clear, self.reset, self.reset_all):
             button.setAutoDefault(False)
             row.addWidget(button)
-        column = QVBoxLayout(self)
-        for widget in (self.search, table, self.problem):
-            column.addWidget(widget)
-        column.addLayout(row)
+        fill(QVBoxLayout(self), self.search, table, self.problem, row)
 
     def _connect(self) -> None:
         self.search.textChanged.connect(self._filter)

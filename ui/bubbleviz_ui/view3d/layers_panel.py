@@ -18,6 +18,7 @@ from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 
 CLOUD_POINTS = {
     5_000: "up to 5 000",
@@ -58,15 +59,9 @@ class LayersPanel(QWidget):
         return box
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 10, 12, 10)
-        column.setSpacing(5)
-        for box in self.boxes.values():
-            column.addWidget(box)
         line = QFrame()
         line.setObjectName("line")
         line.setFixedHeight(1)
-        column.addWidget(line)
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         form.addRow("Points by", self.cloud_colour)
@@ -74,7 +69,9 @@ class LayersPanel(QWidget):
         form.addRow("Opacity", self.opacity)
         form.addRow("Pressure to", self.pressure_max)
         form.addRow("Residual to ±", self.residual_max)
-        column.addLayout(form)
+        fill(
+            QVBoxLayout(self), *self.boxes.values(), line, form, margins=(12, 10, 12, 10), spacing=5
+        )
         self.cloud_colour.setToolTip("What colours the points; residual: measured minus modelled")
         self.cloud_points.setToolTip("Beyond that every n-th point is drawn; all are solved with")
         self.opacity.setToolTip("Opacity of the membrane, 10 … 100 %")

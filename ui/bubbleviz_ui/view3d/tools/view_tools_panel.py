@@ -33,6 +33,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -123,13 +124,6 @@ class ViewTools(QWidget):
         self.turn.setToolTip("Turntable: turn about the vertical, 30° a second")
 
     def _lay_out(self) -> None:
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 10, 12, 10)
-        column.setSpacing(6)
-        column.addLayout(_row(*self.views.values()))
-        column.addLayout(_row(*self.tools.values(), self.turn))
-        for label in self.said:
-            column.addWidget(label)
         form = QFormLayout()
         form.addRow("Colours", self.colour_map)
         form.addRow("Exaggerate u", self.exaggeration)
@@ -137,8 +131,16 @@ class ViewTools(QWidget):
         form.addRow(self.section_text, self.section_at)
         form.addRow("", self.flipped)
         form.addRow("Picture", _row(self.width_box, QLabel("×"), self.height_box, self.save))
-        column.addLayout(form)
-        column.addStretch(1)
+        fill(
+            QVBoxLayout(self),
+            _row(*self.views.values()),
+            _row(*self.tools.values(), self.turn),
+            *self.said,
+            form,
+            1,
+            margins=(12, 10, 12, 10),
+            spacing=6,
+        )
         self.setMinimumWidth(WIDTH)
         self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
 
@@ -269,9 +271,4 @@ def _pixels() -> QSpinBox:
 
 
 def _row(*widgets: QWidget) -> QHBoxLayout:
-    row = QHBoxLayout()
-    row.setSpacing(4)
-    for widget in widgets:
-        row.addWidget(widget)
-    row.addStretch(1)
-    return row
+    return fill(QHBoxLayout(), *widgets, 1, spacing=4)
