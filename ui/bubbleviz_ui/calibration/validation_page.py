@@ -121,5 +121,4 @@ class ValidationPage(Page):
         self.column.addLayout(form)
         buttons = fill(QHBoxLayout(), self.predict, self.leave_out)
         fill(self.column, buttons, self.numbers, self.paint, 1)
-        self.obj.setToolTip("Object preset, or a mesh file")
         self.pose.setToolTip("x y z qx qy qz qw in m; origin in the middle of the rim plane")
