@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
-from PySide6.QtWidgets import QApplication, QGraphicsView, QMainWindow, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.files.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
 from bubbleviz.files.mesh_reader import SUFFIXES
@@ -41,6 +41,7 @@ from bubbleviz_ui.panels.costs_popup import CostsPopup
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel
 from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.status_bar import Rates, StatusBar
 from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
@@ -202,8 +203,8 @@ class MainWindow(QMainWindow):
         self.open_panels.close()
         self._rates.stop()
         self.state.blockSignals(True)  # nothing is left to tell
-        for canvas in self.findChildren(QGraphicsView):
-            canvas.close()  # pyqtgraph's would keep the window alive
+        for host in self.findChildren(PlotHost):
+            host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
         self._memory.close()

@@ -67,6 +67,13 @@ class PlotHost(QWidget):
         for k, item in enumerate(items):
             self.canvas.ci.addItem(item, k // columns, k % columns)
 
+    def let_go(self) -> None:
+        """Close what would keep the window alive: menus of colour bars, and the canvas."""
+        if self.canvas is not None:
+            for item in tuple(self.canvas.ci.items):
+                item.close()
+            self.canvas.close()
+
     def showEvent(self, event: QShowEvent) -> None:
         """Load the plotting library when it is needed first."""
         super().showEvent(event)
