@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QApplication
 from window_driver import Driver, canvas, hover, idle, in_view, near
 
 from bubbleviz.diagnostics.probe import Probe
+from bubbleviz_ui.engine import sensor_client
 from bubbleviz_ui.panels.images_panel import ImagesPanel, best_columns
 from bubbleviz_ui.shell.theme import NODE
 
@@ -121,15 +122,21 @@ def test_only_chosen_images_are_computed(drive: Drive) -> None:
     assert (counts["look change"], counts["look residual"], counts["pixel_mask"]) == before
 
 
-def test_while_playing_not_every_frame_is_looked_at_closer(drive: Drive) -> None:
+def test_while_playing_not_every_frame_is_looked_at_closer(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     driver = drive()
     opened(driver, "depth", "change")
     counts, controller = driver.pipeline.counts, driver.window.controller
+    monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
     before = counts["look change"], counts["total"]
     driver.state.choose(every_frame=True)
     driver.state.set_playing(True)
     driver.wait(lambda: counts["total"] > before[1] + 30)
-    assert 2 < counts["look change"] - before[0] < 20
+    assert counts["look change"] == before[0]
+    monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 0.0)
+    driver.wait(lambda: counts["look change"] > before[0] + 2)
+    monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
     driver.state.set_playing(False)
     driver.settle()
     image = lambda: controller.inspection.images["depth"]  # noqa: E731

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, DentSource
 from PySide6.QtCore import QPoint, QPointF, Qt
-from PySide6.QtGui import QColor, QImage, QPalette
+from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
 from window_driver import Driver, canvas
 
@@ -165,11 +165,11 @@ def test_measured_and_estimated_gas_pressure(drive: Drive) -> None:
 def test_the_plots_follow_the_theme(drive: Drive) -> None:
     driver = drive(DentSource)
     panel = opened(driver, "force")
-    palette = panel.palette()
-    palette.setColor(QPalette.ColorRole.Base, QColor("#fdfdfd"))
-    panel.setPalette(palette)
-    image = canvas(panel).grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
-    assert image.pixelColor(image.width() - 3, 3).lightness() > 240
+    for name, light in (("light", True), ("dark", False)):
+        driver.state.choose(theme=name)
+        image = canvas(panel).grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+        assert (image.pixelColor(image.width() - 3, 3).lightness() > 127) == light
+    driver.state.choose(theme="system")
 
 
 def test_the_plots_are_not_clipped_at_1280x800(drive: Drive) -> None:
