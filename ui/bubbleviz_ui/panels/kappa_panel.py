@@ -20,10 +20,10 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.result import Patch, Result
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
+from bubbleviz_ui.panels.kappa_plots import kappa_in_use
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.layouts import fill
 
@@ -67,13 +67,10 @@ class KappaPanel(QWidget):
     def show_result(self, result: Result) -> None:
         """Write the numbers of the patch; the automatic threshold as the κ it amounts to."""
         self._show_patch(result.patch)
-        if self._state.choices.kappa is None and self._mesh is not None and result.patch:
-            pressure = result.estimate.contact_pressure_pa if result.estimate else None
-            mean = mean_pressure(self._mesh, pressure) if pressure is not None else 0.0
-            if mean > 0.0:
-                kappa = result.patch.threshold_pa / mean
-                for each in self._kappa:
-                    each.show(min(max(kappa, LOWEST), HIGHEST))
+        kappa = kappa_in_use(self._state.choices, self._mesh, result)
+        if self._state.choices.kappa is None and kappa is not None:
+            for each in self._kappa:
+                each.show(min(max(kappa, LOWEST), HIGHEST))
 
     def set_mesh(self, mesh: MembraneMesh) -> None:
         """Take the membrane of another sensor."""

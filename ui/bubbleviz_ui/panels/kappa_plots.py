@@ -12,7 +12,10 @@ import numpy as np
 from PySide6.QtGui import QColor
 
 from bubbleviz.diagnostics.kappa_curve import KappaCurve
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.result import Result
+from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -56,6 +59,18 @@ class OverKappa:
 def kappa_at(line: Any) -> float:
     """κ at which a line was put down."""
     return round(float(10.0 ** line.value()), 2)
+
+
+def kappa_in_use(
+    choices: Choices, mesh: MembraneMesh | None, result: Result | None
+) -> float | None:
+    """The user's κ, or what the automatic threshold of a result amounts to; None without either."""
+    if choices.kappa is not None:
+        return choices.kappa
+    if mesh is None or result is None or result.estimate is None or result.patch is None:
+        return None
+    mean = mean_pressure(mesh, result.estimate.contact_pressure_pa)
+    return result.patch.threshold_pa / mean if mean > 0.0 else None
 
 
 class KappaHistogram(OverKappa):

@@ -20,14 +20,12 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.components import Component
-from bubbleviz.patch.patch_finder import mean_pressure
-from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind_quantity
-from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
+from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at, kappa_in_use
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
@@ -103,20 +101,11 @@ class ThresholdPanel(QWidget):
             return
         result, inspection = self._controller.result, self._controller.inspection
         units = self._state.units
-        kappa = self._kappa(result)
+        kappa = kappa_in_use(self._state.choices, self._mesh, result)
         if self.histogram is not None and self.curve is not None:
             self.histogram.draw(inspection.kappa_curve, kappa, units)
             self.curve.draw(inspection.kappa_curve, result, kappa, units)
         self._fill(inspection.components)
-
-    def _kappa(self, result: Result | None) -> float | None:
-        """κ in use: the user's, or what the automatic threshold amounts to."""
-        if self._state.choices.kappa is not None:
-            return self._state.choices.kappa
-        if result is None or result.estimate is None or result.patch is None or self._mesh is None:
-            return None
-        mean = mean_pressure(self._mesh, result.estimate.contact_pressure_pa)
-        return result.patch.threshold_pa / mean if mean > 0.0 else None
 
     def _fill(self, parts: tuple[Component, ...]) -> None:
         units, least = self._state.units, self._state.choices.least_area_m2
