@@ -40,7 +40,6 @@ from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.costs_popup import CostsPopup
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.status_bar import Rates, StatusBar
@@ -54,6 +53,7 @@ from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.dock import Dock, scrolled
+from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar
 from bubbleviz_ui.shell.open_panels import OpenPanels

@@ -37,9 +37,9 @@ from bubbleviz_ui.calibration.validation_page import ValidationPage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.layouts import fill
 
 WIDTH = 400
 STEP_WIDTH = 34

@@ -25,8 +25,8 @@ from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.frame_collector import Collector
 from bubbleviz_ui.calibration.score_plot import ScorePlot
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.playback.range_strip import RangeStrip
+from bubbleviz_ui.shell.layouts import fill
 
 ENDED_BY = {
     "depth": "the depth image moves then",

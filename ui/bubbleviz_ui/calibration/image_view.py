@@ -11,8 +11,8 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz_ui.model.units import NOTHING, Unit
 from bubbleviz_ui.panels.image_cell import MAPS, ImageCell, Kind, Picture
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.shell.layouts import fill
 
 HEIGHT, BAR = 290, 10
 """Of image and colour bar together, and of the bar alone, screen pixels."""

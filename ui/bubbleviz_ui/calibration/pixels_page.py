@@ -14,7 +14,7 @@ from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
 USED = Unit("", 1.0, 0)

@@ -13,7 +13,7 @@ from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 
 class RectificationPage(Page):

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.export.export_kinds import KINDS, Kind
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 RANGE, ALL = False, True
 MOST_STEP = 1000

@@ -30,7 +30,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.source_discovery import Discovery
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
 KINDS = {

@@ -15,8 +15,8 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.record_controls import RecordControls
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.layouts import fill
 
 DOTS: dict[State, str] = {
     "connecting": theme.BLUE,

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState
 from bubbleviz_ui.panels.binding import bind
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 MOST_PRE_ROLL_S = 60.0
 

@@ -27,7 +27,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 NODES = (100, 5_000, 100)
 """Fewest and most nodes to choose, and a step; all below MAX_NODES."""

@@ -17,8 +17,8 @@ from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.shell.layouts import fill
 
 EVERY_MS = 150
 """While playing: colouring a large image takes some ms."""

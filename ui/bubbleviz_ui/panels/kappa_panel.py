@@ -25,7 +25,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.kappa_plots import kappa_in_use
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100

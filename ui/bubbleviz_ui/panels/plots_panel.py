@@ -21,9 +21,9 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
+from bubbleviz_ui.shell.layouts import fill
 
 EVERY_MS = 200
 """Curves take some ms to draw, and nobody reads faster."""

@@ -27,8 +27,8 @@ from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind_quantity
 from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at, kappa_in_use
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.shell.layouts import fill
 
 ROW = 20
 """Height of a row of the table, screen pixels."""

@@ -21,11 +21,11 @@ from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.playback.playback_icons import icon
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.layouts import fill
 
 EVERY_S = 0.1
 """While playing: nobody reads faster."""

@@ -28,10 +28,10 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
+from bubbleviz_ui.shell.layouts import fill
 
 if TYPE_CHECKING:
     from bubbleviz_ui.pose.fit_curves import Curves

@@ -6,8 +6,8 @@ from PySide6.QtCore import QEvent, QObject, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QDialog, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.shell.fuzzy_search import ranked
+from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 
 WIDTH, HEIGHT = 520, 340

@@ -19,8 +19,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.panels.layouts import fill
 from bubbleviz_ui.shell.fuzzy_search import score
+from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 
 SIZE = (560, 520)

@@ -18,7 +18,7 @@ from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 
 CLOUD_POINTS = {
     5_000: "up to 5 000",

@@ -33,7 +33,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.panels.layouts import fill
+from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
