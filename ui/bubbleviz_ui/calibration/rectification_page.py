@@ -27,6 +27,7 @@ class RectificationPage(Page):
         self.before, self.after = ImageView("around zero"), ImageView("around zero")
         self.levels = QLabel(wordWrap=True)
         self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
+        self.add.setToolTip("Recording of the untouched sensor at another inflation level")
         self.drop.setToolTip("Take the recording added last out again")
         self.vented = QPushButton("Open chamber…")
         self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
