@@ -69,6 +69,9 @@ class ImageOptions:
     model_deviation_m : float
         How far off the membrane around the contact may be, as motions of the object in the
         directions that the contact determines would move it: stiffness and gas are known no better.
+    rounding_m : float
+        How far edges may lie further back than modelled: objects are rounded there by that much,
+        and a membrane of some thickness does not follow them.
     step_m : float
         Longest step of the patch's edge: the membrane around an edge is curved over some
         millimetres, and derivatives hold over half of that.
@@ -86,6 +89,7 @@ class ImageOptions:
     outlying: float = 4.0
     least_sigma_m: float = 5e-4
     model_deviation_m: float = 5e-4
+    rounding_m: float = 1e-3
     step_m: float = 1.5e-3
     valid_m: float = 5e-4
     settled_m: float = 2e-4

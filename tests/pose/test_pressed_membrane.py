@@ -86,6 +86,15 @@ def test_slopes_are_what_the_membrane_does_when_the_object_moves(pipeline, rubbe
         assert slope @ change / (change @ change) == pytest.approx(1.0, abs=off)
 
 
+def test_rounder_edges_let_the_membrane_out(pipeline, rubber, contact):
+    puck = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
+    outward = np.einsum("ij,ij->i", puck.rounding, puck.window.mesh.normals)
+    assert outward.max() > 0.3
+    assert outward.min() > -0.1
+    ball = pressed(pipeline, rubber, "sphere").press(pose(), contact)
+    assert not ball.rounding.any()
+
+
 def test_from_pose_to_pose_as_from_the_start(pipeline, rubber, contact):
     membrane, there = pressed(pipeline, rubber, "cylinder"), pose(x=0.005, z=0.0395)
     membrane.press(pose(), contact)

@@ -60,6 +60,8 @@ class PredictedImage:
         Their derivatives by small motions in B about the centre.
     held : (b,) bool array
         Pixels that see membrane lying on a face.
+    rounding : (b,) array
+        Derivatives of their residuals by how far edges lie further back than modelled.
     """
 
     T_B_O: np.ndarray
@@ -69,6 +71,7 @@ class PredictedImage:
     expected_m: np.ndarray
     jacobian: np.ndarray
     held: np.ndarray
+    rounding: np.ndarray
 
     def residual_m(self, change_m: np.ndarray, T_B_O: np.ndarray) -> np.ndarray:
         """Measured minus modelled (b,) at a pose close by; NaN where there is no return."""
@@ -143,7 +146,7 @@ class ImageFit:
         gas_pressure_pa : float, optional
             Measured, absolute.
         """
-        predicted = self._at(T_B_O, contact, valid_m, gas_pressure_pa)
+        predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
             return None
         residual = predicted.residual_m(change_m, T_B_O)
@@ -152,11 +155,14 @@ class ImageFit:
         J = predicted.jacobian[seen] @ about(contact.center, predicted.center)
         off = J @ directions.motions[:, directions.determined]
         off[predicted.held[seen]] = 0.0
+        off = np.column_stack([off, predicted.rounding[seen]])
         J = np.hstack([J, off])
         weight = predicted.every * self._options.trust * self._weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement of how far the membrane around the contact is off.
-        rest = H[6:, 6:] + np.eye(off.shape[1]) / self._options.model_deviation_m**2
+        known_off = np.full(off.shape[1], self._options.model_deviation_m)
+        known_off[-1] = self._options.rounding_m
+        rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
         motion = np.linalg.solve(information + known, g - pull)
@@ -174,14 +180,15 @@ class ImageFit:
         weights: np.ndarray = 1.0 / (sigma * (1.0 + outlying)) ** 2
         return weights
 
-    def _at(
+    def predicted(
         self,
         T_B_O: np.ndarray,
         contact: ContactPoints,
-        valid_m: float,
-        gas_pressure_pa: float | None,
+        gas_pressure_pa: float | None = None,
+        *,
+        valid_m: float = 0.0,
     ) -> PredictedImage | None:
-        """The linear model around a pose, or the last one where it still holds."""
+        """The linear model around a pose, or the last one where that holds still; see `step`."""
         known = self._predicted
         if known is not None:
             way = motion_between(known.T_B_O, T_B_O, contact.center)
@@ -206,15 +213,18 @@ class ImageFit:
         a, b, c = (press.nodes[mesh.triangles[:, k]] for k in range(3))
         facet = cross(b - a, c - a)[hits.triangle]
         facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
-        moved = np.einsum("ba,qbai->qbi", hits.barycentric, press.slopes[:, corners])
+        slopes = np.concatenate([press.slopes, press.rounding[None]])
+        moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])
+        J = np.einsum("qbi,bi->bq", moved, facet)
         return PredictedImage(
             T_B_O=press.T_B_O,
             center=press.center,
             pixel=pixel,
             every=every,
             expected_m=hits.range_m - self._rest_m[pixel],
-            jacobian=np.einsum("qbi,bi->bq", moved, facet),
+            jacobian=J[:, :6],
             held=press.held[hits.triangle],
+            rounding=J[:, 6],
         )
 
 

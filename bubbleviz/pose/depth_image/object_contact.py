@@ -75,6 +75,9 @@ class Touching:
         Of the point.
     edge : (c,) bool array
         On an edge of the object.
+    rounding : (c, 3) array
+        Unit directions into the object in which points on edges lie further back where these are
+        rounder than modelled; 0 on faces.
     """
 
     points: np.ndarray
@@ -86,6 +89,7 @@ class Touching:
     force_n: np.ndarray
     stiffness_n_per_m: np.ndarray
     edge: np.ndarray
+    rounding: np.ndarray
 
     def on_nodes(self, forces: np.ndarray, count: int) -> np.ndarray:
         """Forces (c, 3) on the points, shared between the nodes (count, 3)."""
@@ -141,6 +145,8 @@ class ObjectContact:
         self._options = options
         self._points, self._normals = contact_samples(model, spacing_m)
         self._edge = np.any(self._normals[:, 0] != self._normals[:, 1], axis=1)
+        ridge = self._normals.sum(axis=1) * self._edge[:, None]
+        self._ridge = ridge / np.maximum(np.linalg.norm(ridge, axis=1, keepdims=True), 1e-300)
         face, edge = pressure_pa * spacing_m**2, tension_n_per_m * 0.5 * spacing_m
         self._stiffness = np.where(self._edge, edge, face) / options.softness_m
         self.forget()
@@ -182,6 +188,7 @@ class ObjectContact:
             force_n=self._stiffness[kept] * depth[inside],
             stiffness_n_per_m=self._stiffness[kept],
             edge=self._edge[kept],
+            rounding=-self._ridge[kept] @ R.T,
         )
 
     def _turned(

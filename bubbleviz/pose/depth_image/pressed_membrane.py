@@ -40,6 +40,8 @@ class Press:
         Of it.
     slopes : (6, k, 3) array
         Their derivatives by small motions of the object in B about the centre.
+    rounding : (k, 3) array
+        Their derivative by how far edges of the object lie further back than modelled.
     force_n : (3,) array
         Of the object on the membrane.
     held : (m,) bool array
@@ -51,6 +53,7 @@ class Press:
     window: Window
     nodes: np.ndarray
     slopes: np.ndarray
+    rounding: np.ndarray
     force_n: np.ndarray
     held: np.ndarray
 
@@ -160,13 +163,15 @@ def _pressed(
     unit, arms = np.eye(3), touching.points - center
     motions = [np.broadcast_to(axis, arms.shape) for axis in unit]
     motions += [np.cross(axis, arms) for axis in unit]
+    motions.append(touching.rounding)
     pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
     loaded = np.zeros(n, bool)
     loaded[touching.corners[touching.weights > 0.0]] = True
     held = loaded[triangles].all(axis=1)
     held[touching.triangle[touching.edge]] = False
     force = touching.force_n @ touching.normals
-    return Press(T_B_O, center, window, x, tangent.moved(pulls), force, held)
+    slopes = tangent.moved(pulls)
+    return Press(T_B_O, center, window, x, slopes[:6], slopes[6], force, held)
 
 
 def _followed(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:

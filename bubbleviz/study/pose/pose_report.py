@@ -105,7 +105,7 @@ def targets(report: PoseReport) -> list[Target]:
 
 
 def _rubber_targets(study: RubberStudy) -> list[Target]:
-    """All that moves the membrane, flat faces that slid and turned with it; no pose is infinite."""
+    """All that an image determines, flat faces with visible edges too; no pose is infinite."""
     off = np.nan_to_num(np.array([trial.seen_m for trial in study.trials]), nan=np.inf)
     turned = np.nan_to_num(np.array([trial.seen_rad for trial in study.trials]), nan=np.inf)
     runs = f"rubber, {len(off)} starts"
