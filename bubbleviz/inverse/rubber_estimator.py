@@ -38,8 +38,9 @@ _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
 """Shares of a mesh edge. A frame alone is done when it moves the shape by less than the first, one
 of a stream by less than the last; a tangent serves while the shape is nearer than the second to
 where it was taken, for what it misses the exact residual puts right."""
-_STEPS, _WARM_STEPS = 16, 8
-"""Gauss–Newton steps of a frame alone, and of one of a stream."""
+_STEPS, _WHOLE_STEPS = 16, 8
+"""Gauss–Newton steps of a frame, and how many of them may be shorter than `_LONGEST`: by then the
+shape stands, or model and data contradict each other."""
 _SELECTIONS = 2
 """Times that the support is looked for anew where the shape stands."""
 _LONGEST = 1.0
@@ -254,7 +255,8 @@ class RubberEstimator:
         state, warm = start.state or self._rest, start.state is not None
         rubber, solve_ms = start.rubber, 0.0
         selecting, chosen = True, 0
-        for _ in range(_WARM_STEPS if warm else _STEPS):
+        whole = 0
+        for _ in range(_STEPS):
             view = self.observer.around(state.x)
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / start.noise**2
@@ -277,12 +279,15 @@ class RubberEstimator:
             if not balanced:
                 return "not_converged"
             moved = float(np.abs(state.x - before.x).max())
+            whole += moved < 0.9 * self._longest_m
             lasting = warm and contact.pressure.any()
             if moved <= (self._far_m if lasting else self._near_m):
                 if selecting or chosen > _SELECTIONS:
                     break
                 selecting = True
                 chosen += 1
+            elif whole == _WHOLE_STEPS:
+                return "not_converged"
             else:
                 selecting = moved > self._far_m
         else:
