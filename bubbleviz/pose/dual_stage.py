@@ -22,16 +22,6 @@ from bubbleviz.pose.registration import Fit, Prior, Registration
 from bubbleviz.pose.rigid_motion import motion_between, moved
 from bubbleviz.result import Pose, Stage
 
-FOUND_FITNESS = 0.7
-"""Share of the patch that must lie on an object that nobody said was there."""
-
-_CLOSE_M = 2e-3
-_FAR_M = 5e-3
-"""How far off a prediction, and a start, may be."""
-
-_TRACKING, _CONVERGING, _LOOKING = 3, 12, 6
-"""Iterations of each stage while tracking, from a start, and to compare starts."""
-
 
 @dataclass(frozen=True)
 class Solution:
@@ -95,12 +85,12 @@ class Solver:
         options: PoseOptions,
     ) -> None:
         self._registration, self._estimator = registration, estimator
-        self._membrane, self._options = membrane, options.image
+        self._membrane, self._options = membrane, options
 
     @cached_property
     def _image(self) -> ImageFit:
         """Against the depth image; built when there is a first pose."""
-        own, options = self._estimator, self._options
+        own, options = self._estimator, self._options.image
         model = self._registration.model
         pressed = PressedMembrane(self._membrane, own.gas, model, options.press)
         return ImageFit(own.observer, pressed, options)
@@ -119,14 +109,15 @@ class Solver:
         settled: bool,
     ) -> Solution:
         """Both stages from a prediction, which `settled` says is close."""
-        iterations = _TRACKING if settled else _CONVERGING
+        stages = self._options.stages
+        iterations = stages.tracking if settled else stages.converging
         prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
         first = self._registration.stage_one(
             contact,
             predicted.T_B_O,
             prior,
-            widest_m=_CLOSE_M if settled else _FAR_M,
+            widest_m=stages.close_m if settled else stages.far_m,
             iterations=iterations,
         )
         between = time.perf_counter()
@@ -144,10 +135,11 @@ class Solver:
         finalists: int,
     ) -> Solution | None:
         """Both stages from those of the starts (s, 4, 4) that fit best; None where none does."""
+        stages = self._options.stages
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
         looks = [
             self._registration.stage_one(
-                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=_LOOKING
+                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=stages.looking
             ).T_B_O
             for m in motions
         ]
@@ -161,14 +153,14 @@ class Solver:
             )
             for k in np.argsort(costs)[:finalists]
         ]
-        good = [solution for solution in found if solution.pose.fitness >= FOUND_FITNESS]
+        good = [solution for solution in found if solution.pose.fitness >= stages.found_fitness]
         return min(good, key=lambda solution: solution.pose.cost, default=None)
 
     def _seen(
         self, frame: Frame, contact: ContactPoints, fit: Fit, prior: Prior, settled: bool
     ) -> tuple[Fit, np.ndarray]:
         """The fit moved to where the depth image has the object, and the information of that."""
-        options, directed = self._options, directions(fit.surface, contact.radius_m)
+        options, directed = self._options.image, directions(fit.surface, contact.radius_m)
         start = fit.T_B_O
         if settled:  # where it is on its face is for the depth image to say, not the blurred patch
             way = np.linalg.solve(

@@ -98,12 +98,65 @@ class ImageOptions:
 
 
 @dataclass(frozen=True)
+class StageOptions:
+    """How the two stages of registration run.
+
+    Attributes
+    ----------
+    close_m, far_m : float
+        How far off a prediction, and a start, may be.
+    tracking, converging, looking : int
+        Iterations of each stage while tracking, from a start, and to compare starts.
+    found_fitness : float
+        Share of the patch that must lie on an object that nobody said was there.
+    """
+
+    close_m: float = 2e-3
+    far_m: float = 5e-3
+    tracking: int = 3
+    converging: int = 12
+    looking: int = 6
+    found_fitness: float = 0.7
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """When an object is lost, and how it is searched for.
+
+    Attributes
+    ----------
+    least_fitness : float
+        Share of the patch below which it is not this object at this pose that touches.
+    fastest_m_per_s, fastest_rad_per_s : float
+        Speed that nothing pressed into a bubble reaches.
+    longest_gap_s : float
+        Time between frames over which motion tells nothing any more.
+    starts_a_frame, starts_at_first : int
+        Coarse starts tried in a frame, so that no frame waits for the search, and in a first one.
+    finalists_at_first : int
+        The best of these, which are followed to the end.
+    """
+
+    least_fitness: float = 0.5
+    fastest_m_per_s: float = 1.0
+    fastest_rad_per_s: float = 10.0
+    longest_gap_s: float = 1.0
+    starts_a_frame: int = 4
+    starts_at_first: int = 12
+    finalists_at_first: int = 2
+
+
+@dataclass(frozen=True)
 class PoseOptions:
     """All of the pose's.
 
     Attributes
     ----------
+    stages : StageOptions
     image : ImageOptions
+    tracking : TrackingOptions
     """
 
+    stages: StageOptions = StageOptions()
     image: ImageOptions = ImageOptions()
+    tracking: TrackingOptions = TrackingOptions()

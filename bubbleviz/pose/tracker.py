@@ -26,16 +26,6 @@ from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
 from bubbleviz.rigid_object import RigidObject
 
-LEAST_FITNESS = 0.5
-"""Share of the patch below which it is not this object at this pose that touches."""
-
-FASTEST = np.array([1.0, 10.0])
-"""Speed in m/s and rad/s that nothing pressed into a bubble reaches."""
-
-_LONGEST_GAP_S = 1.0
-_STARTS_A_FRAME = 4
-_STARTS_AT_FIRST, _FINALISTS_AT_FIRST = 12, 2
-
 
 class PoseTracker:
     """Pose of one object in each frame.
@@ -69,7 +59,9 @@ class PoseTracker:
         check_size(obj, estimator.mesh)
         self.model = ObjectModel(obj)
         registration = Registration(self.model, precision_of(estimator))
-        self._solver = Solver(registration, estimator, membrane, options or PoseOptions())
+        options = options or PoseOptions()
+        self._solver = Solver(registration, estimator, membrane, options)
+        self._options = options.tracking
         self._finder = StartFinder(self.model)
         self._mesh = estimator.mesh
         self.reset(start)
@@ -114,19 +106,22 @@ class PoseTracker:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
         gap = frame.time_s - self._last_s
-        if not 0.0 <= gap <= _LONGEST_GAP_S:  # the recording was wound, or is another one
+        known = 0.0 <= gap <= self._options.longest_gap_s
+        if not known:  # the recording was wound, or is another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
 
     def _believable(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
-        if solution.pose.fitness < LEAST_FITNESS:
+        if solution.pose.fitness < self._options.least_fitness:
             return False
         if self._good is None:
             return True
         motion = motion_between(self._good, solution.pose.T_B_O, contact.center)
         way = np.array([np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])])
+        options = self._options
+        fastest = np.array([options.fastest_m_per_s, options.fastest_rad_per_s])
         slack = 3.0 * START_DEVIATION[[0, 3]]
-        return bool(np.all(way < FASTEST * abs(frame.time_s - self._good_s) + slack))
+        return bool(np.all(way < fastest * abs(frame.time_s - self._good_s) + slack))
 
     def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
         """The best of a few starts; other ones in the next frame."""
@@ -137,7 +132,7 @@ class PoseTracker:
         else:
             chosen = self._next_starts(contact)
         self._tried += 1
-        finalists = 1 if self._good is not None else _FINALISTS_AT_FIRST
+        finalists = 1 if self._good is not None else self._options.finalists_at_first
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
@@ -145,7 +140,8 @@ class PoseTracker:
         if not len(self._waiting):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._good is None and self._tried == 0
-        count = _STARTS_AT_FIRST if first else _STARTS_A_FRAME
+        options = self._options
+        count = options.starts_at_first if first else options.starts_a_frame
         chosen, self._waiting = self._waiting[:count].copy(), self._waiting[count:]
         chosen[:, :3, 3] += contact.center - self._waiting_at
         return chosen
