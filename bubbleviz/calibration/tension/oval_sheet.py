@@ -16,7 +16,7 @@ from bubbleviz.membrane.rubber_model.inflation import Inflation
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.membrane.stiffness import mean_curvature
 
-_PRESTRETCH = 1.02
+_PRESTRETCH = 1.005
 """λ of that sheet: the slacker it was, the more it differs from a film."""
 _NEAR = 0.02
 """Share of the height to which the sheet is inflated."""
