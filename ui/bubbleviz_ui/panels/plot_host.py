@@ -68,11 +68,10 @@ class PlotHost(QWidget):
             self.canvas.ci.addItem(item, k // columns, k % columns)
 
     def let_go(self) -> None:
-        """Close what would keep the window alive: menus of colour bars, and the canvas."""
-        if self.canvas is not None:
-            for item in tuple(self.canvas.ci.items):
-                item.close()
-            self.canvas.close()
+        """Close what would outlive the window, such as the menus of colour bars."""
+        canvas, self.canvas = self.canvas, None
+        for item in () if canvas is None else tuple(canvas.ci.items):
+            item.close()
 
     def showEvent(self, event: QShowEvent) -> None:
         """Load the plotting library when it is needed first."""
