@@ -90,7 +90,7 @@ def check(driver: Driver) -> None:
 
 
 @pytest.fixture(autouse=True)
-def dark_again() -> object:
+def dark_again(qapp: object) -> object:
     yield
     from bubbleviz_ui.shell import theme
     from bubbleviz_ui.window_session import application
