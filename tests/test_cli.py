@@ -135,12 +135,19 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(
 
 
 def test_a_truncated_recording_through_the_real_command(recording: Path) -> None:
-    recording.write_bytes(recording.read_bytes()[:-40])
-    command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "info"]
-    done = subprocess.run([*command, str(recording)], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "truncated" in done.stderr
+    def told(kept: bytes) -> subprocess.CompletedProcess[str]:
+        recording.write_bytes(kept)
+        return subprocess.run(
+            [*command, "info", str(recording)], capture_output=True, text=True, check=False
+        )
+
+    command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
+    whole = recording.read_bytes()
+    opened = told(whole[:-40])  # its index is lost, no chunk
+    assert opened.returncode == 0 and "behind it are lost" in opened.stdout
+    refused = told(whole[:200])
+    assert refused.returncode == 2 and refused.stdout == ""
+    assert refused.stderr.count("\n") == 1 and "cut off before anything" in refused.stderr
 
 
 @pytest.mark.parametrize(

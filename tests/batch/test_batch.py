@@ -85,11 +85,11 @@ def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "1 of 4 recordings have no result" in done.stderr
-    assert "bad.mcap: the MCAP file is truncated" in done.stderr
+    assert "bad.mcap: the recording was cut off before anything" in done.stderr
     rows = table_of(out)
     assert list(rows) == [*NAMES[:2], "bad.mcap", NAMES[2]]
     assert [row["outcome"] for row in rows.values()] == ["done", "done", "bad_input", "done"]
-    assert "truncated" in rows["bad.mcap"]["error"]
+    assert "cut off" in rows["bad.mcap"]["error"]
     assert all(name in done.stdout for name in rows)
     for name in NAMES:
         assert {path.name for path in (out / name).iterdir()} == FILES
