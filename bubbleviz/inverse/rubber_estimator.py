@@ -19,6 +19,7 @@ from bubbleviz.inverse.contact_problem import (
     Ranges,
     Selection,
 )
+from bubbleviz.inverse.detection import THRESHOLD_SAMPLE
 from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOptions
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.plausibility import GAS_NOISE, IMPLAUSIBLE_MISFIT, explains
@@ -48,10 +49,8 @@ _LONGEST = 1.0
 _BALANCED = 1e-3
 """Force left at a node over the gas load on one of mean area."""
 _NEWTON, _FRESH, _HALVINGS = 10, 2, 3
-"""Steps to equilibrium under a contact pressure, tangents taken anew for them, and shorter ways
-that are tried where they do not get there."""
-_SAMPLE = 200
-"""Nodes among which the best-seen one is looked for."""
+"""Newton steps to equilibrium under a contact pressure, how many of them may factorise a new
+tangent, and how often the change of pressure is halved where they do not converge."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +189,7 @@ class RubberEstimator:
         view = self.observer.around(mesh.nodes)
         weight = everything.weight[view.block]
         n = len(mesh.free)
-        sample = mesh.free[np.arange(0, n, max(1, n // _SAMPLE))]
+        sample = mesh.free[np.arange(0, n, max(1, n // THRESHOLD_SAMPLE))]
         D = sparse.diags_array(np.sqrt(weight)) @ view.jacobian
         sigma = np.linalg.norm(D @ self._rest_rubber[False].responses(sample), axis=0)
         tau = np.sqrt(2.0 * np.log(n)) * np.max(sigma / mesh.areas[sample]) * mesh.areas
