@@ -277,10 +277,10 @@ def test_a_process_that_dies_costs_its_own_recording_only(
 def test_blas_has_one_thread_in_a_worker(tmp_path: Path) -> None:
     code = (
         "import os, threading\n"
-        "from bubbleviz.batch.job_process import serve\n"
+        "from bubbleviz.processes.worker_server import serve\n"
         "class Pipe:\n"
         "    def recv(self): raise EOFError\n"
-        "serve(Pipe(), os.getppid())\n"
+        "serve(Pipe(), os.getppid(), None)\n"
         "import numpy as np\n"
         "a = np.ones((1500, 1500)); a @ a\n"
         "print(len(os.listdir('/proc/self/task')) - threading.active_count())"
@@ -344,6 +344,6 @@ def test_auto_names_what_fits_no_preset(recordings: Path, tmp_path: Path) -> Non
 
 
 def test_a_process_chooses_its_threads_before_it_imports_numpy() -> None:
-    code = "import sys, bubbleviz.batch.job_process; print('numpy' in sys.modules)"
+    code = "import sys, bubbleviz.processes.worker_server; print('numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.study.isolated_process import Worker
+from bubbleviz.processes.worker_process import WorkerProcess
 from bubbleviz.study.stability.case import Case, FailedError, RefusedError, attempt
 from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
 from bubbleviz.study.stability.stability_study import run_stability, summary
@@ -165,7 +165,7 @@ def divide():
 
 
 def test_a_worker_survives_what_it_calls():
-    with Worker() as worker:
+    with WorkerProcess() as worker:
         assert worker.call(abs, -2, limit_s=60.0).value == 2
         raised = worker.call(divide_by, 0, limit_s=60.0)
         assert raised.kind == "raised"

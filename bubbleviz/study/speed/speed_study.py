@@ -14,12 +14,12 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.processes.worker_process import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
 from bubbleviz.study.accuracy.accuracy_study import PRODUCTS, Setup, with_nodes
 from bubbleviz.study.error_metrics import iou
-from bubbleviz.study.isolated_process import Worker
 from bubbleviz.study.speed.stopwatch import PeakMemory, Stopwatch
 
 SOURCE_NODES = 1_000
@@ -122,7 +122,7 @@ def run_speed(
     """Make every measurement in a process of its own; one that breaks says why."""
     rows = []
     for run in runs:
-        with Worker() as worker:
+        with WorkerProcess(MEMORY_LIMIT_BYTES) as worker:
             outcome = worker.call(measure, sensor, run, limit_s=run.limit_s)
         row: SpeedRow = outcome.value
         if outcome.kind != "returned":

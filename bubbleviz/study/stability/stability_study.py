@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from bubbleviz.study.isolated_process import Outcome, Worker
+from bubbleviz.processes.worker_process import MEMORY_LIMIT_BYTES, Outcome, WorkerProcess
 from bubbleviz.study.stability.case import Case, Verdict, attempt
 from bubbleviz.study.stability.stability_cases import all_cases
 
@@ -39,7 +39,7 @@ def run_stability(
 ) -> list[CaseResult]:
     """Run shipped cases in a process of their own, each within its limit of time."""
     results = []
-    with Worker() as worker:
+    with WorkerProcess(MEMORY_LIMIT_BYTES) as worker:
         for case in cases:
             outcome = worker.call(attempt_named, case.name, limit_s=case.limit_s)
             result = _judged(case, outcome)

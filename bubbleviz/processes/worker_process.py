@@ -1,0 +1,134 @@
+"""A separate process for calls that may hang, crash or exhaust its memory.
+
+A pool of the standard library breaks as a whole when one of its processes dies, and its processes
+outlive a parent that was killed; this one does neither. It has one BLAS thread.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from typing import Any, Literal
+
+from bubbleviz.processes.worker_server import serve
+
+MEMORY_LIMIT_BYTES = 8 * 2**30
+"""For a call that may ask for too much; chosen: what a small computer has."""
+
+Kind = Literal["returned", "raised", "hung", "died"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a call.
+
+    Attributes
+    ----------
+    kind : {"returned", "raised", "hung", "died"}
+    value : object
+        What it returned.
+    detail : str
+        Type and message of the exception, with the line it came from, or how the process ended.
+    ms : float
+        Wall time.
+    """
+
+    kind: Kind
+    value: Any
+    detail: str
+    ms: float
+
+
+class WorkerProcess:
+    """One process that makes calls, one after another; replaced when it hangs or dies.
+
+    Use as a context manager. Functions and arguments must be importable there (`spawn`).
+
+    Parameters
+    ----------
+    memory_limit_bytes : int, optional
+    """
+
+    def __init__(self, memory_limit_bytes: int | None = None) -> None:
+        self._memory_limit = memory_limit_bytes
+        self._process: Any = None
+        self._sent_s = 0.0
+        self.pipe: Connection[Any, Any]
+
+    def __enter__(self) -> WorkerProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def call(self, function: Callable[..., Any], *args: Any, limit_s: float) -> Outcome:
+        """Call a function; give up after `limit_s`, the start of Python not counted."""
+        if self._process is None:
+            self.send(os.getpid)
+            self.outcome()
+        self.send(function, *args)
+        return self.outcome(limit_s)
+
+    def send(self, function: Callable[..., Any], *args: Any) -> None:
+        """Begin a call; `pipe` is ready when it has ended, and `outcome` tells how."""
+        if self._process is None:
+            self._start()
+        self._sent_s = time.perf_counter()
+        with suppress(OSError):  # it died: told by the outcome
+            self.pipe.send((function, args))
+
+    def outcome(self, limit_s: float | None = None) -> Outcome:
+        """Wait for the end of the call; give up after `limit_s`."""
+        kind: Kind
+        try:
+            answered = self.pipe.poll(limit_s)
+            kind, value, detail = self.pipe.recv() if answered else ("hung", None, "")
+        except (EOFError, OSError):
+            self._process.join()
+            kind, value = "died", None
+            detail = f"the process ended with code {self._process.exitcode}"
+        elapsed = 1e3 * (time.perf_counter() - self._sent_s)
+        if kind == "hung":
+            detail = f"no answer within {limit_s:.0f} s"
+        if kind in ("hung", "died"):
+            self.stop()
+        return Outcome(kind, value, detail, elapsed)
+
+    def stop(self) -> None:
+        """End the process, whatever it does."""
+        if self._process is not None:
+            self.pipe.close()
+            self._process.kill()
+            self._process.join()
+        self._process = None
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        args = theirs, os.getpid(), self._memory_limit
+        self._process = context.Process(target=serve, args=args, daemon=True)
+        with _interrupts_for_the_parent():
+            self._process.start()
+        theirs.close()
+
+
+@contextmanager
+def _interrupts_for_the_parent() -> Iterator[None]:
+    """Processes started here never see ^C, which a terminal sends to all of them.
+
+    They inherit what is blocked; here it arrives when the block ends. Python before 3.12 unblocks
+    it when it starts its resource tracker, with the first process: so that is started before.
+    """
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,59 @@
+"""What a worker process runs; it chooses the number of threads before it imports numbers."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import traceback
+from multiprocessing.connection import Connection
+
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def serve(pipe: Connection, parent: int, memory_limit_bytes: int | None) -> None:
+    """Make the calls that come through a pipe and answer how each ended, until it is closed.
+
+    Parameters
+    ----------
+    pipe : Connection
+        Gives (function, args), takes (kind, value, detail) of an `Outcome`.
+    parent : int
+        Process without which this one ends.
+    memory_limit_bytes : int or None
+    """
+    os.environ.update(dict.fromkeys(_THREADS, "1"), TQDM_DISABLE="1")
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    from tqdm import tqdm  # reads the environment when it is imported
+
+    tqdm.set_lock(threading.RLock())  # its own is a semaphore that outlives a process killed
+    if memory_limit_bytes is not None:
+        _limit_memory(memory_limit_bytes)
+    while True:
+        try:
+            function, args = pipe.recv()  # imports the function, and BLAS with it
+        except EOFError:
+            return
+        try:
+            answer = "returned", function(*args), ""
+        except BaseException as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{last.filename.rsplit('/', 1)[-1]}:{last.lineno}"
+            answer = "raised", None, f"{type(error).__name__} at {where}: {error}"
+        pipe.send(answer)
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after its parent, even one that was killed."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
+
+
+def _limit_memory(limit_bytes: int) -> None:
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))
