@@ -14,6 +14,12 @@ Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 the gas pressure measured, looks like the depth image. `not_converged`: beyond the solver, or beyond
 the linear gas law."""
 
+TRUSTED: tuple[Status, ...] = ("ok", "no_contact")
+"""Statuses of frames whose numbers are to be trusted."""
+
+HALF_95 = 1.96
+"""Half of the 95 % interval of a normal distribution, in standard deviations."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -22,7 +28,7 @@ class Estimate:
     Attributes
     ----------
     status : Status
-        Only the numbers of `ok` and `no_contact` are to be trusted.
+        Only the numbers of `TRUSTED` are to be trusted.
     displacement_m : (n,) array
         u along the reference normals, m.
     contact_pressure_pa : (n,) array
@@ -45,6 +51,8 @@ class Estimate:
         Standard deviation of that by noise and material.
     gas_law_pa : float or None
         p_v by the gas law for the exact shape, Pa; None of the linear model.
+    reason : str
+        Why there is no number to trust, in one clause; empty where there is one.
     """
 
     status: Status
@@ -59,6 +67,20 @@ class Estimate:
     force_n: np.ndarray | None = None
     force_sigma_n: np.ndarray | None = None
     gas_law_pa: float | None = None
+    reason: str = ""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether its numbers are to be trusted."""
+        return self.status in TRUSTED
+
+    @property
+    def force_half_width_n(self) -> float:
+        """Half of the 95 % interval of |F|, N; NaN without contact, or of the linear model."""
+        size = 0.0 if self.force_n is None else float(np.linalg.norm(self.force_n))
+        if self.force_n is None or self.force_sigma_n is None or not size > 0.0:
+            return float("nan")
+        return HALF_95 * float(np.linalg.norm(self.force_n / size * self.force_sigma_n))
 
     @property
     def motion_m(self) -> np.ndarray:
@@ -206,3 +228,13 @@ class Result:
     cloud_residual_m: np.ndarray | None = None
     pose: Pose | None = None
     times_ms: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def trusted_estimate(self) -> Estimate | None:
+        """The estimate, if its numbers are to be trusted."""
+        return self.estimate if self.estimate is not None and self.estimate.trusted else None
+
+    @property
+    def trusted_patch(self) -> Patch | None:
+        """The patch, if it is of an estimate to be trusted."""
+        return None if self.trusted_estimate is None else self.patch

@@ -15,6 +15,7 @@ from bubbleviz.batch.summary_row import Row
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.output_files import cannot_write
 from bubbleviz.files.tables import table
+from bubbleviz.result import TRUSTED
 
 _HEADER = (
     "recording",
@@ -22,6 +23,7 @@ _HEADER = (
     "contact",
     "max N",
     "mean N",
+    "wrench N",
     "residual mm",
     "ms/frame",
     "look at frame",
@@ -99,8 +101,8 @@ def write_summary(path: Path, rows: Sequence[Row]) -> None:
 
 def _cells(row: Row) -> list[str]:
     if not row.has_result:
-        return [row.recording, *["–"] * 7, row.outcome]
-    trust = row.worst_status in ("ok", "no_contact")
+        return [row.recording, *["–"] * (len(_HEADER) - 2), row.outcome]
+    trust = row.worst_status in TRUSTED
     why = _number(1e3 * row.worst_residual_rms_m, " mm") if trust else row.worst_status
     return [
         row.recording,
@@ -108,6 +110,7 @@ def _cells(row: Row) -> list[str]:
         str(row.contact_frames),
         _number(row.max_force_n),
         _number(row.mean_contact_force_n),
+        _number(row.mean_contact_measured_force_n),
         _number(1e3 * row.median_residual_rms_m),
         _number(row.median_ms),
         f"{row.worst_frame} ({why})",

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bubbleviz.files.result_writer import UNKNOWN
+from bubbleviz.result import TRUSTED
 
 Outcome = Literal["done", "kept", "bad_input", "failed"]
 """`done` now, `kept` from before; `bad_input` the recording's or the sensor's fault, `failed` any
@@ -32,6 +33,8 @@ class Row:
         All; with a contact patch; with a status other than `ok` and `no_contact`.
     max_force_n, mean_contact_force_n : float
         |force| over the frames about which something is known, and over those with a patch.
+    mean_contact_measured_force_n : float
+        |force| of the recording's wrench over the latter, its contact-free bias taken away.
     median_residual_rms_m : float
     median_ms : float
         Depth image in → patch out, first frame left out.
@@ -53,6 +56,7 @@ class Row:
     untrusted_frames: int = 0
     max_force_n: float = NAN
     mean_contact_force_n: float = NAN
+    mean_contact_measured_force_n: float = NAN
     median_residual_rms_m: float = NAN
     median_ms: float = NAN
     worst_frame: int = -1
@@ -70,7 +74,15 @@ class Row:
     @classmethod
     def of_result(cls, recording: str, sensor: str, path: Path, note: str = "") -> Row:
         """Row from a RESULT.npz."""
-        keys = ("frame", "status", "force_n", "patch_area_m2", "residual_rms_m", "total_ms")
+        keys = (
+            "frame",
+            "status",
+            "force_n",
+            "measured_force_n",
+            "patch_area_m2",
+            "residual_rms_m",
+            "total_ms",
+        )
         with np.load(path) as file:
             columns = {key: file[key] for key in keys}
         return cls(recording, "done", sensor=sensor, note=note, **_statistics(**columns))
@@ -95,12 +107,13 @@ def _statistics(
     frame: np.ndarray,
     status: np.ndarray,
     force_n: np.ndarray,
+    measured_force_n: np.ndarray,
     patch_area_m2: np.ndarray,
     residual_rms_m: np.ndarray,
     total_ms: np.ndarray,
 ) -> dict[str, Any]:
     known = ~np.isin(status, UNKNOWN)
-    trusted = np.isin(status, ("ok", "no_contact"))
+    trusted = np.isin(status, TRUSTED)
     touching = known & (patch_area_m2 > 0.0)
     force = np.linalg.norm(force_n, axis=1)
     worst = _worst(trusted, residual_rms_m)
@@ -110,12 +123,17 @@ def _statistics(
         "untrusted_frames": int((~trusted).sum()),
         "max_force_n": float(force[known].max()),  # a recording without a known frame is refused
         "mean_contact_force_n": float(force[touching].mean()) if touching.any() else NAN,
+        "mean_contact_measured_force_n": _mean_known(measured_force_n[touching]),
         "median_residual_rms_m": float(np.median(residual_rms_m[known])),
         "median_ms": float(np.median(total_ms[1:])) if len(total_ms) > 1 else NAN,
         "worst_frame": int(frame[worst]),
         "worst_status": str(status[worst]),
         "worst_residual_rms_m": float(residual_rms_m[worst]),
     }
+
+
+def _mean_known(values: np.ndarray) -> float:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else NAN
 
 
 def _worst(trusted: np.ndarray, residual_rms_m: np.ndarray) -> int:

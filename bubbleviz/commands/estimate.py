@@ -17,7 +17,7 @@ from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
 from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
-from bubbleviz.files.result_writer import UNKNOWN, CsvWriter, ResultWriter
+from bubbleviz.files.result_writer import UNKNOWN, ResultWriter, write_csv
 from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor
@@ -49,6 +49,9 @@ class EstimateSummary(Summary):
         Root mean square of |force| over all frames with data, N.
     median_contact_force_n, max_force_n : float or None
         |force| over the frames with a contact patch, and the highest of all, N.
+    median_contact_measured_force_n : float or None
+        |F| of the recording's wrench over the frames with a contact patch, its bias taken from the
+        contact-free frames, N.
     median_residual_rms_m, max_kkt_residual : float or None
     """
 
@@ -66,6 +69,7 @@ class EstimateSummary(Summary):
     rms_force_n: float | None
     median_contact_force_n: float | None
     max_force_n: float | None
+    median_contact_measured_force_n: float | None
     median_residual_rms_m: float | None
     max_kkt_residual: float | None
 
@@ -77,6 +81,11 @@ class EstimateSummary(Summary):
             lines.append(
                 f"force   {self.median_contact_force_n:.3g} N median in contact, "
                 f"{self.max_force_n:.3g} N highest"
+            )
+        if self.median_contact_measured_force_n is not None:
+            lines.append(
+                f"        {self.median_contact_measured_force_n:.3g} N median in contact by the "
+                "wrench, less its contact-free bias"
             )
         if self.median_total_ms is not None:
             lines += [
@@ -207,15 +216,14 @@ def _solve(
         archive = stack.enter_context(whole_file(out))
         table = stack.enter_context(whole_file(csv)) if csv else None
         writer = stack.enter_context(ResultWriter(archive, pipeline.mesh, len(chosen), shape))
-        lines = stack.enter_context(CsvWriter(table)) if table else None
         for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
             frame = source[index] if zero is None else zero.applied(source[index])
             seen = seen or has_returns(frame.depth_m)
-            row = writer.add(pipeline.process(frame, PRODUCTS, options))
-            if lines:
-                lines.add(row)
+            writer.add(pipeline.process(frame, PRODUCTS, options))
         _check_any_data(writer.rows, source.path, seen)
         writer.finish(**made_by)
+        if table:
+            write_csv(writer.rows, table)
         return writer.rows
 
 
@@ -259,6 +267,9 @@ def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "rms_force_n": _over(_rms, _forces(known)),
         "median_contact_force_n": _over(np.median, _forces(touching)),
         "max_force_n": _over(np.max, _forces(known)),
+        "median_contact_measured_force_n": _over(
+            np.median, [row["measured_force_n"] for row in touching]
+        ),
         "median_residual_rms_m": _over(np.median, [row["residual_rms_m"] for row in known]),
         "max_kkt_residual": _over(np.max, [row["kkt_residual"] for row in known]),
     }

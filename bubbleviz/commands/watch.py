@@ -79,7 +79,8 @@ class WatchSummary(Summary):
     status : dict
         Number of them by status.
     rate_hz : float
-    max_force_n : float
+    max_force_n : float or None
+        None where no frame is to be trusted.
     latency_median_s, latency_p95_s : float or None
         Stamp, or arrival where the stamps are of another clock, to result.
     pressure_offset_pa : float or None
@@ -90,7 +91,7 @@ class WatchSummary(Summary):
     frames: int
     status: dict[str, int]
     rate_hz: float
-    max_force_n: float
+    max_force_n: float | None
     latency_median_s: float | None
     latency_p95_s: float | None
     pressure_offset_pa: float | None
@@ -99,10 +100,9 @@ class WatchSummary(Summary):
     def to_text(self) -> str:
         """Text for the terminal, with units."""
         status = ", ".join(f"{count} {name}" for name, count in self.status.items())
-        lines = [
-            f"frames   {self.frames}: {status}; {self.rate_hz:.1f} Hz",
-            f"force    {self.max_force_n:.3g} N highest",
-        ]
+        lines = [f"frames   {self.frames}: {status}; {self.rate_hz:.1f} Hz"]
+        if self.max_force_n is not None:
+            lines.append(f"force    {self.max_force_n:.3g} N highest")
         if self.latency_median_s is not None and self.latency_p95_s is not None:
             lines.append(
                 f"latency  {1e3 * self.latency_median_s:.1f} ms median, "
@@ -199,7 +199,8 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
             result = watcher.step(0.1)
             if result is not None and result.estimate is not None and result.patch is not None:
                 statuses[result.estimate.status] += 1
-                forces.append(float(np.linalg.norm(result.patch.force_n)))
+                trusted = result.trusted_patch
+                forces.append(np.nan if trusted is None else float(np.linalg.norm(trusted.force_n)))
                 for message in out.messages.of(result):
                     out.send(message)
                 bar.update()
@@ -214,7 +215,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
         frames=statuses.total(),
         status=dict(statuses),
         rate_hz=statuses.total() / elapsed,
-        max_force_n=float(np.nanmax(forces)),
+        max_force_n=None if np.isnan(forces).all() else float(np.nanmax(forces)),
         latency_median_s=None if latency is None else latency.median_s,
         latency_p95_s=None if latency is None else latency.p95_s,
         pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.frames.measured_force import force_of
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.result import Patch, Result
 
@@ -28,6 +29,10 @@ class Numbers:
         As in `Estimate` and `Result.times_ms`.
     force_n, area_m2 : float
         Length of the force vector; area of the patch.
+    force_half_width_n : float
+        Half of the 95 % interval of the former.
+    wrench_n : (float, float, float)
+        Force of the recording's wrench, as recorded.
     center_m : (float, float, float)
         Centre of pressure in B.
     latency_ms : float
@@ -41,6 +46,8 @@ class Numbers:
     solve_ms: float = NOTHING
     total_ms: float = NOTHING
     force_n: float = NOTHING
+    force_half_width_n: float = NOTHING
+    wrench_n: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
     area_m2: float = NOTHING
     center_m: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
     has_patch: bool = False
@@ -52,27 +59,28 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
     estimate, measured = result.estimate, result.frame.gas_pressure_pa
     known: dict[str, object] = {
         "gas_measured_pa": NOTHING if measured is None else measured - gas.P0,
+        "wrench_n": tuple(force_of(result.frame.wrench).tolist()),
         "total_ms": result.times_ms.get("total", NOTHING),
     }
     if estimate is not None:
         known |= {
             "status": estimate.status,
-            "residual_m": estimate.residual_rms_m,
             "solve_ms": estimate.solve_ms,
         }
-        if estimate.status in ("ok", "no_contact"):
+        if estimate.trusted:
             exact = estimate.gas_law_pa
+            known["residual_m"] = estimate.residual_rms_m
+            known["force_half_width_n"] = estimate.force_half_width_n
             known["gas_law_pa"] = (
                 gas.pressure_change(estimate.displacement_m) if exact is None else exact
             )
         if result.patch is not None:
-            known |= patch_numbers(result.patch, estimate.status)
+            known |= patch_numbers(result.patch, trusted=estimate.trusted)
     return Numbers(**known)  # type: ignore[arg-type]
 
 
-def patch_numbers(patch: Patch, status: str) -> dict[str, object]:
+def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, object]:
     """The numbers that change with κ; NaN where the estimate is not to be trusted."""
-    trusted = status in ("ok", "no_contact")
     x, y, z = (float(c) for c in patch.center_of_pressure_m)
     return {
         "has_patch": True,

@@ -118,7 +118,7 @@ class Inspector:
             return self._images.used(depth)
         if name == "noise":
             return self._images.noise
-        if estimate is None or estimate.status not in ("ok", "no_contact"):
+        if estimate is None or not estimate.trusted:
             return None
         return self._images.residual(depth, estimate.motion_m)
 

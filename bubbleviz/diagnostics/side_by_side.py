@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.diagnostics.frame_numbers import numbers_of
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
@@ -27,19 +28,22 @@ class Measured:
 
     Attributes
     ----------
-    status : str
+    solver, status : str
     nodes : int
         Of the mesh.
     total_ms, solve_ms : float
         Depth image in → patch and its pixels out; the solver alone.
     force_n, area_m2, residual_m : float
         As in `Patch` and `Estimate`.
+    force_half_width_n : float
+        Half of the 95 % interval of the force.
     iou : float
         Of the patch's pixels with the true ones.
     force_error : float
         Length of the difference of the force vectors over the length of the true one.
     """
 
+    solver: str
     status: str
     nodes: int
     total_ms: float
@@ -47,6 +51,7 @@ class Measured:
     force_n: float
     area_m2: float
     residual_m: float
+    force_half_width_n: float = float("nan")
     iou: float = float("nan")
     force_error: float = float("nan")
 
@@ -94,21 +99,24 @@ class SideBySide:
         if estimate is None or patch is None or patch.pixel_mask is None:
             raise AssertionError("asked for all of them")
         errors: dict[str, float] = {}
-        if truth is not None:
+        if truth is not None and estimate.trusted:
             force = float(np.linalg.norm(truth.force_n))
             difference = float(np.linalg.norm(patch.force_n - truth.force_n))
             errors = {
                 "iou": iou(patch.pixel_mask, truth.patch_mask),
                 "force_error": difference / force if force > 0.0 else float("nan"),
             }
+        numbers = numbers_of(result, pipeline.model.gas)
         return Measured(
+            solver=pipeline.estimator.solver_name,
             status=estimate.status,
             nodes=len(pipeline.mesh.nodes),
             total_ms=result.times_ms["total"],
             solve_ms=estimate.solve_ms,
-            force_n=float(np.linalg.norm(patch.force_n)),
-            area_m2=patch.area_m2,
-            residual_m=estimate.residual_rms_m,
+            force_n=numbers.force_n,
+            area_m2=numbers.area_m2,
+            residual_m=numbers.residual_m,
+            force_half_width_n=numbers.force_half_width_n,
             **errors,
         )
 

@@ -11,7 +11,11 @@ import numpy as np
 from bubbleviz.export.table_export import Table
 
 _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
-    ("force, N", 1.0, {"force_magnitude_n": "|force|", "force_z_n": "z"}),
+    (
+        "force, N",
+        1.0,
+        {"force_magnitude_n": "|force|", "measured_force_n": "wrench", "force_z_n": "z"},
+    ),
     ("gas pressure change, Pa", 1.0, {"gas_pressure_change_pa": ""}),
     ("patch area, mm²", 1e6, {"patch_area_m2": ""}),
     (
@@ -34,7 +38,9 @@ def write_plots(table: Table, path: Path) -> None:
     every: Any = figure.subplots(len(_PLOTS), 1, sharex=True)
     for axes, (label, factor, columns) in zip(every, _PLOTS, strict=True):
         for column, name in columns.items():
-            axes.plot(times, factor * np.array(table[column]), ".-", label=name, lw=1.0, ms=3.0)
+            values = factor * np.array(table[column])
+            if np.isfinite(values).any():
+                axes.plot(times, values, ".-", label=name, lw=1.0, ms=3.0)
         for start, end in contact_intervals(table):
             axes.axvspan(start, end, color="0.9", lw=0.0, zorder=0)
         axes.set_ylabel(label, fontsize=9)

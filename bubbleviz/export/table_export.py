@@ -14,7 +14,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.export.exporter import estimate_of
-from bubbleviz.files.result_writer import COLUMNS, summary_row
+from bubbleviz.files.result_writer import add_measured_force, csv_row, summary_row
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.wording import how_to_install
@@ -27,6 +27,10 @@ Write = Callable[[Table, Path], None]
 
 class TableExporter:
     """Collects a row a frame, and at the end hands the table to a writer.
+
+    Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
+    force, the gas pressure as measured (absolute; NaN where the recording has none) and the
+    iterations of the solver.
 
     Parameters
     ----------
@@ -43,35 +47,28 @@ class TableExporter:
         self, path: Path, write: Write, poses: Mapping[int, dict[str, Any]] | None = None
     ) -> None:
         self._path, self._write, self._poses = path, write, poses
-        self._rows: list[dict[str, Any]] = []
+        self._summaries: list[dict[str, Any]] = []
+        self._more: list[dict[str, Any]] = []
 
     def add(self, result: Result) -> None:
         """Take the next frame."""
-        row = table_row(result)
+        summary, measured = summary_row(result), result.frame.gas_pressure_pa
+        more = {
+            "force_magnitude_n": float(np.linalg.norm(summary["force_n"])),
+            "gas_pressure_pa": float("nan") if measured is None else measured,
+            "iterations": estimate_of(result).iterations,
+        }
         if self._poses is not None:
-            row |= _pose_columns(self._poses, result.frame.index)
-        self._rows.append(row)
+            more |= _pose_columns(self._poses, result.frame.index)
+        self._summaries.append(summary)
+        self._more.append(more)
 
     def finish(self) -> None:
         """Write the table."""
-        self._write({name: [row[name] for row in self._rows] for name in self._rows[0]}, self._path)
-
-
-def table_row(result: Result) -> dict[str, Any]:
-    """Plain numbers and texts of one frame by column, SI units, times in ms.
-
-    The columns of RESULT.csv, then the size of the force, the gas pressure as measured (absolute;
-    NaN where the recording has none) and the iterations of the solver.
-    """
-    summary, estimate = summary_row(result), estimate_of(result)
-    row: dict[str, Any] = {}
-    for key, names in COLUMNS.items():
-        row |= dict(zip(names or (key,), np.atleast_1d(summary[key]).tolist(), strict=True))
-    measured = result.frame.gas_pressure_pa
-    row["force_magnitude_n"] = float(np.linalg.norm(summary["force_n"]))
-    row["gas_pressure_pa"] = float("nan") if measured is None else measured
-    row["iterations"] = estimate.iterations
-    return row
+        add_measured_force(self._summaries)
+        pairs = zip(self._summaries, self._more, strict=True)
+        rows = [csv_row(summary) | more for summary, more in pairs]
+        self._write({name: [row[name] for row in rows] for name in rows[0]}, self._path)
 
 
 def write_csv(table: Table, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""RESULT.npz and RESULT.csv, written frame by frame in bounded memory."""
+"""RESULT.npz, written frame by frame in bounded memory, and RESULT.csv."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from bubbleviz.frames.measured_force import force_of, measured_force
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 
@@ -23,6 +24,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "threshold_pa": (),
     "force_n": ("force_x_n", "force_y_n", "force_z_n"),
     "force_sigma_n": ("force_sigma_x_n", "force_sigma_y_n", "force_sigma_z_n"),
+    "measured_force_n": (),
     "center_of_pressure_m": (
         "center_of_pressure_x_m",
         "center_of_pressure_y_m",
@@ -62,7 +64,10 @@ _NO_NUMBER_WITHOUT_DATA = (
 
 
 def summary_row(result: Result) -> dict[str, Any]:
-    """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell."""
+    """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell.
+
+    The measured force needs the other frames, see `add_measured_force`; `wrench_n` is for that.
+    """
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         raise ValueError("the products estimate and patch were not asked for")
@@ -75,6 +80,8 @@ def summary_row(result: Result) -> dict[str, Any]:
         "threshold_pa": patch.threshold_pa,
         "force_n": patch.force_n,
         "force_sigma_n": np.full(3, np.nan) if sigma is None else sigma,
+        "measured_force_n": np.nan,
+        "wrench_n": force_of(result.frame.wrench),
         "center_of_pressure_m": patch.center_of_pressure_m,
         "patch_area_m2": patch.area_m2,
         "residual_rms_m": estimate.residual_rms_m,
@@ -86,6 +93,14 @@ def summary_row(result: Result) -> dict[str, Any]:
         for key in _NO_NUMBER_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row
+
+
+def add_measured_force(rows: list[dict[str, Any]]) -> None:
+    """Set |F| of the recording's wrench in the rows of its frames, as `measured_force`."""
+    wrench = np.array([row["wrench_n"] for row in rows])
+    contact_free = np.array([row["status"] == "no_contact" for row in rows])
+    for row, force in zip(rows, measured_force(wrench, contact_free), strict=True):
+        row["measured_force_n"] = float(force)
 
 
 class ResultWriter:
@@ -155,6 +170,7 @@ class ResultWriter:
         if len(self.rows) != self._frames:
             raise ValueError(f"{len(self.rows)} frames added, {self._frames} announced")
         self._masks.close()
+        add_measured_force(self.rows)
         nodal = (self._frames, len(self._mesh.nodes))
         for (name, more), spool in zip(NODAL_FIELDS.items(), self._spools, strict=True):
             spool.seek(0)
@@ -188,26 +204,17 @@ class ResultWriter:
         return member
 
 
-class CsvWriter:
-    """Writes RESULT.csv: one line a frame, the columns of `COLUMNS`.
+def write_csv(rows: list[dict[str, Any]], path: Path) -> None:
+    """Write RESULT.csv: one line a frame, the columns of `COLUMNS`."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(csv_row(rows[0]))
+        writer.writerows(csv_row(row).values() for row in rows)
 
-    Parameters
-    ----------
-    path : Path
-    """
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w", newline="", encoding="utf-8")
-        self._writer = csv.writer(self._file)
-        self._writer.writerow([name for key, names in COLUMNS.items() for name in names or (key,)])
-
-    def __enter__(self) -> CsvWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def add(self, row: dict[str, Any]) -> None:
-        """Write the line of a frame."""
-        values = [np.atleast_1d(row[key]).tolist() for key in COLUMNS]
-        self._writer.writerow([value for group in values for value in group])
+def csv_row(row: dict[str, Any]) -> dict[str, Any]:
+    """Plain numbers and texts of a row by column of the CSV."""
+    plain: dict[str, Any] = {}
+    for key, names in COLUMNS.items():
+        plain |= dict(zip(names or (key,), np.atleast_1d(row[key]).tolist(), strict=True))
+    return plain

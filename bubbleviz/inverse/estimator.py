@@ -11,7 +11,15 @@ from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeO
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.detection import detection_threshold
 from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.plausibility import GAS_LINEAR, GAS_NOISE, contradicts_gas, explains
+from bubbleviz.inverse.plausibility import (
+    GAS_CONTRADICTS,
+    GAS_LINEAR,
+    GAS_NOISE,
+    WHY,
+    beyond_gas,
+    contradicts_gas,
+    unexplained,
+)
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
@@ -222,16 +230,17 @@ class Estimator:
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             change = gas_pressure_pa - self.gas.P0
-            if not self.gas.lowest_change_pa <= change <= self.gas.highest_change_pa:
-                return self._nothing("implausible"), WarmStart(start.model)
+            if beyond := beyond_gas(change, self.gas):
+                return self._nothing("implausible", beyond), WarmStart(start.model)
             gas = change / self.scales.pressure_pa
         observation, model, answer = self._solve(depth_m, gas, start)
         if answer is None or answer.status == "implausible":
             status: Status = "no_data" if answer is None else answer.status
-            return self._nothing(status), WarmStart(model)
+            return self._nothing(status, WHY[status]), WarmStart(model)
         misfit = self.observer.misfit(observation, model.linear, answer.displacement_m)
-        if answer.contradicts_gas or not explains(misfit, self.observer.white):
-            return self._nothing("implausible", misfit.rms_m), WarmStart(model)
+        doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
+        if doubt := doubt or unexplained(misfit, self.observer.white):
+            return self._nothing("implausible", doubt, misfit.rms_m), WarmStart(model)
         touching = answer if answer.pressure.any() else None
         return self._report(misfit, answer), WarmStart(model, touching)
 
@@ -366,9 +375,10 @@ class Estimator:
             kkt_residual=answer.kkt_residual,
             iterations=answer.iterations,
             solve_ms=answer.solve_ms,
+            reason=WHY.get(answer.status, ""),
         )
 
-    def _nothing(self, status: Status, misfit_m: float = np.nan) -> Estimate:
+    def _nothing(self, status: Status, reason: str, misfit_m: float = np.nan) -> Estimate:
         """A frame about which nothing is known."""
         zero = np.zeros(len(self.mesh.nodes))
-        return Estimate(status, zero, zero, np.nan, misfit_m, np.nan)
+        return Estimate(status, zero, zero, np.nan, misfit_m, np.nan, reason=reason)

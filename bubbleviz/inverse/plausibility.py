@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from bubbleviz.camera.observer import Misfit
 from bubbleviz.inverse.problem import FrameProblem
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.result import Status
 
 GAS_NOISE = 1e-4
 """σ of a measured gas pressure over its absolute value: 10 Pa, what barometers resolve."""
@@ -21,8 +26,29 @@ GAS_LINEAR = 0.1
 """Compression p_v/P0 beyond which the linear gas law (Eq. 22) is off by a tenth of p_v."""
 
 
-def explains(misfit: Misfit, white: bool) -> bool:
-    """Whether a misfit is what the noise leaves.
+WHY: Mapping[Status, str] = MappingProxyType(
+    {
+        "no_data": "too few depth pixels lie on the membrane",
+        "not_converged": "no equilibrium was found",
+        "implausible": "depths are not near this membrane: another sensor, or other units",
+    }
+)
+"""Reason of a status where nothing more is known."""
+GAS_CONTRADICTS = "the shape asks for another gas pressure than was measured"
+
+
+def beyond_gas(change_pa: float, gas: Gas) -> str:
+    """Why a measured p_v is none that this membrane can cause; empty where it is."""
+    if gas.lowest_change_pa <= change_pa <= gas.highest_change_pa:
+        return ""
+    return (
+        f"gas pressure is {1e-3 * change_pa:+.1f} kPa off the sensor file's, more than the membrane"
+        " can change it"
+    )
+
+
+def unexplained(misfit: Misfit, white: bool) -> str:
+    """Why a misfit is not what the noise leaves; empty where it is.
 
     Parameters
     ----------
@@ -31,9 +57,9 @@ def explains(misfit: Misfit, white: bool) -> bool:
         Whether the noise should be white, see `RangeObserver.white`.
     """
     if misfit.deviations > IMPLAUSIBLE_MISFIT:
-        return False
+        return f"depths are {misfit.deviations:.0f} σ off any shape of this membrane"
     clumped = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
-    return not (white and clumped)
+    return "residuals are not the white noise of the sensor file" if white and clumped else ""
 
 
 def contradicts_gas(

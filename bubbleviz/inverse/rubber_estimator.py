@@ -22,7 +22,14 @@ from bubbleviz.inverse.contact_problem import (
 from bubbleviz.inverse.detection import THRESHOLD_SAMPLE
 from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOptions
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
-from bubbleviz.inverse.plausibility import GAS_NOISE, IMPLAUSIBLE_MISFIT, explains
+from bubbleviz.inverse.plausibility import (
+    GAS_CONTRADICTS,
+    GAS_NOISE,
+    IMPLAUSIBLE_MISFIT,
+    WHY,
+    beyond_gas,
+    unexplained,
+)
 from bubbleviz.inverse.resolution import resolution_m
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
@@ -227,16 +234,17 @@ class RubberEstimator:
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             gas = gas_pressure_pa - self.gas.P0
-            if not self.gas.lowest_change_pa <= gas <= self.gas.highest_change_pa:
-                return self._nothing("implausible"), RubberStart()
+            if beyond := beyond_gas(gas, self.gas):
+                return self._nothing("implausible", beyond), RubberStart()
         try:
             answer = self._solve(depth_m, gas, start)
         except RuntimeError:  # a singular tangent
             answer = "not_converged"
         if isinstance(answer, str):
-            return self._nothing(answer), RubberStart()
-        if answer.contradicts_gas or not explains(answer.misfit, self.observer.white):
-            return self._nothing("implausible", answer.misfit.rms_m), RubberStart()
+            return self._nothing(answer, WHY[answer]), RubberStart()
+        doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
+        if doubt := doubt or unexplained(answer.misfit, self.observer.white):
+            return self._nothing("implausible", doubt, answer.misfit.rms_m), RubberStart()
         touching = answer.state if answer.state.pressure.any() else None
         return self._report(answer), RubberStart(touching, answer.rubber, answer.noise)
 
@@ -469,7 +477,7 @@ class RubberEstimator:
             gas_law_pa=self._gas_at(state.x)[0],
         )
 
-    def _nothing(self, status: Status, misfit_m: float = np.nan) -> Estimate:
+    def _nothing(self, status: Status, reason: str, misfit_m: float = np.nan) -> Estimate:
         """A frame about which nothing is known."""
         zero, three = np.zeros(len(self.mesh.nodes)), np.full(3, np.nan)
         return Estimate(
@@ -482,4 +490,5 @@ class RubberEstimator:
             displacement_3d_m=np.zeros((len(zero), 3)),
             force_n=three,
             force_sigma_n=three,
+            reason=reason,
         )

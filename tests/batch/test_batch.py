@@ -144,6 +144,7 @@ def test_the_frame_to_look_at_is_one_not_to_be_trusted(tmp_path: Path) -> None:
         frame=[10, 20, 30, 40],
         status=["ok", "no_data", "implausible", "no_contact"],
         force_n=[[0, 3, 4], [np.nan] * 3, [np.nan] * 3, [0, 0, 0]],
+        measured_force_n=[4.0, 9.0, 9.0, 0.1],
         patch_area_m2=[1e-4, np.nan, np.nan, 0],
         residual_rms_m=[9e-3, np.nan, np.nan, 1e-4],
         total_ms=[100, 2, 3, 4],
@@ -151,6 +152,7 @@ def test_the_frame_to_look_at_is_one_not_to_be_trusted(tmp_path: Path) -> None:
     row = Row.of_result("r", "s", path)
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
     assert (row.max_force_n, row.mean_contact_force_n, row.median_ms) == (5.0, 5.0, 3.0)
+    assert row.mean_contact_measured_force_n == 4.0
     again = Row.from_dict(json.loads(row.to_json()))
     assert again.to_json() == row.to_json()
 

@@ -93,7 +93,8 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
         "patch_mask": (frames, height, width), "residual_rms_m": (frames,),
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
         "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
-        "force_sigma_n": (frames, 3), "sensor_toml": (), "version": (), "solver": (),
+        "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
+        "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
     kinds = {key: array.dtype.kind for key, array in result.items()}
@@ -334,7 +335,7 @@ def test_a_frame_without_data_has_no_numbers() -> None:
     (result,) = fake_results(1, 3, (4, 5))
     assert result.estimate is not None
     row = summary_row(replace(result, estimate=replace(result.estimate, status="no_data")))
-    assert set(row) == set(COLUMNS)
+    assert set(row) == {*COLUMNS, "wrench_n"}
     assert np.isnan(row["force_n"]).all()
     assert row["force_n"].shape == (3,)
     assert row["frame"] == 0

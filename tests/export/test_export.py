@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,12 @@ from click.testing import CliRunner, Result
 from PIL import Image
 
 from bubbleviz.cli.command_line import main
+from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.commands.export import export_recording
 from bubbleviz.errors import InputError
 from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.progress import Cancelled
 
 Arrays = dict[str, np.ndarray]
@@ -68,6 +71,26 @@ def test_csv_says_what_the_estimate_says(folder: Path, estimated: Arrays) -> Non
     size = np.linalg.norm(estimated["force_n"], axis=1)
     np.testing.assert_allclose(columns_of(rows, "force_magnitude_n")[:, 0], size)
     assert columns_of(rows, "iterations")[PRESSED, 0] > 0
+
+
+def test_measured_force_is_beside_the_estimate(tmp_path: Path, press: Path, sensor: Path) -> None:
+    """A wrench in other axes, with a bias, as a robot has it."""
+    recording, bias = tmp_path / "wrench.mcap", np.array([-0.4, -0.6, -0.5, 0, 0, 0])
+    pushes = [0.0, 5.0, 6.0, 6.0, 0.0]
+    with Recording(press) as source, RecordingWriter(recording) as writer:
+        for k, push in enumerate(pushes):
+            wrench = bias + push * np.array([0.6, 0, 0.8, 0, 0, 0])
+            writer.write(replace(source[k], wrench=wrench))
+    exported, archive, table = (tmp_path / name for name in ("table.csv", "r.npz", "r.csv"))
+    done = export(recording, "--sensor", sensor, "--out", exported)
+    assert done.exit_code == 0, done.output
+    summary = estimate_recording(recording, sensor, archive, table)
+    assert "6 N median in contact by the wrench" in summary.to_text()
+    for path in (exported, table):
+        measured = columns_of(rows_of(path), "measured_force_n")[:, 0]
+        np.testing.assert_allclose(measured, pushes, atol=1e-9)
+    with np.load(archive) as result:
+        np.testing.assert_allclose(result["measured_force_n"], pushes, atol=1e-9)
 
 
 def test_parquet_has_the_columns_of_the_csv(folder: Path) -> None:

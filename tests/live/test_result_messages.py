@@ -126,6 +126,18 @@ def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Res
     assert POSE == "geometry_msgs/msg/PoseStamped"
 
 
+def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(
+    pipeline: Pipeline, pressed: Result
+) -> None:
+    doubtful = replace(pressed.estimate, status="implausible", reason="another sensor")  # type: ignore[type-var]
+    result = replace(pressed, estimate=doubtful)
+    messages = ResultMessages(pipeline.mesh)
+    assert decoded(messages.of(result)) == {}
+    counters = Counters()
+    _, kind, payload, _ = messages.diagnostics(0, Status("live", 0.01), counters, result)
+    assert STORE.deserialize_cdr(payload, kind).status[0].message == "implausible: another sensor"
+
+
 def test_diagnostics_tell_state_and_counts(pipeline: Pipeline, pressed: Result) -> None:
     messages = ResultMessages(pipeline.mesh)
     counters = Counters(received=7, undecodable=2, problem="/cam: garbage")

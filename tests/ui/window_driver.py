@@ -96,7 +96,9 @@ def texts(driver: Driver) -> list[str]:
     """Words in the 3-D view: those of the readout, and the titles of colour bars."""
     seen = [prop for prop in props(driver) if prop.GetVisibility()]
     found = [prop.GetInput() for prop in seen if isinstance(prop, vtkTextActor)]
-    return found + [prop.GetTitle() for prop in seen if isinstance(prop, vtkScalarBarActor)]
+    return [text for text in found if text] + [
+        prop.GetTitle() for prop in seen if isinstance(prop, vtkScalarBarActor)
+    ]
 
 
 def drawn_points(layer: Any) -> np.ndarray:

@@ -35,7 +35,7 @@ class ResultMessages:
     Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
     deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
     membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found) and
-    `/diagnostics`.
+    `/diagnostics`. Of an estimate that is not to be trusted only the last, which says why.
 
     Parameters
     ----------
@@ -56,10 +56,11 @@ class ResultMessages:
         """Messages of what there is of a result, stamped as its frame."""
         stamp = result.frame.stamp_ns
         header = make_header(max(stamp, 0), self._frame_id)
-        if result.patch is not None and result.estimate is not None:
-            cloud = self._patch(header, result.estimate, result.patch)
+        estimate, patch = result.trusted_estimate, result.trusted_patch
+        if estimate is not None and patch is not None:
+            cloud = self._patch(header, estimate, patch)
             yield self._message("contact_patch", POINT_CLOUD, cloud, stamp)
-            wrench = make_wrench(header, _wrench(result.patch))
+            wrench = make_wrench(header, _wrench(patch))
             yield self._message("contact_wrench", WRENCH, wrench, stamp)
         if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
             yield self._message("object_pose", POSE, _pose(header, result.pose.T_B_O), stamp)
@@ -134,4 +135,5 @@ def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:
         return _STALE, status.text
     if estimate is None:
         return _OK, status.text
-    return _LEVELS.get(estimate.status, _ERROR), estimate.status
+    text = f"{estimate.status}: {estimate.reason}" if estimate.reason else estimate.status
+    return _LEVELS.get(estimate.status, _ERROR), text

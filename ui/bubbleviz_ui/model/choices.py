@@ -156,7 +156,7 @@ class Choices:
     pose_track: bool = False
     pose_stage: int = 2
     compared: tuple[Setting, Setting] = _setting(
-        (Setting(), Setting(recasts=0)), "compared settings"
+        (Setting(), Setting(solver="linear")), "compared settings"
     )
     picture_size: tuple[int, int] = (1920, 1080)
     pre_roll_s: float = _setting(PRE_ROLL_S, of="recording")

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.frames.measured_force import measured_force
 from bubbleviz.pipeline import Product
+from bubbleviz.result import TRUSTED
 
 QUANTITIES = (
     "force_n",
+    "force_half_width_n",
     "gas_law_pa",
     "gas_measured_pa",
     "area_m2",
@@ -22,9 +25,10 @@ QUANTITIES = (
 )
 """Names of the arrays, with their units."""
 
+MEASURED_FORCE = "measured_force_n"
 OF_PATCH = ("area_m2", "center_x_m", "center_y_m", "center_z_m")
-UNKNOWN, FREE, CONTACT = -1, 0, 1
-"""What is known about contact in a frame."""
+UNKNOWN, FREE, CONTACT, UNTRUSTED = -1, 0, 1, 2
+"""What is known about contact in a frame; `UNTRUSTED`: the estimate is not to be trusted."""
 _FRAME, _ESTIMATE, _PATCH = 1, 2, 4
 
 
@@ -41,13 +45,15 @@ class History:
     values : dict
         (F,) array of each of `QUANTITIES`; NaN where nothing is known.
     contact : (F,) int8 array
-        `UNKNOWN`, `FREE` or `CONTACT`.
+        `UNKNOWN`, `FREE`, `CONTACT` or `UNTRUSTED`.
     """
 
     def __init__(self, frames: int) -> None:
         self.values = {name: np.full(frames, np.nan) for name in QUANTITIES}
         self.contact = np.full(frames, UNKNOWN, np.int8)
         self._has = np.zeros(frames, np.uint8)
+        self._wrench = np.full((frames, 3), np.nan)
+        self._untouched = np.zeros(frames, bool)
 
     def __len__(self) -> int:
         return len(self.contact)
@@ -58,16 +64,20 @@ class History:
             self.values[name] = grown(values, frames, np.nan)
         self.contact = grown(self.contact, frames, UNKNOWN)
         self._has = grown(self._has, frames, 0)
+        self._wrench = grown(self._wrench, frames, np.nan)
+        self._untouched = grown(self._untouched, frames, False)
 
     def take(self, frame: int, known: Numbers, *, patch: bool) -> None:
         """Keep the numbers of a frame; those of its patch only where `patch` says so."""
         self._put(frame, known, ("gas_measured_pa", "total_ms", "latency_ms"))
         self._has[frame] |= _FRAME
+        self._wrench[frame] = known.wrench_n
         if known.status:
             self._put(frame, known, ("gas_law_pa", "residual_m", "solve_ms"))
             self._has[frame] |= _ESTIMATE
+            self._untouched[frame] = known.status == "no_contact"
         if known.has_patch and patch:
-            self._put(frame, known, ("force_n", "area_m2"))
+            self._put(frame, known, ("force_n", "force_half_width_n", "area_m2"))
             for name, value in zip(OF_PATCH[1:], known.center_m, strict=True):
                 self.values[name][frame] = value
             self._has[frame] |= _PATCH
@@ -79,6 +89,15 @@ class History:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
         self._has &= np.uint8(_FRAME | _ESTIMATE)
+
+    def of(self, name: str) -> np.ndarray:
+        """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`.
+
+        The bias of the measured forces is that of the frames known to be contact-free by now.
+        """
+        if name == MEASURED_FORCE:
+            return measured_force(self._wrench, self._untouched)
+        return self.values[name]
 
     def missing(self, products: frozenset[Product]) -> np.ndarray:
         """Frames of which not all was computed that these products would tell, (k,) int."""
@@ -97,8 +116,8 @@ class History:
 
 
 def _contact(known: Numbers) -> int:
-    if known.status not in ("ok", "no_contact"):
-        return UNKNOWN
+    if known.status not in TRUSTED:
+        return UNTRUSTED
     return CONTACT if known.area_m2 > 0.0 else FREE
 
 
@@ -106,7 +125,7 @@ def grown(values: np.ndarray, count: int, fill: float) -> np.ndarray:
     """An array with its first values, `count` long; within its spare room nothing is copied."""
     room = values.base if isinstance(values.base, np.ndarray) else values
     if len(room) < count:
-        room = np.full(2 * count, fill, values.dtype)
+        room = np.full((2 * count, *values.shape[1:]), fill, values.dtype)
         room[: len(values)] = values
     return room[:count]
 

@@ -45,7 +45,7 @@ class Unit:
 
     def with_interval(self, si: float | None, half_width: float | None) -> str:
         """Number ± half of its 95 % interval, and unit."""
-        if si is None or half_width is None:
+        if si is None or half_width is None or not math.isfinite(si + half_width):
             return self.text(si)
         return (
             f"{self.of(si):.{self.digits}f} ± {self.of(half_width):.{self.digits}f} {self.symbol}"

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
-from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS, LINEAR
+from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared
 from bubbleviz_ui.model.choices import Setting
@@ -33,10 +33,11 @@ NODES = (100, 5_000, 100)
 """Fewest and most nodes to choose, and a step; all below MAX_NODES."""
 BLOCKS = 16
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
+    "solver": ("Model", lambda m, u: m.solver),
     "status": ("Status", lambda m, u: m.status),
     "total": ("In → out", lambda m, u: u.duration.text(m.total_ms)),
     "solve": ("Solver", lambda m, u: u.duration.text(m.solve_ms)),
-    "force": ("Force", lambda m, u: u.force.text(m.force_n)),
+    "force": ("Force", lambda m, u: u.force.with_interval(m.force_n, m.force_half_width_n)),
     "area": ("Patch area", lambda m, u: u.area.text(m.area_m2)),
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
@@ -51,7 +52,7 @@ class Column:
 
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
-        self.solver = options(QComboBox(), {name: name for name in ESTIMATORS})
+        self.solver = options(QComboBox(), {None: "default", **{name: name for name in ESTIMATORS}})
         self.pressure_scale = QDoubleSpinBox(minimum=0.1, maximum=100.0, singleStep=0.5)
         self.recasts = QSpinBox(minimum=0, maximum=5)
         self.nodes = QSpinBox(singleStep=NODES[2])
@@ -61,7 +62,7 @@ class Column:
         self.block.setSpecialValueText("automatic")
         self.values = {name: QLabel(NOTHING) for name in ROWS}
         usual = EstimatorOptions()
-        self._bind("solver", LINEAR)
+        self._bind("solver", None)
         self._bind("pressure_scale", usual.pressure_scale)
         self._bind("recasts", usual.relinearisations)
         self._bind("nodes", 0)
@@ -91,7 +92,7 @@ class Column:
         """The setting as the estimator takes it."""
         nodes = self.nodes.value()
         return EstimatorOptions(
-            solver=self.solver.currentText(),
+            solver=self.solver.currentData(),
             relinearisations=self.recasts.value(),
             nodes=max(nodes, NODES[0]) if nodes else None,
             pressure_scale=self.pressure_scale.value(),
@@ -134,7 +135,7 @@ class ComparePanel(QWidget):
         for place, title in enumerate(("A", "B"), start=1):
             grid.addWidget(QLabel(title), 0, place)
         controls = {
-            "Solver": ("solver", "Of the inverse problem (Eq. 23)"),
+            "Solver": ("solver", "Of the inverse problem: rubber is the exact membrane"),
             "Prior p_c": (
                 "pressure_scale",
                 "Contact pressure expected, in gauge pressures: the larger, the smaller λ",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QCheckBox,
@@ -20,7 +19,8 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.result import Patch, Result
+from bubbleviz.result import Result
+from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.kappa_plots import kappa_in_use
@@ -59,6 +59,8 @@ class KappaPanel(QWidget):
         )
         self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
         self.threshold, self.area, self.force = (_value() for _ in range(3))
+        self.doubt = QLabel(wordWrap=True)
+        self.doubt.setObjectName("doubt")
         self._lay_out()
         self._show_patch(None)
         self._bind(state)
@@ -66,7 +68,7 @@ class KappaPanel(QWidget):
 
     def show_result(self, result: Result) -> None:
         """Write the numbers of the patch; the automatic threshold as the κ it amounts to."""
-        self._show_patch(result.patch)
+        self._show_patch(result)
         kappa = kappa_in_use(self._state.choices, self._mesh, result)
         if self._state.choices.kappa is None and kappa is not None:
             for each in self._kappa:
@@ -84,7 +86,7 @@ class KappaPanel(QWidget):
         form.addRow("Patch area", self.area)
         form.addRow("Force", self.force)
         form.addRow("Solver", self.solver)
-        fill(QVBoxLayout(self), self.automatic, row, form, 1, margins=(12, 10, 12, 12))
+        fill(QVBoxLayout(self), self.automatic, row, form, self.doubt, 1, margins=(12, 10, 12, 12))
 
     def _bind(self, state: SessionState) -> None:
         bind(self.solver, state, "solver")
@@ -100,12 +102,13 @@ class KappaPanel(QWidget):
     def _automatic(self, on: bool) -> float | None:
         return None if on else self.box.value()
 
-    def _show_patch(self, patch: Patch | None) -> None:
-        units = self._state.units
+    def _show_patch(self, result: Result | None) -> None:
+        units, patch = self._state.units, None if result is None else result.trusted_patch
         self.threshold.setText(units.pressure.text(patch.threshold_pa if patch else None))
         self.area.setText(units.area.text(patch.area_m2 if patch else None))
-        force = float(np.linalg.norm(patch.force_n)) if patch else None
-        self.force.setText(units.force.text(force))
+        self.force.setText(units.force.text(None) if result is None else force_text(result, units))
+        self.doubt.setText("" if result is None else doubt_text(result))
+        self.doubt.setVisible(bool(self.doubt.text()))
 
 
 def _value() -> QLabel:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
+from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Units
 
 TIPS = {
     "sensor": "Sensor",
     "frame": "Frame shown and its time in the recording",
-    "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane",
+    "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane, ± half of"
+    " its 95 % interval by depth noise, γ0, gauge pressure and λ",
     "area": "Area of the contact patch on the membrane: p_c above κ times its mean (V-C)",
     "gas": "Change of the gas pressure against the reference, p_v, by the gas law (Eq. 9)",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
@@ -47,7 +48,7 @@ def widest(units: Units) -> dict[str, str]:
     return {
         "sensor": "soft-bubble…",
         "frame": "frame 888/888 · 88.888 s",
-        "force": f"force {units.force.text(88.88)}",
+        "force": f"force {units.force.with_interval(88.88, 8.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
         "gas": f"Δp gas {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
@@ -100,13 +101,13 @@ class StatusBar(QStatusBar):
 
     def show_result(self, result: Result, facts: SourceFacts) -> None:
         """Write the numbers of the frame that is shown."""
-        units, frame, estimate, patch = self._units, result.frame, result.estimate, result.patch
+        units, frame = self._units, result.frame
+        estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
         of_all = "" if facts.grows else f"/{facts.frames - 1}"
         texts = {
             "frame": f"frame {frame.index}{of_all} · {time_text}",
-            "force": "force "
-            + units.force.text(float(np.linalg.norm(patch.force_n)) if patch else None),
+            "force": "force " + force_text(result, units),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": "Δp gas "
             + units.gas_pressure.text(
@@ -117,6 +118,7 @@ class StatusBar(QStatusBar):
         }
         for name, text in texts.items():
             self.labels[name].setText(text)
+        self.labels["force"].setToolTip(doubt_text(result) or TIPS["force"])
         self._solve_ms = result.times_ms.get("total")
 
     def show_rates(self, rates: Rates) -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from PySide6.QtGui import QColor
 
-from bubbleviz_ui.model.frame_history import History, thinned
+from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, History, thinned
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_frame import PlotFrame
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
 
 
@@ -29,17 +31,26 @@ class Trace:
         Colour by quantity of the history.
     words : tuple of str
         What the curves are called; empty for a single one.
+    bands : mapping
+        Half of the 95 % interval by quantity, drawn as a band around its curve.
     """
 
     title: str
     unit: Callable[[Units], Unit]
     curves: dict[str, str]
     words: tuple[str, ...] = ("",)
+    bands: Mapping[str, str] = field(default_factory=dict)
 
 
 TRACES = MappingProxyType(
     {
-        "force": Trace("Force", lambda u: u.force, {"force_n": BLUE}),
+        "force": Trace(
+            "Force",
+            lambda u: u.force,
+            {"force_n": BLUE, MEASURED_FORCE: ORANGE},
+            ("", "wrench"),
+            {"force_n": "force_half_width_n"},
+        ),
         "gas": Trace(
             "p_v",
             lambda u: u.gas_pressure,
@@ -77,6 +88,8 @@ class TimePlot:
     ----------
     cursor : pyqtgraph.InfiniteLine
         Can be dragged.
+    bands : dict of Band
+        By quantity.
     """
 
     def __init__(self, trace: Trace) -> None:
@@ -93,6 +106,7 @@ class TimePlot:
             name: pg.PlotDataItem(pen=pg.mkPen(colour, width=1), connect="finite", symbolSize=4)
             for name, colour in trace.curves.items()
         }
+        self.bands = {name: Band(self.box, trace.curves[name]) for name in trace.bands}
         self.cursor = pg.InfiniteLine(movable=True)
         for curve in self.curves.values():
             self.box.addItem(curve)
@@ -104,7 +118,8 @@ class TimePlot:
         scale = self.trace.unit(units).of(1.0)
         for name, curve in self.curves.items():
             low, high = self.box.viewRange()[0]
-            times, values = thinned(times_s, history.values[name], (low, high))
+            known = history.of(name)
+            times, values = thinned(times_s, known, (low, high))
             curve.setData(
                 times,
                 values * scale,
@@ -112,6 +127,9 @@ class TimePlot:
                 symbolBrush=self.trace.curves[name],
                 symbolPen=None,
             )
+            if name in self.bands:
+                half = history.of(self.trace.bands[name])
+                self.bands[name].draw(times_s, known * scale, half * scale, (low, high))
 
     def show_all(self, times_s: np.ndarray) -> None:
         """Show all of time."""
@@ -128,13 +146,21 @@ class TimePlot:
         self.cursor.setValue(time_s)
         self.cursor.blockSignals(False)
         unit = self.trace.unit(units)
-        numbers = zip(self.trace.curves.items(), self.trace.words, strict=True)
         parts = []
-        for (name, colour), word in numbers:
-            value = float(self._history.values[name][frame]) if self._history else None
-            number = unit.text(value).removesuffix(unit.symbol).strip()
+        for (name, colour), word in zip(self.trace.curves.items(), self.trace.words, strict=True):
+            if name == MEASURED_FORCE and math.isnan(self._at(name, frame)):
+                continue  # most recordings have no wrench
+            band = self.trace.bands.get(name)
+            half = None if band is None else self._at(band, frame)
+            number = unit.with_interval(self._at(name, frame), half)
+            number = number.removesuffix(unit.symbol).strip()
             parts.append(f'<span style="color:{colour}">{f"{word} {number}".strip()}</span>')
-        self.frame.write(f"{self.trace.title}: {' · '.join(parts)} {unit.symbol}")
+        doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
+        note = f' <span style="color:{theme.UNTRUSTED}">not to be trusted</span>' if doubt else ""
+        self.frame.write(f"{self.trace.title}: {' · '.join(parts)} {unit.symbol}{note}")
+
+    def _at(self, name: str, frame: int) -> float:
+        return math.nan if self._history is None else float(self._history.of(name)[frame])
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Take the theme's colours."""
@@ -145,6 +171,41 @@ class TimePlot:
     def data(self) -> dict[str, tuple[Any, Any]]:
         """Times in s and values in the operator's unit of each curve, as drawn."""
         return {name: curve.getOriginalDataset() for name, curve in self.curves.items()}
+
+
+class Band:
+    """The 95 % interval around a curve.
+
+    Parameters
+    ----------
+    box : pyqtgraph.ViewBox
+    colour : str
+
+    Attributes
+    ----------
+    low, high : pyqtgraph.PlotDataItem
+        Its edges.
+    """
+
+    def __init__(self, box: Any, colour: str) -> None:
+        import pyqtgraph as pg  # 0.2 s later than the window
+
+        shade = QColor(colour)
+        shade.setAlpha(70)
+        self.low, self.high = (pg.PlotDataItem(pen=shade, connect="finite") for _ in range(2))
+        for item in (self.low, self.high, pg.FillBetweenItem(self.low, self.high, brush=shade)):
+            box.addItem(item)
+
+    def draw(
+        self,
+        times_s: np.ndarray,
+        values: np.ndarray,
+        half: np.ndarray,
+        window_s: tuple[float, float],
+    ) -> None:
+        """Draw values ± half widths, (F,), in the operator's unit."""
+        for edge, item in ((values - half, self.low), (values + half, self.high)):
+            item.setData(*thinned(times_s, edge, window_s))
 
 
 def _alone(values: np.ndarray) -> bool:

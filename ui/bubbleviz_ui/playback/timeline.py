@@ -8,7 +8,7 @@ from PySide6.QtGui import QColor, QHelpEvent, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from bubbleviz.frames.gaps import Gap, find_gaps
-from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN
+from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, UNTRUSTED
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.range_strip import MARGIN, REACH
@@ -22,7 +22,12 @@ TICK_PIXELS = 5
 """Frames nearer to each other than this share a tick."""
 LABEL_PIXELS = 70
 STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600)
-WORDS = {UNKNOWN: "not computed yet", FREE: "no contact", CONTACT: "contact"}
+WORDS = {
+    UNKNOWN: "not computed yet",
+    FREE: "no contact",
+    CONTACT: "contact",
+    UNTRUSTED: "not to be trusted",
+}
 
 
 class Timeline(QWidget):
@@ -147,7 +152,11 @@ class Timeline(QWidget):
     def _paint_contact(self, painter: QPainter) -> None:
         known = columns(self._state.history.contact, max(int(self._span), 1))
         ends = np.flatnonzero(np.diff(known)) + 1
-        colours = {FREE: theme.of(self).free, CONTACT: theme.CONTACT}
+        colours = {
+            FREE: theme.of(self).free,
+            CONTACT: theme.CONTACT,
+            UNTRUSTED: theme.UNTRUSTED,
+        }
         for start, stop in zip([0, *ends], [*ends, len(known)], strict=True):
             if known[start] != UNKNOWN:
                 place = QRectF(MARGIN + float(start), RULER, float(stop - start), BAND)

@@ -23,6 +23,8 @@ UNKNOWN = "#5b6470"
 """Where there is no number."""
 NODE = "#ff5ccd"
 CONTACT = "#e0662f"
+UNTRUSTED = "#b558d6"
+"""Frames whose numbers are not to be trusted."""
 BETWEEN = "#e8edf2"
 """Middle of a diverging map that lies on the membrane."""
 GAP = "#e5484d"
@@ -171,6 +173,7 @@ QStatusBar {{ background: {c.field}; border-top: 1px solid {c.border}; }}
 QStatusBar::item {{ border: none; }}
 QLabel#dim {{ color: {c.dim}; }}
 QLabel#value {{ font-weight: 600; }}
+QLabel#doubt {{ color: {c.doubtful}; font-weight: 600; }}
 QPushButton, QToolButton {{ background: {c.button}; border: 1px solid {c.border};
     border-radius: 4px; padding: 4px 10px; }}
 QToolButton {{ padding: 4px 5px; }}

@@ -53,8 +53,8 @@ class HeldRanges:
             residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
         if result.estimate is not None and result.estimate.status == "no_contact":
             residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
-        if result.patch is not None:
-            force = float(np.linalg.norm(result.patch.force_n))
+        if result.trusted_patch is not None:
+            force = float(np.linalg.norm(result.trusted_patch.force_n))
         held = self._held
         self._held = Ranges(
             _grown(held.pressure_pa, pressure),

@@ -21,8 +21,8 @@ def font_file() -> str:
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
-def write_in(view: View, style: Any, size: int) -> None:
-    """Give a vtkTextProperty the window's font, colour and a size in pixels."""
+def write_in(view: View, style: Any, size: int, colour: str | None = None) -> None:
+    """Give a vtkTextProperty the window's font, a size in pixels, and a colour or the theme's."""
     style.SetFontFamily(VTK_FONT_FILE)
     style.SetFontFile(font_file())
     style.SetFontSize(size)
@@ -31,6 +31,6 @@ def write_in(view: View, style: Any, size: int) -> None:
     style.SetShadow(False)
 
     def paint(colours: theme.Colours) -> None:
-        style.SetColor(*(c / 255 for c in rgb(colours.text)))
+        style.SetColor(*(c / 255 for c in rgb(colour or colours.text)))
 
     view.follow_theme(paint)

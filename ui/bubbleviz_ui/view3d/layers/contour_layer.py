@@ -30,7 +30,7 @@ class ContourLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Trace the edge of the patch; nothing without contact."""
-        patch = picture.result.patch
+        patch = picture.result.trusted_patch
         if patch is not None and patch.area_m2 > 0:
             self.canvas.surface.mark(patch.level)
         self._has(patch is not None and patch.area_m2 > 0)

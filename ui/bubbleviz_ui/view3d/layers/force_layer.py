@@ -35,7 +35,7 @@ class ForceLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Place the arrow; nothing without contact."""
-        patch = picture.result.patch
+        patch = picture.result.trusted_patch
         force = float(np.linalg.norm(patch.force_n)) if patch is not None else 0.0
         touched = patch is not None and patch.area_m2 > 0 and force > 0
         if patch is not None and touched:

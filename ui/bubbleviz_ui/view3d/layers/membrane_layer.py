@@ -10,7 +10,10 @@ from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 
 class MembraneLayer(Layer):
-    """The deformed surface with a colour bar in the operator's pressure unit."""
+    """The deformed surface with a colour bar in the operator's pressure unit.
+
+    One colour of its own, at rest, while the estimate is not to be trusted.
+    """
 
     name, cut = "membrane", True
 
@@ -29,6 +32,7 @@ class MembraneLayer(Layer):
             specular_power=25,
         )
         actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
+        actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
         self._bar = ColourBar(canvas.view, self._table, "contact pressure", bottom=0.53)
 
     def draw(self, picture: Picture) -> None:
@@ -38,6 +42,8 @@ class MembraneLayer(Layer):
         self._bar.set_range(0.0, high, unit)
         self.actor.mapper.scalar_range = (0.0, high)
         self.actor.prop.opacity = picture.choices.membrane_opacity
+        estimate = picture.result.estimate
+        self.actor.mapper.scalar_visibility = estimate is None or estimate.trusted
         if picture.choices.colour_map != self._map:
             self._map = picture.choices.colour_map
             self._table.values = pressure_colours(self._map)

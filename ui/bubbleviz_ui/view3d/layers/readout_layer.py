@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
-from bubbleviz.result import Estimate, Patch
+from bubbleviz.result import Result
+from bubbleviz_ui.model.result_text import DOUBTS, force_text
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
-
-REASONS = {
-    "no_contact": "no contact",
-    "no_data": "no depth data",
-    "not_converged": "solver did not converge",
-}
 
 
 class ReadoutLayer(Layer):
@@ -29,31 +24,36 @@ class ReadoutLayer(Layer):
         super().__init__(canvas)
         self._head = _text_actor(canvas.view, size=26, top=14)
         self._rest = _text_actor(canvas.view, size=15, top=50)
-        self._actors += [self._head, self._rest]
+        self._alarm = _text_actor(canvas.view, size=26, top=14, colour=theme.UNTRUSTED)
+        self._actors += [self._head, self._rest, self._alarm]
 
     def draw(self, picture: Picture) -> None:
         """Write the numbers of this result."""
-        head, rest = readout(picture.result.estimate, picture.result.patch, self.canvas.units)
-        self._head.SetInput(head)
+        head, rest = readout(picture.result, self.canvas.units)
+        doubtful = picture.result.estimate is not None and not picture.result.estimate.trusted
+        self._head.SetInput("" if doubtful else head)
+        self._alarm.SetInput(head if doubtful else "")
         self._rest.SetInput(rest)
 
 
-def readout(estimate: Estimate | None, patch: Patch | None, units: Units) -> tuple[str, str]:
+def readout(result: Result, units: Units) -> tuple[str, str]:
     """Headline and second line for a result."""
+    estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return "", ""
-    if estimate.status != "ok" or patch.area_m2 <= 0:
-        return REASONS.get(estimate.status, "no contact"), ""
-    force = units.force.text(float(np.linalg.norm(patch.force_n)))
+    if not estimate.trusted:
+        return DOUBTS[estimate.status], estimate.reason
+    if estimate.status == "no_contact" or patch.area_m2 <= 0:
+        return "no contact", ""
     peak = units.pressure.text(float(estimate.contact_pressure_pa.max()))
     area = units.area.text(patch.area_m2)
-    return f"contact  {force}", f"peak {peak}   patch {area}"
+    return f"contact  {force_text(result, units)}", f"peak {peak}   patch {area}"
 
 
-def _text_actor(view: View, *, size: int, top: int) -> Any:
+def _text_actor(view: View, *, size: int, top: int, colour: str | None = None) -> Any:
     actor = vtkTextActor()
     style = actor.GetTextProperty()
-    write_in(view, style, size)
+    write_in(view, style, size, colour)
     style.SetVerticalJustificationToTop()
     place = actor.GetPositionCoordinate()
     place.SetCoordinateSystemToNormalizedViewport()

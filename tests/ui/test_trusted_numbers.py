@@ -1,0 +1,123 @@
+"""How sure a number is, wherever the window shows it; and none where there is none to trust."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from fakes import FIRST_CONTACT, FRAMES, DentSource, small_sensor
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor
+from window_driver import Driver, texts
+
+from bubbleviz.frames.frame import Frame
+from bubbleviz_ui.shell import theme
+
+Drive = Callable[..., Driver]
+PRESSED = FIRST_CONTACT + 2
+BIAS = np.array([-0.4, -0.6, -0.5])
+
+
+class Measured(DentSource):
+    """A dent whose wrench is known, N; from a frame on, the gas pressure is of another planet."""
+
+    def __init__(self, sensor, wrong_from: int = FRAMES) -> None:  # type: ignore[no-untyped-def]
+        super().__init__(sensor)
+        self._wrong_from, self._rest_pa = wrong_from, sensor.pneumatics.reference_pressure_pa
+
+    def __getitem__(self, index: int) -> Frame:
+        push = 2.0 if index >= FIRST_CONTACT else 0.0
+        wrench = np.concatenate([BIAS + push * np.array([0.6, 0.0, -0.8]), np.zeros(3)])
+        gas = self._rest_pa + 5e4 if index >= self._wrong_from else None
+        return replace(super().__getitem__(index), wrench=wrench, gas_pressure_pa=gas)
+
+
+def rubber() -> object:
+    sensor = small_sensor()
+    known = sensor.membrane.model_copy(update={"prestretch": 1.3})
+    return sensor.model_copy(update={"membrane": known})
+
+
+def analyse(driver: Driver) -> None:
+    """Have the force plot of all frames."""
+    driver.window.panels["plots"].show()
+    driver.wait(lambda: bool(driver.window.plots.plots))
+    driver.bot.mouseClick(driver.window.plots.analyse, Qt.MouseButton.LeftButton)
+    known = lambda: not len(driver.state.history.missing(frozenset({"patch"})))  # noqa: E731
+    driver.wait(known)
+    driver.wait(lambda: len(driver.window.plots.plots["force"].data["force_n"][0]) == FRAMES)
+
+
+def heading(driver: Driver) -> str:
+    return re.sub(r"<[^>]*>", "", driver.window.plots.plots["force"].frame.text)
+
+
+def test_force_has_its_interval_in_status_bar_readout_panel_and_plot(drive: Drive) -> None:
+    driver = drive(Measured, sensor=rubber(), frame=PRESSED)
+    estimate = driver.window.controller.result.estimate
+    force = np.linalg.norm(estimate.force_n)
+    half = 1.96 * np.linalg.norm(estimate.force_n * estimate.force_sigma_n) / force
+    assert half > 0.0
+    shown = f"{force:.2f} ± {half:.2f} N"
+    window = driver.window
+    assert window.status.labels["force"].text() == f"force {shown}"
+    assert window.kappa.force.text() == shown
+    assert f"contact  {shown}" in texts(driver)
+    analyse(driver)
+    plot = window.plots.plots["force"]
+    driver.wait(lambda: heading(driver).startswith(f"Force: {shown[:-2]}"))
+    edges = (plot.bands["force_n"].low, plot.bands["force_n"].high)
+    driver.wait(lambda: np.isfinite(edges[0].getOriginalDataset()[1][PRESSED]))
+    low, high = (edge.getOriginalDataset()[1] for edge in edges)
+    assert np.isclose(high[PRESSED] + low[PRESSED], 2.0 * force, rtol=0.05)
+    assert high[PRESSED] > low[PRESSED] and np.isnan(low[0])  # no contact has no interval
+
+
+def test_measured_force_is_beside_the_estimate_without_its_bias(drive: Drive) -> None:
+    driver = drive(Measured, frame=PRESSED)
+    analyse(driver)
+    plot = driver.window.plots.plots["force"]
+    driver.wait(lambda: np.isfinite(plot.data["measured_force_n"][1]).all())
+    values = plot.data["measured_force_n"][1]
+    np.testing.assert_allclose(values[:FIRST_CONTACT], 0.0, atol=1e-9)
+    np.testing.assert_allclose(values[FIRST_CONTACT:], 2.0)
+    driver.wait(lambda: "wrench 2.00 N" in heading(driver))
+
+
+def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive: Drive) -> None:
+    driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
+    window, result = driver.window, driver.window.controller.result
+    assert result.estimate.status == "implausible"
+    assert window.status.labels["force"].text() == "force – N"
+    assert window.status.labels["area"].text() == "patch – mm²"
+    assert window.status.labels["residual"].text() == "residual – mm"
+    assert window.kappa.force.text() == "– N" and window.kappa.area.text() == "– mm²"
+    assert "+50.0 kPa off" in window.kappa.doubt.text() and window.kappa.doubt.isVisible()
+    assert "implausible" in texts(driver) and "no contact" not in texts(driver)
+    assert any("+50.0 kPa off" in text for text in texts(driver))
+    picture = window.playback.timeline.grab().toImage()
+    bar = window.playback.timeline
+    at = QColor(picture.pixel(round(bar.x_of(PRESSED)) + 3, bar.height() - 11))
+    assert at == QColor(theme.UNTRUSTED)
+    driver.seek(0)
+    assert window.status.labels["force"].text() == "force 0.00 N"
+    assert not window.kappa.doubt.isVisible() and "no contact" in texts(driver)
+    analyse(driver)
+    driver.seek(PRESSED)
+    driver.wait(lambda: heading(driver).startswith("Force: – "))
+    assert "not to be trusted" in heading(driver)
+
+
+def test_rubber_and_linear_are_compared_side_by_side(drive: Drive) -> None:
+    driver = drive(Measured, sensor=rubber(), frame=PRESSED)
+    driver.window.panels["compare"].show()
+    driver.window.panels["compare"].raise_()
+    a, b = driver.window.compare.a.values, driver.window.compare.b.values
+    driver.wait(lambda: (a["solver"].text(), b["solver"].text()) == ("rubber", "linear"))
+    shown = driver.window.status.labels["force"].text().split()
+    force, half = float(shown[1]), float(shown[3])
+    assert abs(float(a["force"].text().split()[0]) - force) < max(half, 0.02 * force)
+    assert "±" in a["force"].text() and "±" not in b["force"].text()
+    assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
