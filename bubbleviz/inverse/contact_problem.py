@@ -3,8 +3,9 @@
     min  ½ ‖e − D (δ − S Δp)‖²_W + ½ λ pᵀ L p + τᵀ p   over p = p₀ + Δp ≥ 0
 
 with e the ranges that the shape leaves unexplained, D their derivative by the nodes and δ the
-motion to equilibrium under the present pressure p₀. First with the L1 term to find where there is
-contact, then on that support without it, which takes out its bias.
+motion to equilibrium under the present pressure p₀. The error of a measured gas pressure is an
+unknown of its own with a prior, eliminated from the misfit. First with the L1 term to find where
+there is contact, then on that support without it, which takes out its bias.
 """
 
 from __future__ import annotations
@@ -72,6 +73,25 @@ class Ranges:
 
 
 @dataclass(frozen=True)
+class GasError:
+    """What an error of the measured gas pressure does.
+
+    Attributes
+    ----------
+    bulge : (n, 3) array
+        Motion under unit gas pressure, m/Pa.
+    ranges : (k,) array
+        The same in the ranges.
+    sigma_pa : float
+        Standard deviation of the error.
+    """
+
+    bulge: np.ndarray
+    ranges: np.ndarray
+    sigma_pa: float
+
+
+@dataclass(frozen=True)
 class Selection:
     """Where there is contact.
 
@@ -108,6 +128,8 @@ class ContactPressure:
         Those under pressure.
     covariance : (s, s) array
         Of their pressures, Pa².
+    gas_error_pa : float
+        By how much the gas pressure is higher than measured.
     """
 
     support: np.ndarray
@@ -118,6 +140,7 @@ class ContactPressure:
     kkt_residual: float
     nodes: np.ndarray
     covariance: np.ndarray
+    gas_error_pa: float
 
 
 class ContactProblem:
@@ -132,6 +155,8 @@ class ContactProblem:
         p₀, Pa.
     relaxing : (n, 3) array
         δ, m.
+    gas : GasError, optional
+        None where the gas pressure follows from the volume.
     """
 
     def __init__(
@@ -141,9 +166,15 @@ class ContactProblem:
         prior: Prior,
         pressure: np.ndarray,
         relaxing: np.ndarray,
+        gas: GasError | None = None,
     ) -> None:
         self._rubber, self._ranges, self._prior = rubber, ranges, prior
-        self._before, self._relaxing = pressure, relaxing
+        self._before, self._relaxing, self._gas = pressure, relaxing, gas
+        self._bulge_weighed, self._bulge_share = np.zeros_like(ranges.error_m), 0.0
+        if gas is not None:
+            self._bulge_weighed = ranges.weight * gas.ranges
+            certainty = float(self._bulge_weighed @ gas.ranges)
+            self._bulge_share = 1.0 / (1.0 / gas.sigma_pa**2 + certainty)
         left = ranges.error_m - ranges.jacobian @ relaxing.ravel()
         self._at_before = self._pull(left)
         """Gradient of the misfit at p₀, (n,), 1/Pa."""
@@ -185,15 +216,21 @@ class ContactProblem:
             support = kept
         nodes = np.flatnonzero(pressure > 0.0)
         where = np.searchsorted(self._work, nodes)
+        motion, gas_error = self._motion(pressure), 0.0
+        if self._gas is not None:
+            left = self._ranges.error_m - self._ranges.jacobian @ motion.ravel()
+            gas_error = self._bulge_share * float(self._bulge_weighed @ left)
+            motion = motion + gas_error * self._gas.bulge
         return ContactPressure(
             support,
             pressure,
-            self._motion(pressure),
+            motion,
             pivots,
             selection.converged and solved,
             self._kkt(pressure, support) if support.any() else 0.0,
             nodes,
             np.linalg.inv(self._hessian[np.ix_(where, where)]),
+            gas_error,
         )
 
     def _select(self, start: np.ndarray) -> tuple[np.ndarray, int, bool]:
@@ -233,9 +270,11 @@ class ContactProblem:
         """Form the Hessian of the nodes `work` (c,) and the linear term."""
         self._work = work
         J = self._ranges.jacobian @ self._rubber.responses(work)
+        by_gas = self._bulge_weighed @ J
         J *= np.sqrt(self._ranges.weight)[:, None]
         smooth = self._prior.smoothness[work][:, work]
         self._hessian = J.T @ J + smooth.toarray()
+        self._hessian -= self._bulge_share * np.outer(by_gas, by_gas)
         before = self._before[work]
         gradient = self._gradient(self._before)[work]
         self._linear = gradient - self._hessian @ before
@@ -268,7 +307,9 @@ class ContactProblem:
         return self._relaxing - (self._rubber.responses(nodes) @ change[nodes]).reshape(-1, 3)
 
     def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
-        weighted = self._ranges.jacobian.T @ (self._ranges.weight * ranges_m)
+        weighed = self._ranges.weight * ranges_m
+        weighed -= self._bulge_share * float(self._bulge_weighed @ ranges_m) * self._bulge_weighed
+        weighted = self._ranges.jacobian.T @ weighed
         return self._rubber.pull(weighted.reshape(-1, 3))
 
     def _everywhere(self, x: np.ndarray) -> np.ndarray:

@@ -15,6 +15,10 @@ from bubbleviz.result import Status
 GAS_NOISE = 1e-4
 """σ of a measured gas pressure over its absolute value: 10 Pa, what barometers resolve."""
 
+GAS_MODEL_ERROR = 0.02
+"""Share of p_v by which the exact membrane's bulge under it is not known: triangles of 3 mm on a
+dome of 45 mm leave 0.01 of it, μh 0.01 to 0.02 where it was identified from levels."""
+
 IMPLAUSIBLE_MISFIT = 5.0
 """Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
 

@@ -10,11 +10,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.camera.observer import Misfit, RangeObserver, ShapeRanges
+from bubbleviz.camera.observer import Misfit, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
     ContactProblem,
+    GasError,
     Prior,
     Ranges,
     Selection,
@@ -24,6 +25,7 @@ from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOpti
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
+    GAS_MODEL_ERROR,
     GAS_NOISE,
     IMPLAUSIBLE_MISFIT,
     WHY,
@@ -72,11 +74,14 @@ class State:
         p_c, Pa.
     support : (n,) bool array
         Nodes that may touch.
+    gas : float
+        p_v, Pa.
     """
 
     x: np.ndarray
     pressure: np.ndarray
     support: np.ndarray
+    gas: float
 
 
 @dataclass(frozen=True)
@@ -106,8 +111,6 @@ class _Answer:
     ----------
     state : State
     contact : ContactPressure
-    gas : float
-        p_v, Pa.
     misfit : Misfit
     contradicts_gas : bool
     sigma_n : (3,) array
@@ -118,7 +121,6 @@ class _Answer:
 
     state: State
     contact: ContactPressure
-    gas: float
     misfit: Misfit
     contradicts_gas: bool
     sigma_n: np.ndarray
@@ -181,12 +183,11 @@ class RubberEstimator:
         edge = self.mesh.edge_length
         self._near_m, self._far_m, self._longest_m = _NEAR * edge, _FAR * edge, _LONGEST * edge
         nothing = np.zeros(len(rest))
-        self._rest = State(rest, nothing, nothing > 0.0)
+        self._rest = State(rest, nothing, nothing > 0.0, 0.0)
         self._rest_rubber = {
-            measured: self._linearised(self._rest, None if not measured else 0.0)
+            measured: self._linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
         }
-        self._gas_noise = GAS_NOISE * gas.P0
         self._prior_at_rest()
 
     def _prior_at_rest(self) -> None:
@@ -200,10 +201,6 @@ class RubberEstimator:
         D = sparse.diags_array(np.sqrt(weight)) @ view.jacobian
         sigma = np.linalg.norm(D @ self._rest_rubber[False].responses(sample), axis=0)
         tau = np.sqrt(2.0 * np.log(n)) * np.max(sigma / mesh.areas[sample]) * mesh.areas
-        rubber = self._rest_rubber[True]
-        bulge = view.jacobian @ rubber.motion(rubber.area_vectors).ravel()
-        pull = view.jacobian.T @ (weight * bulge)
-        self._gas_tau = 3.0 * self._gas_noise * rubber.pull(pull.reshape(-1, 3))
         self._tau, self._weight = tau, float(weight.sum())
         laplacian = cotangent_laplacian(mesh).tocsr()
         held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
@@ -275,9 +272,8 @@ class RubberEstimator:
                 return "implausible"
             rubber = self._rubber_at(state, measured_gas, rubber)
             ranges = Ranges(view.jacobian, error, weight)
-            prior = self._prior(ranges, measured_gas, start.noise)
             began = time.perf_counter()
-            contact = self._contact(rubber, ranges, prior, state, measured_gas, selecting)
+            contact = self._contact(rubber, ranges, state, measured_gas, selecting)
             solve_ms += 1e3 * (time.perf_counter() - began)
             if not contact.converged:
                 return "not_converged"
@@ -304,28 +300,28 @@ class RubberEstimator:
         if moved <= self._near_m and (contact.pivots == 0 or contact.pressure.any()):
             noise = self.observer.noise_left(observation, view.block, left)
         misfit = self.observer.left(observation, view.block, left)
-        gas = measured_gas if measured_gas is not None else self._gas_at(state.x)[0]
-        contradicts = measured_gas is not None and self._contradicts(rubber, view, weight, left)
-        sigma = self._sigma(rubber, ranges, state, contact, gas)
-        return _Answer(state, contact, gas, misfit, contradicts, sigma, rubber, noise, solve_ms)
-
-    def _prior(self, ranges: Ranges, gas: float | None, noise: float) -> Prior:
-        tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
-        if gas is not None:
-            tau = tau + np.maximum(self._gas_tau, 0.0) / noise**2
-        return Prior(self._smoothness, tau, self._neighbours)
+        contradicts = measured_gas is not None and (
+            abs(state.gas - measured_gas) > IMPLAUSIBLE_MISFIT * self._gas_sigma(measured_gas)
+        )
+        sigma = self._sigma(rubber, ranges, state, contact)
+        return _Answer(state, contact, misfit, contradicts, sigma, rubber, noise, solve_ms)
 
     def _contact(
         self,
         rubber: LinearisedRubber,
         ranges: Ranges,
-        prior: Prior,
         state: State,
         gas: float | None,
         selecting: bool,
     ) -> ContactPressure:
+        tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
+        prior = Prior(self._smoothness, tau, self._neighbours)
         relaxing = rubber.motion(-self._residual(state.x, state.pressure, gas))
-        problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
+        error = None
+        if gas is not None:
+            bulge = rubber.motion(rubber.area_vectors)
+            error = GasError(bulge, ranges.jacobian @ bulge.ravel(), self._gas_sigma(gas))
+        problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing, error)
         selection = Selection(state.support)
         if selecting and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support)
@@ -359,11 +355,16 @@ class RubberEstimator:
         share = min(1.0, self._longest_m / max(float(np.abs(contact.motion).max()), 1e-300))
         for _ in range(_HALVINGS):
             pressure = state.pressure + share * (contact.pressure - state.pressure)
-            x, balanced = self._settled(rubber, state.x + share * contact.motion, pressure, gas)
+            inside = gas
+            if gas is not None:
+                inside = state.gas + share * (gas + contact.gas_error_pa - state.gas)
+            x, balanced = self._settled(rubber, state.x + share * contact.motion, pressure, inside)
             if balanced:
                 break
             share *= 0.5
-        return State(x, pressure, contact.support), balanced
+        if inside is None:
+            inside = self._gas_at(x)[0]
+        return State(x, pressure, contact.support, inside), balanced
 
     def _settled(
         self, rubber: LinearisedRubber, x: np.ndarray, pressure: np.ndarray, gas: float | None
@@ -380,7 +381,7 @@ class RubberEstimator:
             if size > 0.3 * last:
                 if fresh == _FRESH:
                     break
-                rubber = self._linearised(State(x, pressure, pressure > 0.0), gas)
+                rubber = self._linearised(x, pressure, gas)
                 fresh += 1
             last = size
             motion = rubber.motion(-left)
@@ -403,10 +404,12 @@ class RubberEstimator:
     def _residual(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
         return self.membrane.residual(x, self._inside(x, pressure, gas))
 
-    def _linearised(self, state: State, gas: float | None) -> LinearisedRubber:
-        stiffness = self._gas_at(state.x)[1] if gas is None else 0.0
-        inside = self._inside(state.x, state.pressure, gas)
-        return LinearisedRubber(self.membrane, self._factoriser, state.x, inside, stiffness)
+    def _linearised(
+        self, x: np.ndarray, pressure: np.ndarray, gas: float | None
+    ) -> LinearisedRubber:
+        stiffness = self._gas_at(x)[1] if gas is None else 0.0
+        inside = self._inside(x, pressure, gas)
+        return LinearisedRubber(self.membrane, self._factoriser, x, inside, stiffness)
 
     def _rubber_at(
         self, state: State, gas: float | None, last: LinearisedRubber | None
@@ -415,22 +418,18 @@ class RubberEstimator:
         measured = gas is not None
         if state is self._rest:
             return self._rest_rubber[measured]
-        if last is None or last.with_gas is measured:
-            return self._linearised(state, gas)
-        near = float(np.abs(state.x - last.x).max()) <= _SERVES * self.mesh.edge_length
-        return last if near else self._linearised(state, gas)
+        if last is not None and last.with_gas is not measured and self._serves(last, state):
+            return last
+        return self._linearised(state.x, state.pressure, state.gas if measured else None)
+
+    def _serves(self, rubber: LinearisedRubber, state: State) -> bool:
+        return float(np.abs(state.x - rubber.x).max()) <= _SERVES * self.mesh.edge_length
 
     # -- what is to be believed -----------------------------------------------------------------
 
-    def _contradicts(
-        self, rubber: LinearisedRubber, view: ShapeRanges, weight: np.ndarray, left: np.ndarray
-    ) -> bool:
-        """Whether the shape asks for another p_v than was measured; see `contradicts_gas`."""
-        bulge = view.jacobian @ rubber.motion(rubber.area_vectors).ravel()
-        certainty = float(weight @ bulge**2)
-        asked = float((weight * bulge) @ left) / certainty
-        certain = asked * np.sqrt(certainty) > IMPLAUSIBLE_MISFIT
-        return bool(certain and asked > 2.0 * self._gas_noise)
+    def _gas_sigma(self, measured_pa: float) -> float:
+        """Standard deviation of a measured p_v, and of what the model makes of it, Pa."""
+        return float(np.hypot(GAS_NOISE * self.gas.P0, GAS_MODEL_ERROR * measured_pa))
 
     def _sigma(
         self,
@@ -438,7 +437,6 @@ class RubberEstimator:
         ranges: Ranges,
         state: State,
         contact: ContactPressure,
-        gas: float,
     ) -> np.ndarray:
         """Standard deviation of the force by noise and material, (3,), N."""
         nodes = contact.nodes
@@ -447,7 +445,7 @@ class RubberEstimator:
         push = self.membrane.volume_gradient(state.x)[nodes]
         variance = np.einsum("ik,ij,jk->k", push, contact.covariance, push)
         C = rubber.responses(nodes)
-        inside = self._inside(state.x, state.pressure, gas)
+        inside = self._inside(state.x, state.pressure, state.gas)
         usual = self.membrane.residual(state.x, inside)
         for variant in self._variants:
             gauge = variant.gauge_pressure_pa - self.membrane.gauge_pressure_pa
@@ -466,7 +464,7 @@ class RubberEstimator:
             status="ok" if touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
             contact_pressure_pa=state.pressure,
-            gas_pressure_change_pa=answer.gas,
+            gas_pressure_change_pa=state.gas,
             residual_rms_m=answer.misfit.rms_m,
             kkt_residual=answer.contact.kkt_residual,
             iterations=answer.contact.pivots,

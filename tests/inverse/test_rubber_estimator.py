@@ -116,6 +116,21 @@ def test_presses_on_another_mesh(name, noise_m, relative):
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < (0.06 if relative else 0.03)
 
 
+@pytest.mark.parametrize("off_pa", [-15.0, 0.0, 15.0])
+@pytest.mark.parametrize("depth", [0.003, 0.007])
+def test_measured_gas_pressure(depth, off_pa):
+    """A barometer's error does not become force: the bulge beside the contact tells it."""
+    mesh, contact = pressed("sphere", depth)
+    solver, image = estimator(1000), seen(mesh, contact.displacement_3d_m, NOISE_M)
+    true_pa = contact.gas_pressure_change_pa
+    estimate, _ = solver.estimate(image, solver.gas.P0 + true_pa + off_pa)
+    assert estimate.status == "ok"
+    assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
+    assert abs(estimate.gas_pressure_change_pa - true_pa) < 10.0
+    rest = seen(mesh, np.zeros(len(mesh.nodes)), NOISE_M)
+    assert solver.estimate(rest, solver.gas.P0 + off_pa)[0].status == "no_contact"
+
+
 def test_nothing_where_nothing_touches():
     """Pressure on the contact and none elsewhere; none at all on an untouched membrane."""
     solver = estimator()
@@ -216,6 +231,7 @@ def test_no_number_where_there_is_no_answer():
         (1e3 * image, None, "implausible"),
         (image, AIR - 1.0, "implausible"),
         (image, AIR + GAUGE - 1500.0, "implausible"),
+        (image, AIR + GAUGE + 1500.0, "implausible"),
     ):
         estimate, _ = solver.estimate(depth, gas)
         assert estimate.status == status
