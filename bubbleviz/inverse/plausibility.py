@@ -19,6 +19,10 @@ GAS_MODEL_ERROR = 0.02
 """Share of p_v by which the exact membrane's bulge under it is not known: triangles of 3 mm on a
 dome of 45 mm leave 0.01 of it, μh 0.01 to 0.02 where it was identified from levels."""
 
+GAS_LAG = 0.05
+"""Share of the gauge pressure, which contacts carry, by which a measured p_v may be off without
+being of another sensor or zero: depth filters lag behind it by some frames."""
+
 IMPLAUSIBLE_MISFIT = 5.0
 """Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
 

@@ -25,6 +25,7 @@ from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOpti
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
+    GAS_LAG,
     GAS_MODEL_ERROR,
     GAS_NOISE,
     IMPLAUSIBLE_MISFIT,
@@ -300,9 +301,7 @@ class RubberEstimator:
         if moved <= self._near_m and (contact.pivots == 0 or contact.pressure.any()):
             noise = self.observer.noise_left(observation, view.block, left)
         misfit = self.observer.left(observation, view.block, left)
-        contradicts = measured_gas is not None and (
-            abs(state.gas - measured_gas) > IMPLAUSIBLE_MISFIT * self._gas_sigma(measured_gas)
-        )
+        contradicts = measured_gas is not None and self._contradicts(state.gas, measured_gas)
         sigma = self._sigma(rubber, ranges, state, contact)
         return _Answer(state, contact, misfit, contradicts, sigma, rubber, noise, solve_ms)
 
@@ -426,6 +425,11 @@ class RubberEstimator:
         return float(np.abs(state.x - rubber.x).max()) <= _SERVES * self.mesh.edge_length
 
     # -- what is to be believed -----------------------------------------------------------------
+
+    def _contradicts(self, asked_pa: float, measured_pa: float) -> bool:
+        """Whether the shape asks for another p_v than was measured."""
+        certain = IMPLAUSIBLE_MISFIT * self._gas_sigma(measured_pa)
+        return abs(asked_pa - measured_pa) > max(certain, GAS_LAG * self.held_pressure_pa)
 
     def _gas_sigma(self, measured_pa: float) -> float:
         """Standard deviation of a measured p_v, and of what the model makes of it, Pa."""
