@@ -157,22 +157,27 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     tmp_path: Path, small_sensor_file: Path
 ) -> None:
     """Simulation → Zenoh → watch → recording, in processes of their own."""
-    sensor, endpoint, out = str(small_sensor_file), f"tcp/127.0.0.1:{free_port()}", tmp_path / "w"
+    sensor, endpoint = str(small_sensor_file), f"tcp/127.0.0.1:{free_port()}"
     source = "synthetic:sphere?rate=30&frames=40"
     publisher = start(
         *("publish", "--source", source, "--sensor", sensor, "--listen", endpoint, "--json")
     )
     try:
-        done = run(
-            *("watch", "--source", f"zenoh:{endpoint}", "--sensor", sensor, "--out", str(out)),
-            *("--duration", "1.6", "--json", "--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
-        )
+        for duration in (1.6, 10.0, 60.0):  # on a busy machine few frames are seen in a second
+            out = tmp_path / f"{duration:g}"
+            done = run(
+                *("watch", "--source", f"zenoh:{endpoint}", "--sensor", sensor, "--json"),
+                *("--out", str(out), "--duration", str(duration)),
+                *("--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
+            )
+            assert done.exit_code == 0, done.output
+            facts = json.loads(done.stdout)
+            if facts["frames"] > 10 and facts["status"].get("ok", 0) > 3:
+                break
     finally:
         publisher.terminate()
         stdout, stderr = publisher.communicate(timeout=240)
-    assert done.exit_code == 0, done.output
     assert (publisher.returncode, stderr) == (0, "")
-    facts = json.loads(done.stdout)
     assert facts["frames"] > 10
     assert facts["status"].keys() <= {"ok", "no_contact"}
     assert facts["pressure_offset_pa"] is None or abs(facts["pressure_offset_pa"]) < 50.0
