@@ -34,14 +34,20 @@ class RigidObject:
     triangles: np.ndarray
 
 
-def load_object(name: str | Path, unit: Literal["m", "mm"] | None = None) -> RigidObject:
+def load_object(
+    name: str | Path | RigidObject, unit: Literal["m", "mm"] | None = None
+) -> RigidObject:
     """Object from a mesh file or, where there is no such file, the preset of that name.
+
+    An object that is loaded already comes back as it is.
 
     Raises
     ------
     InputError
         See `object_mesh`.
     """
+    if isinstance(name, RigidObject):
+        return name
     path = Path(name)
     if not path.exists():
         shipped = {p.stem: p for p in sorted(presets_folder("objects").glob("*.*"))}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import whole_file
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.files.toml_files import checked, named_file, read_toml
 
@@ -143,20 +146,62 @@ class Sensor(_Section):
         return self.folder / file
 
 
-def load_sensor(name: str | Path) -> Sensor:
+def load_sensor(name: str | Path | Sensor) -> Sensor:
     """Sensor from a TOML file or, where there is no such file, the preset of that name.
+
+    A sensor that is loaded already comes back as it is.
 
     Raises
     ------
     InputError
         The file is missing, is not TOML, or breaks the schema; names the key and what to do.
     """
+    if isinstance(name, Sensor):
+        return name
     path = named_file(name, presets_folder("sensors"), "sensor file")
     data = read_toml(path)
     for key in ("folder", "file"):
         if key in data:
             raise InputError(f"{path}: {key}: unknown key; remove it")
     return checked(Sensor, {**data, "folder": path.parent, "file": path.name}, path, "sensor")
+
+
+def save_sensor(sensor: Sensor, path: str | Path) -> None:
+    """Write a sensor file, and beside it copies of the mesh and the pixels that it names.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    path : path
+        `X.toml`.
+
+    Raises
+    ------
+    InputError
+        The name does not end in .toml, or a file exists or cannot be written; nothing is written
+        then.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
+    membrane, calibration = sensor.membrane, sensor.calibration
+    with ExitStack() as files:
+        # Published last to first: the sensor file comes last, when what it names is there.
+        toml = files.enter_context(whole_file(path))
+
+        def copied(name: str) -> str:
+            copy = path.with_name(Path(name).name)
+            shutil.copyfile(sensor.resolve(name), files.enter_context(whole_file(copy)))
+            return copy.name
+
+        if membrane.mesh_file is not None:
+            update = {"mesh_file": copied(membrane.mesh_file)}
+            sensor = sensor.model_copy(update={"membrane": membrane.model_copy(update=update)})
+        if calibration is not None:
+            update = {"pixels_file": copied(calibration.pixels_file)}
+            section = calibration.model_copy(update=update)
+            sensor = sensor.model_copy(update={"calibration": section})
+        toml.write_text(sensor_to_toml(sensor), encoding="utf-8")
 
 
 def sensor_to_toml(sensor: Sensor) -> str:

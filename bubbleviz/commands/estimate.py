@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +19,13 @@ from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.result_writer import UNKNOWN, ResultWriter, write_csv
+from bubbleviz.frames.frame_source import FrameSource, shown_name
 from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.result import Result, Status
 from bubbleviz.sensor import sensor_to_toml
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
@@ -128,7 +131,8 @@ def estimate_recording(
     InputError
         Something given does not exist or does not fit together, or no frame has data.
     """
-    _check_arguments(out, csv, kappa)
+    _check_outputs(out, csv)
+    options = patch_options(kappa)
     with Recording(recording) as source:
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
@@ -138,10 +142,10 @@ def estimate_recording(
             "version": bubbleviz.__version__,
             "solver": solver or pipeline.estimator.solver_name,
         }
-        zero = _zero(source, pipeline) if zero_gas else None
+        zero = recorded_zero(source, pipeline) if zero_gas else None
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
-        rows = _solve(source, chosen, pipeline, FrameOptions(kappa), out, csv, made_by, zero)
+        rows = _solve(source, chosen, pipeline, options, out, csv, made_by, zero)
     return EstimateSummary(
         recording=str(recording),
         sensor=str(sensor_name),
@@ -184,18 +188,64 @@ def parse_frames(text: str | None, count: int, name: str) -> range:
     return range(start, stop, step)
 
 
-def _check_arguments(out: Path, csv: Path | None, kappa: float | None) -> None:
+def patch_options(kappa: float | None) -> FrameOptions:
+    """Options with a patch threshold; InputError where it is no number of 0 or more."""
+    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
+        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+    return FrameOptions(kappa)
+
+
+def solved(
+    source: FrameSource,
+    chosen: Iterable[int],
+    pipeline: Pipeline,
+    products: frozenset[Product],
+    options: FrameOptions,
+    zero: PressureZero | None = None,
+) -> Iterator[Result]:
+    """Results of frames, each started where the last one ended.
+
+    Parameters
+    ----------
+    source : FrameSource
+    chosen : iterable of int
+        Indices of the frames.
+    pipeline : Pipeline
+        For these frames alone.
+    products : frozenset of Product
+        The estimate among them.
+    options : FrameOptions
+    zero : PressureZero, optional
+        Taken from the measured gas pressures.
+
+    Raises
+    ------
+    InputError
+        A frame cannot be read or, after the last one, none of them had data.
+    """
+    pipeline.prepare(products)  # set-up is not part of the first frame's time
+    statuses: set[Status] = set()
+    seen = False
+    for index in chosen:
+        frame = source[index] if zero is None else zero.applied(source[index])
+        seen = seen or has_returns(frame.depth_m)
+        result = pipeline.process(frame, products, options)
+        if result.estimate is not None:
+            statuses.add(result.estimate.status)
+        yield result
+    _check_any_data(statuses, shown_name(source), seen)
+
+
+def _check_outputs(out: Path, csv: Path | None) -> None:
     for path in filter(None, (out, csv)):
         refuse_existing(path)
     if csv is not None and csv.absolute() == out.absolute():
         raise InputError(f"{out}: given for both --out and --csv; choose two names")
-    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
-        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
 
 
-def _zero(source: Recording, pipeline: Pipeline) -> PressureZero:
-    """Gas pressure zero of the whole recording, whichever frames are solved."""
-    return zero_of((source[k] for k in range(len(source))), pipeline, str(source.path))
+def recorded_zero(source: FrameSource, pipeline: Pipeline) -> PressureZero:
+    """Gas pressure zero of a whole recording, whichever frames are solved; see `zero_of`."""
+    return zero_of((source[k] for k in range(len(source))), pipeline, shown_name(source))
 
 
 def _solve(
@@ -209,44 +259,39 @@ def _solve(
     zero: PressureZero | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of the frames, once both files are written."""
-    pipeline.prepare(PRODUCTS)  # set-up is not part of the first frame's time
-    seen = False
     with ExitStack() as stack:
         shape = source.size[::-1]
         archive = stack.enter_context(whole_file(out))
         table = stack.enter_context(whole_file(csv)) if csv else None
         writer = stack.enter_context(ResultWriter(archive, pipeline.mesh, len(chosen), shape))
-        for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
-            frame = source[index] if zero is None else zero.applied(source[index])
-            seen = seen or has_returns(frame.depth_m)
-            writer.add(pipeline.process(frame, PRODUCTS, options))
-        _check_any_data(writer.rows, source.path, seen)
+        shown = tqdm(chosen, unit="frame", disable=None)  # only on a terminal
+        for result in solved(source, shown, pipeline, PRODUCTS, options, zero):
+            writer.add(result)
         writer.finish(**made_by)
         if table:
             write_csv(writer.rows, table)
         return writer.rows
 
 
-def _check_any_data(rows: list[dict[str, Any]], path: Path, seen: bool) -> None:
-    statuses = {row["status"] for row in rows}
+def _check_any_data(statuses: set[Status], name: str, seen: bool) -> None:
     if statuses - set(UNKNOWN):
         return
     if "implausible" in statuses:
         raise InputError(
-            f"{path}: no frame asked for looks like this sensor's membrane; choose its own sensor "
+            f"{name}: no frame asked for looks like this sensor's membrane; choose its own sensor "
             "file, and check that depths are in metres (32FC1) or millimetres (16UC1)"
         )
     if "not_converged" in statuses:
         raise InputError(
-            f"{path}: no frame asked for could be solved; compare with --solver linear, and check "
+            f"{name}: no frame asked for could be solved; compare with --solver linear, and check "
             "the sensor file's tension and prestretch"
         )
     if not seen:
         raise InputError(
-            f"{path}: all-zero depth image in every frame asked for; uncover or check the camera"
+            f"{name}: all-zero depth image in every frame asked for; uncover or check the camera"
         )
     raise InputError(
-        f"{path}: no measured pixel lies on the membrane in any frame asked for; "
+        f"{name}: no measured pixel lies on the membrane in any frame asked for; "
         "choose the sensor file of this recording"
     )
 

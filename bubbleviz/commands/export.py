@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.commands.estimate import parse_frames, patch_options
 from bubbleviz.commands.summary import Summary
-from bubbleviz.errors import InputError
 from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.files.output_files import whole_file
 from bubbleviz.frames.frame_source import FrameSource
@@ -67,13 +65,12 @@ def export_recording(
     InputError
         Something given does not exist or does not fit together.
     """
-    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
-        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+    options = patch_options(kappa)
     with Recording(recording) as source:
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
-        return export_frames(source, chosen, pipeline, FrameOptions(kappa), plan, progress)
+        return export_frames(source, chosen, pipeline, options, plan, progress)
 
 
 def export_frames(

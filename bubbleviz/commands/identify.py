@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.calibration.identification import identify, with_rubber
+from bubbleviz.calibration.identification import Identification, identify, with_rubber
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.save_identification import check_outputs, save
@@ -17,11 +17,12 @@ from bubbleviz.calibration.surface.reference_surface import Name
 from bubbleviz.calibration.validation import KnownPress
 from bubbleviz.errors import InputError
 from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.kept_frames import KeptFrames
 from bubbleviz.frames.recording import Recording
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Sensor, load_sensor
 
 
 @dataclass(frozen=True)
@@ -103,19 +104,63 @@ def identify_recording(
         sensor = opened.set_in(sensor)
     with Recording(recording) as file:
         source = KeptFrames(file)
-        found = identify(source, sensor, chosen, nodes=nodes, surface=surface, progress=progress)
-        measured = []
-        for path in levels:
-            with Recording(path) as level:
-                measured.append(Level.measure(KeptFrames(level), sensor, nodes, progress))
-        found, validation = rectify(found, measured), None
-        progress("inflating rubber", 0.0)
-        found = with_rubber(found, [each.samples for each in measured if each.samples], opened)
+        found = identify_with_levels(
+            source,
+            sensor,
+            chosen,
+            nodes=nodes,
+            surface=surface,
+            levels=_opened(levels),
+            vented=opened,
+            progress=progress,
+        )
+        validation = None
         if press is not None:
             progress("predicting the known press", 0.0)
             validation = press.validate(found.model, source)
         numbers = save(found, source, sensor_name, out, report, progress, validation)
     return IdentifySummary(numbers, out, report)
+
+
+def identify_with_levels(
+    source: FrameSource,
+    sensor: Sensor,
+    contact_free: Sequence[int] | None,
+    *,
+    nodes: int,
+    surface: Name | None,
+    levels: Iterable[FrameSource],
+    vented: Vented | None,
+    progress: Progress,
+) -> Identification:
+    """`identify`, then pixels rectified and rubber inflated by other inflation levels.
+
+    Parameters
+    ----------
+    source, sensor, contact_free, nodes, surface, progress
+        As of `bubbleviz.calibration.identification.identify`; the sensor has the atmospheric
+        pressure of the open chamber, where that is given.
+    levels : iterable of FrameSource
+        Of the untouched sensor at other pressures.
+    vented : Vented or None
+
+    Raises
+    ------
+    InputError
+        As of `identify`, `Level.measure`, `rectify` and `with_rubber`.
+    """
+    found = identify(source, sensor, contact_free, nodes=nodes, surface=surface, progress=progress)
+    measured = [Level.measure(KeptFrames(level), sensor, nodes, progress) for level in levels]
+    found = rectify(found, measured)
+    progress("inflating rubber", 0.0)
+    return with_rubber(found, [each.samples for each in measured if each.samples], vented)
+
+
+def _opened(paths: Sequence[Path]) -> Iterator[Recording]:
+    """Recordings, each open while it is looked at."""
+    for path in paths:
+        with Recording(path) as recording:
+            yield recording
 
 
 def known_press(obj: str, pose: str, pressed: str) -> KnownPress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,10 +17,12 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.files.pose_writer import PoseCsvWriter, PoseRow
+from bubbleviz.frames.frame_source import FrameSource, shown_name
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import PoseStatus, Result
 from bubbleviz.rigid_object import load_object
 
 PRODUCTS: frozenset[Product] = frozenset({"pose"})
@@ -124,23 +127,34 @@ def pose_recording(
 def _follow(source: Recording, chosen: range, pipeline: Pipeline, out: Path) -> list[PoseRow]:
     rows = []
     with whole_file(out) as temporary, PoseCsvWriter(temporary) as writer:
-        for index in tqdm(chosen, unit="frame", disable=None):  # only on a terminal
-            row = PoseRow.of(pipeline.process(source[index], PRODUCTS))
+        shown = tqdm(chosen, unit="frame", disable=None)  # only on a terminal
+        for result in followed(source, shown, pipeline):
+            row = PoseRow.of(result)
             writer.add(row)
             rows.append(row)
-        _check_any(rows, source.path)
     return rows
 
 
-def _check_any(rows: list[PoseRow], path: Path) -> None:
-    """Raise if no frame has a pose, with the most frequent reason."""
-    if any(row.status == "ok" for row in rows):
-        return
-    why = Counter(row.status for row in rows).most_common(1)[0][0]
-    raise InputError(f"{path}: no pose in any frame asked for: {_REASONS[why]}")
+def followed(source: FrameSource, chosen: Iterable[int], pipeline: Pipeline) -> Iterator[Result]:
+    """Results of frames with the pose of the object that a pipeline follows.
+
+    Raises
+    ------
+    InputError
+        A frame cannot be read or, after the last one, none of them had a pose.
+    """
+    statuses: Counter[PoseStatus] = Counter()
+    for index in chosen:
+        result = pipeline.process(source[index], PRODUCTS)
+        if result.pose is not None:
+            statuses[result.pose.status] += 1
+        yield result
+    if "ok" not in statuses:
+        why = statuses.most_common(1)[0][0]
+        raise InputError(f"{shown_name(source)}: no pose in any frame asked for: {_REASONS[why]}")
 
 
-_REASONS = {
+_REASONS: dict[PoseStatus, str] = {
     "no_contact": "nothing touches the membrane; choose frames with contact",
     "few_points": "the contact patch has fewer points than a pose needs; press deeper",
     "no_data": "no estimate of the membrane to trust; try bubbleviz estimate first",

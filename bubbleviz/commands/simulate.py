@@ -13,16 +13,16 @@ from tqdm import tqdm
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose, read_path
 from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import load_sensor
+from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
 
 
 def simulated_press(
-    sensor: str | Path,
-    object_name: str | Path,
-    pose: str | Path,
+    sensor: str | Path | Sensor,
+    object_name: str | Path | RigidObject,
+    pose: str | Path | np.ndarray,
     noise: DepthNoise,
     *,
     frames: int = 1,
@@ -34,10 +34,12 @@ def simulated_press(
 
     Parameters
     ----------
-    sensor, object_name : str or path
-        File or preset.
-    pose : str or Path
-        A `Path` is a CSV with a pose for each frame; text is one pose, kept for `frames` frames.
+    sensor : str, path or Sensor
+    object_name : str, path or RigidObject
+        File or preset where it is not loaded yet.
+    pose : str, Path or array
+        T_B_O: a `Path` is a CSV with a pose for each frame, an array (F, 4, 4) has them; text, or
+        an array (4, 4), is one pose, kept for `frames` frames.
     noise : DepthNoise
     frames : int
     rate_hz : float
@@ -50,7 +52,9 @@ def simulated_press(
     if isinstance(pose, Path):
         poses, times = read_path(pose)
     else:
-        poses = np.repeat(parse_pose(pose)[None], frames, axis=0)
+        poses = parse_pose(pose) if isinstance(pose, str) else np.asarray(pose, dtype=np.float64)
+        if poses.ndim == 2:
+            poses = np.repeat(poses[None], frames, axis=0)
     return SyntheticSource(
         load_sensor(sensor), obj, poses, noise, rate_hz, seed, times_s=times, model=model
     )

@@ -32,3 +32,8 @@ class FrameSource(Protocol):
 
     def close(self) -> None:
         """Let go of files."""
+
+
+def shown_name(source: FrameSource) -> str:
+    """What messages call a source: the path of a file, else its name."""
+    return str(getattr(source, "path", None) or source.name)

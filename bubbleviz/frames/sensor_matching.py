@@ -31,18 +31,20 @@ def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) ->
         )
 
 
-def fitting_sensor(recording: Recording, name: str | Path | None) -> tuple[str, Sensor]:
-    """Name and sensor for a recording: as named, or `preset_for` it for `auto` and None.
+def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
+    """Name and sensor for a recording: as given, or `preset_for` it for `auto` and None.
 
     Raises
     ------
     InputError
         There is no such sensor, or it does not fit the recording.
     """
-    chosen = preset_for(recording) if name is None or str(name) == AUTO else str(name)
-    sensor = load_sensor(chosen)
-    check_fits(recording, sensor, chosen)
-    return chosen, sensor
+    if name is None or str(name) == AUTO:
+        name = preset_for(recording)
+    sensor = load_sensor(name)
+    shown = sensor.name if isinstance(name, Sensor) else str(name)
+    check_fits(recording, sensor, shown)
+    return shown, sensor
 
 
 def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sensor]:
@@ -59,15 +61,33 @@ def preset_for(recording: Recording) -> str:
     InputError
         None has, or several have.
     """
+    return preset_of_size(recording.size, str(recording.path))
+
+
+def preset_of_size(size: tuple[int, int], images: str) -> str:
+    """Name of the one sensor preset whose camera has images of this size.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Width and height, pixels.
+    images : str
+        What has that size, to name in an error.
+
+    Raises
+    ------
+    InputError
+        None has, or several have.
+    """
     names = preset_names("sensors")
     sizes = {name: _camera_size(load_sensor(name)) for name in names}
-    fitting = [name for name in names if sizes[name] == recording.size]
+    fitting = [name for name in names if sizes[name] == size]
     if len(fitting) == 1:
         return fitting[0]
     known = ", ".join(f"{name} ({_by(sizes[name])})" for name in fitting or names)
     how_many = "several presets have" if fitting else "no preset has"
     raise InputError(
-        f"{recording.path}: {how_many} a camera of {_by(recording.size)} pixels; "
+        f"{images}: {how_many} a camera of {_by(size)} pixels; "
         f"give --sensor: a sensor file or one of {known}"
     )
 
