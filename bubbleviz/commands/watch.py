@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
@@ -29,9 +30,9 @@ from bubbleviz.live.sinks.result_messages import ResultMessages
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.open_stream import open_stream, patience_s
 from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result
-from bubbleviz.rigid_object import load_object
+from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
@@ -122,12 +123,73 @@ class Watcher:
         Started.
     pipeline : Pipeline
     zero : PressureZero or None
+    options : FrameOptions, optional
     """
 
-    def __init__(self, stream: LiveStream, pipeline: Pipeline, zero: PressureZero | None) -> None:
+    def __init__(
+        self,
+        stream: LiveStream,
+        pipeline: Pipeline,
+        zero: PressureZero | None,
+        options: FrameOptions | None = None,
+    ) -> None:
         self.stream, self.pipeline, self.zero = stream, pipeline, zero
+        self._options = options
         self.latency = LatencyMeter()
         self.last: Result | None = None
+
+    @classmethod
+    def on(
+        cls,
+        stream: LiveStream,
+        source: str,
+        sensor: Sensor,
+        *,
+        solver: str | None = None,
+        obj: RigidObject | None = None,
+        start: np.ndarray | None = None,
+        zero: bool = True,
+        options: FrameOptions | None = None,
+        stop: threading.Event | None = None,
+    ) -> Watcher:
+        """Watcher of a stream, once the first frame tells the camera.
+
+        Parameters
+        ----------
+        stream : LiveStream
+            Started.
+        source : str
+            What it was opened by.
+        sensor : Sensor
+        solver : str, optional
+        obj : RigidObject, optional
+            To track.
+        start : (4, 4) array, optional
+            T_B_O in the first frame.
+        zero : bool
+            Whether the gas pressure is zeroed on the first contact-free frames.
+        options : FrameOptions, optional
+        stop : Event, optional
+            Ends the waiting.
+
+        Raises
+        ------
+        InputError
+            No depth image came, or it is not of the sensor's camera.
+        """
+        first = _first_frame(stream, stop or threading.Event(), patience_s(source))
+        if first is None:
+            raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
+        pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver))
+        pipeline.prepare(PRODUCTS)
+        pipeline.follow(obj, start)
+        known = PressureZero(pipeline.model.gas.P0) if zero else None
+        return cls(stream, pipeline, known, options)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the source has no more frames."""
+        return self.stream.source.link() == "ended"
 
     def step(self, timeout_s: float) -> Result | None:
         """Solve the newest frame; None when none came in time."""
@@ -136,7 +198,7 @@ class Watcher:
             return None
         if self.zero is not None:
             frame = zeroed(frame, self.zero, self.pipeline)
-        self.last = self.pipeline.process(frame, PRODUCTS)
+        self.last = self.pipeline.process(frame, PRODUCTS, self._options)
         self.latency.add(frame, time.time_ns())
         return self.last
 
@@ -156,16 +218,16 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
         recorder = _recorder(stack, stream, options.out)
         publisher = _publisher(stack, options.publish)
         stack.enter_context(stream)
-        first = _first_frame(stream, stop, patience_s(source))
-        if first is None:
-            raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
-        named = EstimatorOptions.named(options.solver)
-        pipeline = Pipeline.of(sensor, first.intrinsics, named)
-        pipeline.prepare(PRODUCTS)
-        pipeline.follow(obj)
-        zero = PressureZero(pipeline.model.gas.P0) if options.zero else None
-        watcher = Watcher(stream, pipeline, zero)
-        out = _Out(ResultMessages(pipeline.mesh, RESULTS), publisher, recorder)
+        watcher = Watcher.on(
+            stream,
+            source,
+            sensor,
+            solver=options.solver,
+            obj=obj,
+            zero=options.zero,
+            stop=stop,
+        )
+        out = _Out(ResultMessages(watcher.pipeline.mesh, RESULTS), publisher, recorder)
         return _watch(watcher, out, stop, options.duration_s)
 
 
@@ -193,7 +255,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
     forces = [0.0]
     began = told = time.monotonic()
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
-        while not stop.is_set() and watcher.stream.source.link() != "ended":
+        while not stop.is_set() and not watcher.ended:
             if duration_s is not None and time.monotonic() - began >= duration_s:
                 break
             result = watcher.step(0.1)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bubbleviz.export.table_export import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
     (
@@ -29,11 +32,21 @@ _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
 """Label, factor from SI, and columns with their names, of each plot."""
 
 
+SIZE_IN = (8.0, 11.0)
+"""Width and height of the figure, inches."""
+
+
 def write_plots(table: Table, path: Path) -> None:
-    """Plots below each other on one time axis, as PNG, SVG or PDF by suffix; contact is shaded."""
+    """Write plots as PNG, SVG or PDF by suffix; see `draw_plots`."""
     from matplotlib.figure import Figure  # 0.4 s, only where plots are written
 
-    figure = Figure(figsize=(8.0, 11.0), layout="constrained")
+    figure = Figure(figsize=SIZE_IN, layout="constrained")
+    draw_plots(table, figure)
+    figure.savefig(path, dpi=130)
+
+
+def draw_plots(table: Table, figure: Figure) -> None:
+    """Plots below each other on one time axis; contact is shaded."""
     times = np.array(table["time_s"])
     every: Any = figure.subplots(len(_PLOTS), 1, sharex=True)
     for axes, (label, factor, columns) in zip(every, _PLOTS, strict=True):
@@ -49,7 +62,6 @@ def write_plots(table: Table, path: Path) -> None:
             axes.legend(fontsize=8, loc="upper right")
     every[0].set_title("grey: contact found", fontsize=9, loc="right")
     every[-1].set_xlabel("time, s")
-    figure.savefig(path, dpi=130)
 
 
 def contact_intervals(table: Table) -> list[tuple[float, float]]:

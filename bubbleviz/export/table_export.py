@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,12 +52,8 @@ class TableExporter:
 
     def add(self, result: Result) -> None:
         """Take the next frame."""
-        summary, measured = summary_row(result), result.frame.gas_pressure_pa
-        more = {
-            "force_magnitude_n": float(np.linalg.norm(summary["force_n"])),
-            "gas_pressure_pa": float("nan") if measured is None else measured,
-            "iterations": estimate_of(result).iterations,
-        }
+        summary = summary_row(result)
+        more = more_columns(result, summary)
         if self._poses is not None:
             more |= _pose_columns(self._poses, result.frame.index)
         self._summaries.append(summary)
@@ -65,10 +61,33 @@ class TableExporter:
 
     def finish(self) -> None:
         """Write the table."""
-        add_measured_force(self._summaries)
-        pairs = zip(self._summaries, self._more, strict=True)
-        rows = [csv_row(summary) | more for summary, more in pairs]
-        self._write({name: [row[name] for row in rows] for name in rows[0]}, self._path)
+        self._write(table_of(self._summaries, self._more), self._path)
+
+
+def more_columns(result: Result, summary: dict[str, Any]) -> dict[str, Any]:
+    """Columns of a table that RESULT.csv does not have, of a frame with its `summary_row`."""
+    measured = result.frame.gas_pressure_pa
+    return {
+        "force_magnitude_n": float(np.linalg.norm(summary["force_n"])),
+        "gas_pressure_pa": float("nan") if measured is None else measured,
+        "iterations": estimate_of(result).iterations,
+    }
+
+
+def table_of(summaries: Sequence[dict[str, Any]], more: Sequence[dict[str, Any]]) -> Table:
+    """Table of all frames.
+
+    Parameters
+    ----------
+    summaries : sequence of dict
+        The `summary_row` of each frame.
+    more : sequence of dict
+        Its other columns.
+    """
+    frames = [dict(summary) for summary in summaries]
+    add_measured_force(frames)
+    rows = [csv_row(frame) | columns for frame, columns in zip(frames, more, strict=True)]
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def write_csv(table: Table, path: Path) -> None:

@@ -6,6 +6,7 @@ import csv
 import shutil
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
@@ -103,6 +104,61 @@ def add_measured_force(rows: list[dict[str, Any]]) -> None:
         row["measured_force_n"] = float(force)
 
 
+def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
+    """Fields of one frame by key of `NODAL_FIELDS`; NaN for what a frame without data cannot tell.
+
+    Parameters
+    ----------
+    result : Result
+        With its estimate and patch.
+    mesh : MembraneMesh
+    """
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
+        raise ValueError("the products estimate and patch were not asked for")
+    fields = {
+        "displacement_m": estimate.displacement_m,
+        "displacement_3d_m": mesh.deformed(estimate.motion_m) - mesh.nodes,
+        "contact_pressure_pa": estimate.contact_pressure_pa,
+        "patch_level": patch.level,
+    }
+    if estimate.status in UNKNOWN:
+        return {name: np.full_like(field, np.nan) for name, field in fields.items()}
+    return fields
+
+
+def result_arrays(results: Sequence[Result], mesh: MembraneMesh) -> dict[str, np.ndarray]:
+    """Arrays of RESULT.npz but its masks: numbers of each frame, nodal fields, reference surface.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        With their estimates and patches.
+    mesh : MembraneMesh
+    """
+    fields = [nodal_fields(result, mesh) for result in results]
+    rows = [summary_row(result) for result in results]
+    add_measured_force(rows)
+    return {
+        **_columns(rows),
+        **{name: np.array([each[name] for each in fields]) for name in NODAL_FIELDS},
+        **_surface(mesh),
+    }
+
+
+def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
+    return {key: np.array([row[key] for row in rows]) for key in COLUMNS}
+
+
+def _surface(mesh: MembraneMesh) -> dict[str, np.ndarray]:
+    return {
+        "nodes_m": mesh.nodes,
+        "normals": mesh.normals,
+        "triangles": mesh.triangles,
+        "rim": mesh.rim,
+    }
+
+
 class ResultWriter:
     """Writes RESULT.npz while the frames come.
 
@@ -146,23 +202,16 @@ class ResultWriter:
     def add(self, result: Result) -> dict[str, Any]:
         """Add the next frame, with its estimate, patch and pixel mask; returns its row."""
         row = summary_row(result)
-        estimate, patch = result.estimate, result.patch
-        if estimate is None or patch is None or patch.pixel_mask is None:
+        patch = result.patch
+        if patch is None or patch.pixel_mask is None:
             raise ValueError("the product pixel_mask was not asked for")
         if patch.pixel_mask.shape != self._shape or len(self.rows) == self._frames:
             raise ValueError("another mask size, or more frames, than announced")
         self.rows.append(row)
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
-        fields = {
-            "displacement_m": estimate.displacement_m,
-            "displacement_3d_m": self._mesh.deformed(estimate.motion_m) - self._mesh.nodes,
-            "contact_pressure_pa": estimate.contact_pressure_pa,
-            "patch_level": patch.level,
-        }
+        fields = nodal_fields(result, self._mesh)
         for spool, name in zip(self._spools, NODAL_FIELDS, strict=True):
-            field = fields[name]
-            known = field if estimate.status not in UNKNOWN else np.full_like(field, np.nan)
-            spool.write(np.ascontiguousarray(known, dtype="<f8").tobytes())
+            spool.write(np.ascontiguousarray(fields[name], dtype="<f8").tobytes())
         return row
 
     def finish(self, **provenance: str) -> None:
@@ -181,14 +230,9 @@ class ResultWriter:
                 member.write(np.ascontiguousarray(array).tobytes())
 
     def _small_arrays(self, provenance: dict[str, str]) -> dict[str, np.ndarray]:
-        mesh = self._mesh
-        columns = {key: np.array([row[key] for row in self.rows]) for key in COLUMNS}
         return {
-            **columns,
-            "nodes_m": mesh.nodes,
-            "normals": mesh.normals,
-            "triangles": mesh.triangles,
-            "rim": mesh.rim,
+            **_columns(self.rows),
+            **_surface(self._mesh),
             **{key: np.array(text) for key, text in provenance.items()},
         }
 

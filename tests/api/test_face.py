@@ -1,0 +1,241 @@
+"""What `import bubbleviz` offers, on small simulated presses and on the real one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from small_press import HEIGHTS, write_press, write_small_sensor
+
+import bubbleviz as bv
+from bubbleviz.api.chosen_frames import Frames
+from bubbleviz.cli.command_line import main
+from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.frames.recording import Recording
+
+TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def recording(sensor: Path) -> Path:
+    return write_press(sensor.with_name("press.mcap"), sensor)
+
+
+@pytest.fixture
+def frames(recording: Path) -> Frames:
+    return bv.open(recording)
+
+
+def cli(*words: str | Path) -> None:
+    done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+
+
+def python(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+HEAVY = "('numpy', 'scipy', 'PySide6', 'vtkmodules', 'pyvista', 'open3d', 'matplotlib', 'pandas')"
+
+
+def test_importing_it_loads_nothing_heavy() -> None:
+    told = python(f"import bubbleviz, sys; print([m for m in {HEAVY} if m in sys.modules])")
+    assert told == "[]"
+
+
+def test_estimating_loads_no_window_and_draws_nothing(recording: Path, sensor: Path) -> None:
+    code = (
+        "import bubbleviz as bv, sys\n"
+        f"bv.estimate(bv.open({str(recording)!r}), {str(sensor)!r})\n"
+        "print([m for m in ('PySide6', 'vtkmodules', 'matplotlib', 'pandas') if m in sys.modules])"
+    )
+    assert python(code) == "[]"
+
+
+def test_ten_names_at_most_and_each_is_there() -> None:
+    assert len(bv.__all__) <= 10
+    assert set(bv.__all__) <= set(dir(bv))
+    for name in bv.__all__:
+        assert getattr(bv, name).__doc__
+    with pytest.raises(AttributeError, match="no attribute 'fly'"):
+        bv.fly  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_type_information_is_shipped() -> None:
+    assert (Path(bv.__file__).parent / "py.typed").is_file()
+
+
+def test_a_recording_is_like_a_list(recording: Path) -> None:
+    with bv.open(recording) as frames:
+        assert len(frames) == len(HEIGHTS)
+        assert frames[-1].index == len(HEIGHTS) - 1
+        assert [frame.index for frame in frames[::-2]] == [4, 2, 0]
+        assert [frame.index for frame in frames[1:][-2:]] == [3, 4]
+        with Recording(recording) as plain:
+            np.testing.assert_array_equal(frames[3].depth_m, plain[3].depth_m)
+            np.testing.assert_allclose(frames[1:3].times_s, plain.times_s[1:3])
+        with pytest.raises(IndexError, match="frame 5 of 5"):
+            frames[5]
+
+
+def test_numbers_are_those_of_the_command(recording: Path, sensor: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result.npz"
+    cli("estimate", recording, "--sensor", sensor, "--frames", "1:4", "--kappa", "2", "--out", out)
+    run = bv.estimate(bv.open(recording)[1:4], sensor, kappa=2.0)
+    with np.load(out) as file:
+        written = {key: file[key] for key in file.files}
+    masks = written.pop("patch_mask")
+    arrays = run.arrays()
+    assert set(written) - set(arrays) == {"sensor_toml", "version", "solver"}
+    for name, array in arrays.items():
+        if not name.endswith("_ms"):
+            np.testing.assert_array_equal(array, written[name], name)
+    for found, mask in zip(run, masks, strict=True):
+        np.testing.assert_array_equal(found.pixel_mask, mask)
+
+
+def test_a_run_is_like_a_list_with_arrays(frames: Frames, sensor: Path) -> None:
+    run = bv.estimate(frames, sensor)
+    touched = run.status == "ok"
+    assert np.flatnonzero(touched).tolist() == TOUCHING
+    assert run.force_n.shape == (5, 3) and (run.force_n[touched, 2] < -1.0).all()
+    assert [found.index for found in run[-2:]] == [3, 4]
+    np.testing.assert_array_equal(run[2].force_n, run.force_n[2])
+    columns = run.columns()
+    assert columns["force_magnitude_n"][2] == pytest.approx(np.linalg.norm(run.force_n[2]))
+    pressed = run[2].nodes_m - run[0].nodes_m
+    deepest = pressed[np.argmax(run[2].contact_pressure_pa)]
+    assert deepest[2] == pytest.approx(-0.008, abs=2e-3)  # 50 mm of dome under 42 mm
+
+
+def test_one_frame_and_a_list_of_frames(frames: Frames, sensor: Path) -> None:
+    found = bv.estimate(frames[2], sensor)
+    both = bv.estimate([frames[2], frames[3]], sensor)
+    np.testing.assert_array_equal(found.force_n, both[0].force_n)
+    assert found.status == "ok" and len(both) == 2
+
+
+def test_simulated_frames_are_estimated_and_saved(sensor: Path, tmp_path: Path) -> None:
+    pose = parse_pose("0.005 0 0.042 0 0 0 1")
+    press = bv.simulate(sensor, "cylinder", pose, frames=2, noise_relative=0.002)
+    true, found = press.truth(1).force_n, bv.estimate(press, sensor)[1].force_n
+    assert np.linalg.norm(found - true) < 0.1 * np.linalg.norm(true)
+    press.save(tmp_path / "sim.mcap", tmp_path / "truth.npz")
+    np.testing.assert_array_equal(bv.open(tmp_path / "sim.mcap")[1].depth_m, press[1].depth_m)
+    with np.load(tmp_path / "truth.npz") as file:
+        np.testing.assert_array_equal(file["force_n"][1], true)
+
+
+def test_an_object_is_registered_and_followed(frames: Frames, sensor: Path, tmp_path: Path) -> None:
+    init = "0.005 0 0.044 0 0 0 1"
+    run = bv.track(frames, "cylinder", sensor, init=init)
+    assert frames.path is not None
+    cli("pose", frames.path, "--sensor", sensor, "--object", "cylinder", "--init", init,
+        "--out", tmp_path / "poses.csv")  # fmt: skip
+    lines = np.genfromtxt(tmp_path / "poses.csv", delimiter=",", names=True, encoding="utf-8")
+    np.testing.assert_allclose(run.columns()["pose_z_m"], lines["z_m"])
+    assert run.T_B_O[3, 2, 3] == pytest.approx(0.042, abs=1e-3)
+    one = bv.register(frames[2], "cylinder", sensor, init=parse_pose(init))
+    assert one.T_B_O[2, 3] == pytest.approx(0.042, abs=1e-3)
+    with pytest.raises(bv.InputError, match="nothing touches the membrane"):
+        bv.register(frames[0], "cylinder", sensor)
+
+
+def test_a_stream_gives_results_until_it_ends(recording: Path, sensor: Path) -> None:
+    with bv.connect(f"replay:{recording}?speed=0.2", sensor) as stream:
+        found = list(bv.estimate(stream, zero_gas=False))
+        assert stream.counters.frames == len(HEIGHTS)
+    assert {each.status for each in found} <= {"ok", "no_contact"}
+    assert max(float(np.linalg.norm(each.force_n)) for each in found) > 1.0
+
+
+def test_errors_are_the_command_lines(frames: Frames, sensor: Path, tmp_path: Path) -> None:
+    with pytest.raises(bv.InputError, match=r"nope\.mcap: no such recording; check the path"):
+        bv.open("nope.mcap")
+    with pytest.raises(bv.InputError, match="choose the sensor file of this camera"):
+        bv.estimate(frames, "punyo_oval_d405")
+    with pytest.raises(bv.InputError, match="--kappa nan: give a number of 0 or more"):
+        bv.estimate(frames, sensor, kappa=float("nan"))
+    with pytest.raises(bv.InputError, match="no frames were given"):
+        bv.estimate(frames[3:3], sensor)
+    for given in (frames, frames[0]):
+        with pytest.raises(bv.InputError, match="no preset has a camera of 56×43 pixels"):
+            bv.estimate(given)
+    with pytest.raises(bv.InputError, match="exists already"):
+        bv.save_sensor(bv.load_sensor(sensor), sensor)
+    with pytest.raises(bv.InputError, match=r"ends in \.toml"):
+        bv.save_sensor(bv.load_sensor(sensor), tmp_path / "sensor.json")
+
+
+def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path: Path) -> None:
+    given = bv.load_sensor("punyo_oval_d405")
+    bv.save_sensor(given, tmp_path / "mine.toml")
+    saved = bv.load_sensor(tmp_path / "mine.toml")
+    assert saved.pneumatics == given.pneumatics and saved.camera == given.camera
+    assert given.membrane.mesh_file and given.calibration
+    for name in (given.membrane.mesh_file, given.calibration.pixels_file):
+        assert (tmp_path / name).read_bytes() == given.resolve(name).read_bytes()
+
+
+def test_pictures(frames: Frames, sensor: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyvista", reason="the extra window is not installed")
+    from matplotlib import pyplot
+
+    run = bv.estimate(frames[1:4], sensor)
+    run[1].plot(tmp_path / "frame.png")
+    figure = run.plot(tmp_path / "run.svg")
+    pyplot.close(figure)
+    image = pyplot.imread(tmp_path / "frame.png")[..., :3]
+    red = (image[..., 0] > 0.3) & (image[..., 1:].max(axis=-1) < 0.1)
+    assert red.sum() > 100  # the force's arrow
+    assert (tmp_path / "run.svg").stat().st_size > 10_000
+    assert figure.axes[0].get_ylabel() == "force, N"
+    with pytest.raises(bv.InputError, match="exists already"):
+        run[1].plot(tmp_path / "frame.png")
+
+
+def test_a_table_and_a_dataset(frames: Frames, sensor: Path) -> None:
+    pytest.importorskip("pandas", reason="the extra notebook is not installed")
+    pytest.importorskip("xarray", reason="the extra notebook is not installed")
+    run = bv.estimate(frames, sensor)
+    table, data = run.table(), run.dataset()
+    assert table.index.tolist() == [0, 1, 2, 3, 4]
+    assert table.force_z_n[2] == run.force_n[2, 2]
+    pressed = data.contact_pressure_pa.sel(frame=2)
+    np.testing.assert_array_equal(pressed, run[2].contact_pressure_pa)
+    assert data.force_n.dims == ("frame", "axis")
+
+
+def test_without_pandas_one_sentence_says_what_to_install(
+    frames: Frames, sensor: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(bv.InputError, match=r"pandas is not installed; run .*\[notebook\]"):
+        bv.estimate(frames[2:3], sensor).table()
+
+
+def test_blas_has_its_threads_back(frames: Frames, sensor: Path) -> None:
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    with threadpool_limits(2, user_api="blas"):
+        bv.estimate(frames[2:3], sensor)
+        threads = {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+    assert threads == {2}
+
+
+def test_three_lines_to_the_force_of_the_real_press(punyo_press: Path) -> None:
+    run = bv.estimate(bv.open(punyo_press)[60:90], sensor="auto")
+    force = np.linalg.norm(run.force_n, axis=1)
+    assert (run.status[:2] == "no_contact").all() and run[20].status == "ok"
+    assert np.median(force[20:]) == pytest.approx(2.67, abs=0.3)  # what the README prints
+    assert run[20].index == 80
