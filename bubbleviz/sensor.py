@@ -19,6 +19,10 @@ from bubbleviz.files.toml_files import checked, named_file, read_toml
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: outside 0.1 mm … 1 m somebody mixed up mm and m."""
+Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
+"""Ten times the largest image."""
+LEAST_NOISE = 1e-6
+"""Smallest relative noise: 0.1 µm at 100 mm, a thousandth of what depth cameras resolve."""
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -56,10 +60,14 @@ class Membrane(_Section):
 class Pneumatics(_Section):
     """The gas behind the membrane and the tension in it."""
 
-    gauge_pressure_pa: float = Field(gt=0, lt=1e6)
-    atmospheric_pressure_pa: float = Field(default=101_325.0, gt=1e3, lt=1e6)
-    chamber_volume_m3: float = Field(gt=0, lt=100.0)
-    tension_n_per_m: float | None = Field(default=None, gt=0, lt=1e9)
+    gauge_pressure_pa: float = Field(ge=50.0, le=100e3)
+    """Below 50 Pa, 5 mm of water, nothing is inflated; above an atmosphere latex has burst."""
+    atmospheric_pressure_pa: float = Field(default=101_325.0, ge=30e3, le=120e3)
+    """From the highest mountain's to a pressurised cabin's."""
+    chamber_volume_m3: float = Field(ge=1e-7, le=10.0)
+    """From 0.1 ml to a room: litres for m³ and the like are beyond."""
+    tension_n_per_m: float | None = Field(default=None, ge=1e-3, le=1e6)
+    """A hundred times beyond P R/2 of the gauge pressures and sizes that are allowed here."""
     volume_model: Literal["exact", "paper"] = "exact"
 
     @property
@@ -73,15 +81,15 @@ class Camera(_Section):
 
     width: int = Field(ge=1, le=10_000)
     height: int = Field(ge=1, le=10_000)
-    fx: float = Field(gt=0)
-    fy: float = Field(gt=0)
-    cx: float
-    cy: float
+    fx: float = Field(ge=1.0, le=1e5)
+    fy: float = Field(ge=1.0, le=1e5)
+    cx: Pixels
+    cy: Pixels
     distortion_model: Literal["none", "plumb_bob", "inverse_brown_conrady"] = "none"
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(default=(), max_length=14)
     position_m: Vector3
     quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    noise_relative: float = Field(default=0.01, gt=0, lt=1.0)
+    noise_relative: float = Field(default=0.01, ge=LEAST_NOISE, lt=1.0)
 
     @model_validator(mode="after")
     def _plausible_pose(self) -> Camera:

@@ -114,7 +114,7 @@ def _estimated(job: Job, sensor_name: str, key: str) -> Row:
     _make_room(out)
     with whole_file(out) as folder:
         folder.mkdir()
-        estimate_recording(
+        summary = estimate_recording(
             job.recording,
             sensor_name,
             folder / RESULT,
@@ -124,7 +124,8 @@ def _estimated(job: Job, sensor_name: str, key: str) -> Row:
             frames=asked.frames,
         )
         with closing(Bag(job.recording)) as bag:
-            row = Row.of_result(job.name, sensor_name, folder / RESULT, bag.note)
+            note = "; ".join(filter(None, (bag.note, summary.warning)))
+        row = Row.of_result(job.name, sensor_name, folder / RESULT, note)
         said = f'{{"key": "{key}", "row": {row.to_json()}}}\n'
         (folder / SUMMARY).write_text(said, encoding="utf-8")
     return row

@@ -46,7 +46,8 @@ class Row:
     error : str
         One sentence; empty when there is a result.
     note : str
-        What is missing of the recording, such as its end; empty when it is whole.
+        What is missing of the recording, such as its end, or does not fit the sensor file; empty
+        when nothing is.
     """
 
     recording: str

@@ -44,7 +44,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor import LEAST_NOISE, Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
 
 _PRESSED_FRAMES = 10  # for the chamber
@@ -383,6 +383,6 @@ def _camera_section(
             "distortion_model": own.distortion_model,
             "distortion": tuple(own.distortion),
             "position_m": tuple(round(float(x), 6) for x in camera.T_B_C[:3, 3]),
-            "noise_relative": max(float(f"{relative:.3g}"), 1e-6),
+            "noise_relative": max(float(f"{relative:.3g}"), LEAST_NOISE),
         }
     )

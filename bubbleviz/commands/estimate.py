@@ -22,7 +22,7 @@ from bubbleviz.files.result_writer import UNKNOWN, ResultWriter, write_csv
 from bubbleviz.frames.frame_source import FrameSource, shown_name
 from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import fitting_sensor
+from bubbleviz.frames.sensor_matching import fitting_sensor, gas_warning
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result, Status
@@ -56,6 +56,8 @@ class EstimateSummary(Summary):
         |F| of the recording's wrench over the frames with a contact patch, its bias taken from the
         contact-free frames, N.
     median_residual_rms_m, max_kkt_residual : float or None
+    warning : str or None
+        What does not fit together but was solved all the same.
     """
 
     recording: str
@@ -75,6 +77,7 @@ class EstimateSummary(Summary):
     median_contact_measured_force_n: float | None
     median_residual_rms_m: float | None
     max_kkt_residual: float | None
+    warning: str | None
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -97,6 +100,8 @@ class EstimateSummary(Summary):
             ]
         if self.median_contact_total_ms is not None:
             lines.append(f"        {self.median_contact_total_ms:.1f} ms median in contact")
+        if self.warning is not None:
+            lines.append(f"warning {self.warning}")
         return "\n".join(lines)
 
 
@@ -143,6 +148,7 @@ def estimate_recording(
             "solver": solver or pipeline.estimator.solver_name,
         }
         zero = recorded_zero(source, pipeline) if zero_gas else None
+        warning = None if zero else gas_warning(source[chosen[0]], sensor)
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
         rows = _solve(source, chosen, pipeline, options, out, csv, made_by, zero)
@@ -152,6 +158,7 @@ def estimate_recording(
         out=str(out),
         solver=made_by["solver"],
         kappa=kappa,
+        warning=warning or None,
         **_statistics(rows),
     )
 

@@ -79,6 +79,13 @@ def _first_problem(error: ValidationError, whole: str) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     if isinstance(problem["input"], dict):  # the section as a whole
         return f"{where}: {message}"
-    length = where.endswith("_m") and not where.endswith("_per_m")
-    hint = "; lengths are in metres" if length else ""
-    return f"{where} = {problem['input']!r}: {message}{hint}"
+    return f"{where} = {problem['input']!r}: {message}{_unit_of(where)}"
+
+
+def _unit_of(key: str) -> str:
+    """Hint at the unit of a key, by how its name ends."""
+    if key.endswith("_per_m"):
+        return "; tensions are in newtons per metre"
+    if key.endswith("_pa"):
+        return "; pressures are in pascals"
+    return "; lengths are in metres" if key.endswith("_m") else ""

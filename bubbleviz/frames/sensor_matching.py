@@ -7,9 +7,12 @@ from pathlib import Path, PurePosixPath
 from bubbleviz.errors import InputError
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz.frames.depth_topics import CAMERA_INFO, of_type
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import Sensor, load_sensor
 
+WEATHER_PA = 5e3
+"""Change of the atmospheric pressure at one place, Pa: records lie 5 kPa around the mean."""
 AUTO = "auto"
 """Sensor name that stands for the preset whose camera has the recording's image size."""
 
@@ -45,6 +48,24 @@ def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tu
     shown = sensor.name if isinstance(name, Sensor) else str(name)
     check_fits(recording, sensor, shown)
     return shown, sensor
+
+
+def gas_warning(frame: Frame, sensor: Sensor) -> str:
+    """What to say of a gas pressure that is not this sensor's; empty for nothing.
+
+    Parameters
+    ----------
+    frame : Frame
+        Any: a press adds hundreds of pascals.
+    sensor : Sensor
+    """
+    measured, known = frame.gas_pressure_pa, sensor.pneumatics.reference_pressure_pa
+    if measured is None or abs(measured - known) <= WEATHER_PA:
+        return ""
+    return (
+        f"gas pressure of {1e-3 * measured:.1f} kPa in the recording, {1e-3 * known:.1f} kPa "
+        "(atmospheric and gauge) in the sensor file: more than weather; correct the sensor file"
+    )
 
 
 def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sensor]:

@@ -5,21 +5,25 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from click.testing import CliRunner, Result
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "frames"))
 from bagmaker import START, BagMaker, depth_image
+from small_press import small_source, write_small_sensor
 
 SIZE = (32, 24)
 """Width and height of the sensor's camera and of the bags' images."""
@@ -191,15 +195,60 @@ def test_camera_info_of_another_size_than_the_images(bench: Bench, solving: str)
         ("quaternion_xyzw = [\n    0.0", "quaternion_xyzw = [\n    nan", ("quaternion", "finite")),
         ("-0.104", "-104.0", ("position_m", "millimetres")),
         ("name = ", "name ", ("not a readable TOML",)),
+        ("2585.5", "2.5855", ("gauge_pressure_pa", "2.5855", "pascals")),
     ],
-    ids=["misspelt", "negative", "75 m rim", "NaN position", "NaN turn", "mm position", "no TOML"],
-)
+    ids=[
+        "misspelt", "negative", "75 m rim", "NaN position", "NaN turn", "mm position", "no TOML",
+        "gauge in kPa",
+    ],
+)  # fmt: skip
 def test_bad_sensor_file(
     bench: Bench, solving: str, old: str, new: str, words: tuple[str, ...]
 ) -> None:
     record(bench, GOOD)
     bench.sensor.write_text(toml(replace={old: new}))
     bench.refused(solving, "sensor.toml", *words)
+
+
+@pytest.mark.parametrize("value", [1e-30, 1e30, -1.0, 0.0])
+def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench: Bench, value: float) -> None:
+    """It is solved or refused, whichever number is absurd."""
+    record(bench, GOOD)
+    good = tomllib.loads(toml())
+    numbers = [
+        (section, key)
+        for section in ("membrane", "pneumatics", "camera")
+        for key, known in good[section].items()
+        if isinstance(known, float)
+    ]
+    assert ("camera", "noise_relative") in numbers and len(numbers) >= 10
+    for section, key in numbers:
+        bench.sensor.write_text(tomli_w.dumps({**good, section: {**good[section], key: value}}))
+        done = bench.run(*COMMANDS["estimate"])
+        assert done.exit_code in (0, 2), f"{key} = {value}: {done.output}"
+        assert done.exit_code == 0 or done.stderr.count("\n") == 1, f"{key}: {done.stderr}"
+        for name in ("result.npz", "result.csv"):
+            (bench.folder / name).unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-4e3, False), (6e3, True)])
+def test_a_gas_pressure_that_is_not_the_sensors_is_warned_of(
+    tmp_path: Path, off_pa: float, warned: bool
+) -> None:
+    sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
+    source = small_source(tmp_path / "small.toml", heights=(0.06, 0.06))
+    with RecordingWriter(tmp_path / "rec.mcap") as writer:
+        for k in range(2):
+            pressure = sensor.pneumatics.reference_pressure_pa + off_pa
+            writer.write(replace(source[k], gas_pressure_pa=pressure))
+    out = tmp_path / "result.npz"
+    words = ("estimate", tmp_path / "rec.mcap", "--sensor", tmp_path / "small.toml", "--out", out)
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    told = done.stdout + done.stderr
+    assert ("more than weather" in told) == warned
+    if warned:
+        (line,) = (line for line in told.splitlines() if "more than weather" in line)
+        assert "109.9 kPa in the recording, 103.9 kPa" in line
 
 
 def test_missing_sensor_file(bench: Bench, solving: str) -> None:

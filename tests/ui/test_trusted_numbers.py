@@ -90,6 +90,7 @@ def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive: Drive
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
     window, result = driver.window, driver.window.controller.result
     assert result.estimate.status == "implausible"
+    assert "153.9 kPa in the recording" in window.message.label.text()
     assert window.status.labels["force"].text() == "force – N"
     assert window.status.labels["area"].text() == "patch – mm²"
     assert window.status.labels["residual"].text() == "residual – mm"
