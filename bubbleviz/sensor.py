@@ -86,7 +86,9 @@ class Camera(_Section):
     cx: Pixels
     cy: Pixels
     distortion_model: Literal["none", "plumb_bob", "inverse_brown_conrady"] = "none"
-    distortion: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(default=(), max_length=14)
+    distortion: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
+        default=(), max_length=14
+    )
     position_m: Vector3
     quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
     noise_relative: float = Field(default=0.01, ge=LEAST_NOISE, lt=1.0)

@@ -48,7 +48,7 @@ from bubbleviz.sensor import LEAST_NOISE, Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
 
 _PRESSED_FRAMES = 10  # for the chamber
-_SEEN_NODES = 2_000
+_SEEN_NODES = 2_000  # of a mesh to tell what the camera sees; chosen: some 2 mm
 
 
 @dataclass(frozen=True)

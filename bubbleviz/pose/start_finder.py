@@ -12,10 +12,10 @@ from bubbleviz.pose.object_model import ObjectModel
 TURNS = 12
 """Turns about the patch's normal: 30° apart, which registration bridges."""
 
-_FACES = 8
-_ALIKE = np.cos(np.radians(20.0))
-_POINTS = 40
-_FAR_M = 5e-3
+_FACES = 8  # of the convex hull, the largest: an object seldom rests on others
+_ALIKE = np.cos(np.radians(20.0))  # faces that registration turns into each other
+_POINTS = 40  # of contact and as many free ones: enough to rank starts
+_FAR_M = 5e-3  # m, distance beyond which a point is simply not on the object
 
 
 def touching_directions(model: ObjectModel) -> np.ndarray:

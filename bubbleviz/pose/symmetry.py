@@ -12,9 +12,9 @@ from bubbleviz.pose.object_model import ObjectModel
 _ALIKE = 2e-3
 """Distance over the object's size below which surfaces are the same."""
 
-_FOLDS = (2, 3, 4, 5, 6, 8)
-_CIRCLE = 360
-_MOST = 4 * _CIRCLE
+_FOLDS = (2, 3, 4, 5, 6, 8)  # of prisms that people make
+_CIRCLE = 360  # turns of a round object: a degree apart
+_MOST = 4 * _CIRCLE  # motions: a round object upside down and mirrored
 
 
 def symmetries(model: ObjectModel) -> np.ndarray:

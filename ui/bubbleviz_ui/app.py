@@ -20,8 +20,8 @@ from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.shell.display import has_display, private_display
 from bubbleviz_ui.window_session import WindowSession, window_session
 
-OFFSCREEN_SECONDS = 4.0
-OFFSCREEN_PICTURES = 3
+OFFSCREEN_SECONDS = 4.0  # s; chosen: enough to see it live
+OFFSCREEN_PICTURES = 3  # saved in that time
 
 
 def run_window(

@@ -11,7 +11,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.sensor import Sensor
 
-_FEWEST = 5
+_FEWEST = 5  # frames whose mean and spread say something; chosen
 
 
 @dataclass(frozen=True)

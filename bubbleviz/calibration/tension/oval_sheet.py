@@ -20,7 +20,7 @@ _PRESTRETCH = 1.005
 """λ of that sheet: the slacker it was, the more it differs from a film."""
 _NEAR = 0.02
 """Share of the height to which the sheet is inflated."""
-_ROUNDS = 12
+_ROUNDS = 12  # pressures tried for that height
 
 
 def sheet_excess(mesh: MembraneMesh) -> float:

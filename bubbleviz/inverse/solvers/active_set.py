@@ -15,7 +15,7 @@ from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian
 from bubbleviz.inverse.solvers.pivoting import Quadratic, nonnegative_qp
 from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
 
-KKT_TOLERANCE = 1e-3
+KKT_TOLERANCE = 1e-3  # of a problem whose numbers are of order one, see `Scales`
 
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
-TOLERANCE = 1e-5
+TOLERANCE = 1e-5  # of a problem whose numbers are of order one; chosen
 
 
 class OsqpSolver:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.linalg.lapack import dposv
 
-_FULL_EXCHANGES = 3
+_FULL_EXCHANGES = 3  # without progress before single ones; chosen
 
 
 class Quadratic(Protocol):

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from bubbleviz.study.truth_bank import Sighting, TruthBank
 
-THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)
+THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)  # from below noise to above any press
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from bubbleviz.pose.rigid_motion import motion_between, rows
 from bubbleviz.pose.symmetry import symmetries
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 
-SUCCESS_M, SUCCESS_RAD = 3e-3, np.radians(5.0)
+SUCCESS_M, SUCCESS_RAD = 3e-3, np.radians(5.0)  # what a grasp bears; chosen
 
-_PARALLEL = np.cos(np.radians(45.0))
+_PARALLEL = np.cos(np.radians(45.0))  # faces that look at the membrane
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from bubbleviz.study.presses import Press, made
 from bubbleviz.study.truth_bank import TRUTH_NODES
 
 OBJECTS = ("frustum", "two_legged_toy", "bridge", "cylinder")
-SHALLOWEST_M, DEEPEST_M = 0.008, 0.015
-FARTHEST_M, FARTHEST_RAD = 5e-3, np.radians(10.0)
+SHALLOWEST_M, DEEPEST_M = 0.008, 0.015  # of the presses, as the paper's
+FARTHEST_M, FARTHEST_RAD = 5e-3, np.radians(10.0)  # of the starts
 
 CLOUD_REACH_M = 0.003
 CLOUD_POINTS = 8_000

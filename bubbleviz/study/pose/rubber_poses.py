@@ -25,9 +25,9 @@ from bubbleviz.study.pose.pose_errors import PoseJudge, TrueContact
 from bubbleviz.study.pose.rubber_truth import PRESTRETCH, TRUTH_NODES, RubberPresses, RubberTruth
 from bubbleviz.study.presses import Press, made
 
-START_M, START_RAD = 3e-3, np.radians(8.0)
-SHALLOWEST_M, DEEPEST_M = 0.007, 0.012
-FRAMES = 4
+START_M, START_RAD = 3e-3, np.radians(8.0)  # how far off starts are
+SHALLOWEST_M, DEEPEST_M = 0.007, 0.012  # of the presses
+FRAMES = 4  # of each press, with noise of their own
 
 _PRODUCTS: frozenset[Product] = frozenset({"pose"})
 

@@ -12,7 +12,7 @@ from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession, window_session
 
-SIZE = (1280, 800)
+SIZE = (1280, 800)  # pixels: a small laptop's screen
 
 
 @contextmanager

@@ -41,8 +41,8 @@ from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
-WIDTH = 400
-STEP_WIDTH = 34
+WIDTH = 400  # px: two columns of numbers with units
+STEP_WIDTH = 34  # px: a digit and its frame
 
 
 class Gamma0Panel(QWidget):

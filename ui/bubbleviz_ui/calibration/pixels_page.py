@@ -18,7 +18,7 @@ from bubbleviz_ui.shell.layouts import fill
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
 USED = Unit("", 1.0, 0)
-MOST_DEVIATIONS = 20.0
+MOST_DEVIATIONS = 20.0  # σ, end of the scale
 
 
 class PixelsPage(Page):

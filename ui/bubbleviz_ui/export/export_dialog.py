@@ -23,8 +23,8 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell.layouts import fill
 
 RANGE, ALL = False, True
-MOST_STEP = 1000
-WIDTH = 460
+MOST_STEP = 1000  # frames
+WIDTH = 460  # px: a path of usual length
 
 
 class ExportDialog(QDialog):

@@ -50,7 +50,7 @@ PLACES = {
 WAIT_MS = 400
 """How long typing must rest before what was typed is looked at."""
 NAME = Qt.ItemDataRole.UserRole
-SIZE = (620, 460)
+SIZE = (620, 460)  # px: all boxes of every source
 
 
 class ConnectDialog(QDialog):

@@ -15,7 +15,7 @@ from bubbleviz.result import Result
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """What goes out; there is a pose only where an object is followed."""
-DIAGNOSTICS_S = 1.0
+DIAGNOSTICS_S = 1.0  # s between messages, as is usual in ROS
 
 
 class ResultSender:

@@ -22,9 +22,9 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_view import View
 
-EVERY_MS = 500
+EVERY_MS = 500  # twice a second, as can be read
 COLUMNS = ("Stage", "last", "median", "runs", "Why it runs")
-WIDTH = 860
+WIDTH = 860  # px: all columns
 NOBODY = "nobody asks: it does not run"
 
 

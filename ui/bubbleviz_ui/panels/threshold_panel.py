@@ -34,7 +34,7 @@ ROW = 20
 """Height of a row of the table, screen pixels."""
 HEIGHT = 300
 """Of both plots, screen pixels."""
-LARGEST_M2, STEP_M2 = 0.01, 5e-6
+LARGEST_M2, STEP_M2 = 0.01, 5e-6  # m²: any bubble; 5 mm²
 COLUMNS = ("Area", "Force", "Peak p_c", "")
 
 

@@ -20,7 +20,7 @@ BAND = 22
 """Height of the lower band, which has the frames."""
 TICK_PIXELS = 5
 """Frames nearer to each other than this share a tick."""
-LABEL_PIXELS = 70
+LABEL_PIXELS = 70  # px for one time
 STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600)
 WORDS = {
     UNKNOWN: "not computed yet",

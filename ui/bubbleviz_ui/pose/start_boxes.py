@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel, QWidget
 from bubbleviz.files.pose_reader import angles_of_pose, pose_of_angles
 from bubbleviz_ui.model.units import Units
 
-FARTHEST_M = 0.5
+FARTHEST_M = 0.5  # m from B's origin: beyond any bubble
 NAMES = ("x", "y", "z")
 
 

@@ -22,7 +22,7 @@ from bubbleviz_ui.model.registry import ASKING, LAYERS
 from bubbleviz_ui.session_files.live_paths import with_paths
 
 SYNTHETIC = "synthetic:"
-MOST_RECENT = 10
+MOST_RECENT = 10  # in the menu
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
 _CHOICES = TypeAdapter(Choices)

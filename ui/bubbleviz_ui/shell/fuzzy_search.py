@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-AT_WORD, NEXT_TO, GAP = 3.0, 2.0, 0.05
+AT_WORD, NEXT_TO, GAP = 3.0, 2.0, 0.05  # scores of a letter; chosen
 
 
 def score(query: str, text: str) -> float | None:

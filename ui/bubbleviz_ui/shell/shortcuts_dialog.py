@@ -23,7 +23,7 @@ from bubbleviz_ui.shell.fuzzy_search import score
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 
-SIZE = (560, 520)
+SIZE = (560, 520)  # px: fits a screen of 1024×700
 
 
 class ShortcutsDialog(QDialog):

@@ -14,9 +14,9 @@ from bubbleviz_ui.model.choices import Choices
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
 """The pressure scale starts at this share of the gauge pressure: noise must not look strong."""
-RESIDUAL_TIMES_RMS = 3.0
-SMALLEST_FORCE_N = 2.0
-SMALLEST_RESIDUAL_M = 1e-4
+RESIDUAL_TIMES_RMS = 3.0  # covers 99.7 % of Gaussian noise
+SMALLEST_FORCE_N = 2.0  # N, end of the axis before there is any contact
+SMALLEST_RESIDUAL_M = 1e-4  # m, a depth camera's noise
 
 
 @dataclass(frozen=True)

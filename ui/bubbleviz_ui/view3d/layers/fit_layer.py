@@ -21,8 +21,8 @@ TO_THE_FRONT = -4000.0
 ARROW = 0.4
 """Length of the arrows over the radius of the rim."""
 
-_HEAD = 0.25
-_ARC = np.linspace(-2.4, 2.4, 33)
+_HEAD = 0.25  # length of an arrow's head over half the arrow's
+_ARC = np.linspace(-2.4, 2.4, 33)  # rad, of an arrow that turns
 
 
 class FitLayer(Layer):

@@ -13,7 +13,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 FOUND, LOST = theme.GREEN, theme.GAP
-OPACITY = 0.45
+OPACITY = 0.45  # so that the membrane shows behind it
 
 
 class ObjectLayer(Layer):

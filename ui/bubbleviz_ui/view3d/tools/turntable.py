@@ -9,7 +9,7 @@ from PySide6.QtCore import QObject, Qt, QTimer
 from bubbleviz_ui.view3d.render_view import View
 
 EVERY_MS = 33  # 30 pictures a second
-DEGREES_A_SECOND = 30.0
+DEGREES_A_SECOND = 30.0  # once round in 12 s
 
 
 class Turntable(QObject):
