@@ -193,6 +193,15 @@ def test_a_nut_keeps_the_edges_between_its_sides_and_a_ball_is_smooth():
     found = ObjectSurface(ball).planes([0.0, 0.0, 0.015] + 0.016 * away, -away, np.eye(4), 5e-3)
     np.testing.assert_allclose(found.gap, 1e-3, atol=1e-4)
     assert np.einsum("ij,ij->i", found.normal, away).min() > np.cos(np.radians(1.0))
+    curvature = (np.eye(3) - away[:, :, None] * away[:, None, :]) / 0.015
+    np.testing.assert_allclose(found.turn, curvature, atol=0.15 / 0.015)  # of facets, smoothed
+
+
+def test_newton_converges_quadratically_on_a_curved_object():
+    """Where a ball carries much, its loads turn as the membrane slides along it."""
+    contact = dome(600, None).press(load_object("sphere"), at(0.010, 0.0, H - 0.013))
+    assert_equilibrium(contact)
+    assert contact.iterations < 30
 
 
 def test_no_object_no_change():

@@ -42,7 +42,8 @@ class ContactStep:
     factoriser, blocks : Factoriser, NodeBlocks
         Of K's pattern.
     data : (nnz,) array
-        Of K, N/m.
+        Of K, N/m: the tangent less the loads' turning with the object's surface, which lets
+        Newton's method converge quadratically on curved objects.
     residual, gradient : (f, 3) array
         r in N and g = ∂V/∂x in m².
     beta : float
@@ -89,7 +90,7 @@ class ContactStep:
 
     def _solve(self, data: np.ndarray, held: np.ndarray) -> Step:
         """Primal-dual active set."""
-        gap, normal = self._planes
+        gap, normal = self._planes.gap, self._planes.normal
         near = np.isfinite(gap)
         held = held & near
         for _ in range(_ROUNDS):

@@ -28,10 +28,22 @@ class Planes(NamedTuple):
         Signed distance, m, negative inside the object; inf where there is no condition.
     normal : (k, 3) array
         Unit, out of the object.
+    turn : (k, 3, 3) array
+        Its derivative by the point, symmetric, 1/m: the curvature of the surface.
     """
 
     gap: np.ndarray
     normal: np.ndarray
+    turn: np.ndarray
+
+    @classmethod
+    def nowhere(cls, count: int) -> Planes:
+        """No condition on any of so many points."""
+        return cls(np.full(count, np.inf), np.zeros((count, 3)), np.zeros((count, 3, 3)))
+
+    def of(self, points: np.ndarray) -> Planes:
+        """Conditions of some of the points."""
+        return Planes(self.gap[points], self.normal[points], self.turn[points])
 
 
 class ObjectSurface:
@@ -57,6 +69,7 @@ class ObjectSurface:
             vectors = -vectors  # normals pointed inward: the signed volume was negative
         self._facet_normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         self._corner_normals = self._smoothed(vectors)
+        self._corner_slopes = _slopes(self._corners)
         self._scene = TriangleScene(obj.vertices, obj.triangles)
         self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
         self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
@@ -76,19 +89,22 @@ class ObjectSurface:
         """
         R = T_B_O[:3, :3]
         x, out = (points - T_B_O[:3, 3]) @ R, outward @ R
-        gap, normal = np.full(len(x), np.inf), -out
+        gap, normal, turn = Planes.nowhere(len(x))
         near = np.flatnonzero(np.linalg.norm(x - self._centre, axis=1) < self._radius + reach_m)
         if len(near):
-            gap[near], normal[near] = self._near(x[near], out[near])
+            gap[near], normal[near], turn[near] = self._near(x[near], out[near])
         gap[gap > reach_m] = np.inf
-        return Planes(gap, normal @ R.T)
+        return Planes(gap, normal @ R.T, R @ turn @ R.T)
 
-    def _near(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _near(self, x: np.ndarray, out: np.ndarray) -> Planes:
         _, facet, weights = self._scene.closest(x)
         away = x - np.einsum("ki,kij->kj", weights, self._corners[facet])
         normal = self._corner_normals[facet]
+        turn = normal.swapaxes(1, 2) @ self._corner_slopes[facet]
         normal = np.einsum("ki,kij->kj", weights, normal)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        length = np.linalg.norm(normal, axis=1)
+        normal /= length[:, None]
+        turn = _across(normal, turn / length[:, None, None])
         gap = np.einsum("ij,ij->i", away, self._facet_normals[facet])
         aside = np.linalg.norm(away - gap[:, None] * self._facet_normals[facet], axis=1)
         # Nearest to a sharp edge or corner, not to the face it belongs to.
@@ -96,16 +112,18 @@ class ObjectSurface:
         if not self._solid:
             behind = np.einsum("ij,ij->i", self._facet_normals[facet], out) > 0.0
             sign = np.where(behind, -1.0, 1.0)
-            return np.where(edge, np.inf, sign * gap), sign[:, None] * normal
+            gap = np.where(edge, np.inf, sign * gap)
+            return Planes(gap, sign[:, None] * normal, sign[:, None, None] * turn)
         if edge.any():
             gap[edge] = np.where(self._scene.contains(x[edge]), -1.0, 1.0) * np.linalg.norm(
                 away[edge], axis=1
             )
-            normal[edge] = away[edge] / gap[edge, None]
+            normal[edge], turn[edge] = away[edge] / gap[edge, None], 0.0
         wrong = (gap < 0.0) & (np.einsum("ij,ij->i", normal, out) > 0.0)
         if wrong.any():
             gap[wrong], normal[wrong] = self._way_back(x[wrong], out[wrong])
-        return gap, normal
+            turn[wrong] = 0.0
+        return Planes(gap, normal, turn)
 
     def _way_back(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Conditions of points nearest to the far side of a thin object: back the way they came."""
@@ -136,3 +154,17 @@ class ObjectSurface:
             axis=1,
         )
         return (sums / np.linalg.norm(sums, axis=1, keepdims=True)).reshape(count, 3, 3)
+
+
+def _across(normal: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Symmetric part of `turn` (k, 3, 3) in the planes across unit normals (k, 3)."""
+    plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    return plane @ (0.5 * (turn + turn.swapaxes(1, 2))) @ plane
+
+
+def _slopes(corners: np.ndarray) -> np.ndarray:
+    """Gradients (m, 3, 3) of the barycentric coordinates in facets with corners (m, 3, 3), 1/m."""
+    sides = [corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3] for k in range(3)]
+    vector = cross(sides[0], sides[1])
+    square = np.einsum("ij,ij->i", vector, vector)[:, None, None]
+    return np.stack([cross(vector, side) for side in sides], axis=1) / square

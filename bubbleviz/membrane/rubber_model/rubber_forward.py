@@ -214,21 +214,25 @@ class RubberForward:
     def _contact_step(self, state: _State) -> ContactStep:
         membrane, moving = self.membrane, self.membrane.moving
         pressure, stiffness = self._gas_at(state.x)
+        planes, load = state.planes.of(moving), state.load[moving]
+        touching = np.flatnonzero(load > 0.0)
+        turning = -load[touching, None, None] * planes.turn[touching]
+        data = membrane.tangent(state.x, pressure).data
         return ContactStep(
             self._factoriser,
             self._blocks,
-            membrane.tangent(state.x, pressure).data,
+            self._blocks.added(data, touching, turning),
             membrane.residual(state.x, pressure)[moving],
             membrane.volume_gradient(state.x)[moving],
             stiffness,
-            Planes(state.planes.gap[moving], state.planes.normal[moving]),
+            planes,
         )
 
     @cached_property
     def _rest_is_stable(self) -> bool:
         rest = self.mesh.nodes
-        nothing = Planes(np.full(len(rest), np.inf), np.zeros_like(rest))
-        return self._contact_step(_State(rest, np.zeros(len(rest)), nothing)).is_minimum()
+        nothing = _State(rest, np.zeros(len(rest)), Planes.nowhere(len(rest)))
+        return self._contact_step(nothing).is_minimum()
 
     def _along(
         self,
@@ -265,7 +269,7 @@ class RubberForward:
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         planes = surface.planes(x, outward, pose, self._reach)
         gap = planes.gap - self._sag(x, planes)
-        return _State(x, load, Planes(gap, planes.normal))
+        return _State(x, load, planes._replace(gap=gap))
 
     def _sag(self, x: np.ndarray, planes: Planes) -> np.ndarray:
         """How far flat triangles with their corners on the object are inside it, (n,), m.

@@ -118,6 +118,12 @@ class NodeBlocks:
         data[places] += share * np.abs(data[places]).mean()
         return data
 
+    def added(self, data: np.ndarray, nodes: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+        """Data with blocks (k, 3, 3) added on the diagonal at nodes (k,)."""
+        data = data.copy()
+        data[self._places[self._diagonal[nodes]]] += blocks
+        return data
+
     def held(self, data: np.ndarray, nodes: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Data of P K P + s N Nᵀ: K where some nodes only move across their normals.
 
