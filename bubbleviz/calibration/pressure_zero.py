@@ -47,6 +47,19 @@ class PressureZero:
         """Whether contact-free frames are still being collected."""
         return self._asked
 
+    def refer_to(self, reference_pa: float) -> None:
+        """Take the gas pressure of another sensor file, Pa.
+
+        What was measured at rest stays, so the offset moves with the reference at once. It is asked
+        for anew, as the other file may see contact where this one saw none.
+        """
+        if reference_pa == self.reference_pa:
+            return
+        if self.offset_pa is not None:
+            self.offset_pa += self.reference_pa - reference_pa
+        self.reference_pa = reference_pa
+        self.zero_now()
+
     def zero_now(self) -> None:
         """Begin anew with the contact-free frames that come; the present offset stays till then."""
         self._free, self._asked = [], True

@@ -68,7 +68,7 @@ from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
 RATES_EVERY_MS = 500
 STEPS = 200
 """That can be undone; some hold collected frames."""
-NUMBERS_EVERY_S = 0.1
+NUMBERS_EVERY_MS = 100
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
 UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
 """Choices that draw nothing by themselves."""
@@ -102,7 +102,6 @@ class MainWindow(QMainWindow):
         self.hint = HintBar(self)
         self.view = View(self)
         self.scene = Scene(self.view, state.units, state.choices)
-        self._numbers_at = 0.0
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
@@ -135,6 +134,7 @@ class MainWindow(QMainWindow):
         self.menus = Menus(self.menuBar(), self, self.session_saver)
         self.shortcuts = Shortcuts(self.menuBar())
         self._rates = QTimer(self, interval=RATES_EVERY_MS)
+        self._later = QTimer(self, singleShot=True, interval=NUMBERS_EVERY_MS)
         self._connect()
 
     def open_file(self, path: Path) -> None:
@@ -202,6 +202,7 @@ class MainWindow(QMainWindow):
         self.session_saver.close()
         self.open_panels.close()
         self._rates.stop()
+        self._later.stop()
         self.state.blockSignals(True)  # nothing is left to tell
         for host in self.findChildren(PlotHost):
             host.let_go()
@@ -297,7 +298,9 @@ class MainWindow(QMainWindow):
         self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.source_changed.connect(self._on_source)
+        self._later.timeout.connect(self._write_numbers)
         self.state.playing_changed.connect(self._write_numbers)
+        self.state.frozen_changed.connect(self._write_numbers)
         self.state.choices_changed.connect(self._on_choices)
 
     def _open_dropped(self, paths: list[Path]) -> None:
@@ -347,12 +350,13 @@ class MainWindow(QMainWindow):
         start = time.perf_counter()
         self.scene.show(result, self.state.choices)
         self.view.busy_s += time.perf_counter() - start
-        if not self.state.playing or start - self._numbers_at >= NUMBERS_EVERY_S:
+        if not self.state.playing or self.state.frozen:
             self._write_numbers()
+        elif not self._later.isActive():  # and once more for the last one before a pause
+            self._later.start()
 
     def _write_numbers(self) -> None:
         """Write the numbers of the result that is shown into the panels."""
-        self._numbers_at = time.perf_counter()
         result, facts = self.controller.result, self.state.facts
         if result is not None and facts is not None:
             self.kappa.show_result(result)

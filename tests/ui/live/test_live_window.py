@@ -7,20 +7,25 @@ import signal
 import socket
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_bench import IMAGE, STRING, Bench, contents, robot, sensor_file
+from fakes import DentSource
+from live_bench import IMAGE, STRING, Bench, contents, robot, robot_sensor, sensor_file
 from PySide6.QtCore import Qt
 from rosbags.highlevel import AnyReader
+from window_driver import texts
 
 from bubbleviz.calibration.pressure_zero import ENOUGH
 from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.source_status import STALE_AFTER_S
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.bench.live_soak import free_port
 from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.live import live_frames
@@ -188,6 +193,62 @@ def test_the_zero_of_the_gas_pressure_is_learned_again_on_request(open_bench: Op
     assert zero.waiting
     live.window.live.show_now()
     assert "waiting for a rest" in live.window.live.counts.toolTip()
+
+
+def test_another_sensor_file_moves_the_zero_of_the_gas_pressure(open_bench: Open) -> None:
+    """Else its own gauge pressure is read as contact, or hides it, until somebody presses Z."""
+    live = connected(open_bench)
+    zero = live.run.session.sensors[0].zero
+    zero.zero_now()
+    for _ in range(ENOUGH):
+        zero.learn(zero.reference_pa + 250.0, contact_free=True)
+    sensor = robot_sensor()
+    gas = sensor.pneumatics.model_copy(update={"gauge_pressure_pa": 3585.5})
+    stiffer = live.folder / "stiffer.toml"
+    stiffer.write_text(sensor_to_toml(sensor.model_copy(update={"pneumatics": gas})))
+    live.window.open_file(stiffer)
+    live.wait(lambda: live.pipeline.model.sensor.pneumatics == gas)
+    live.follow()
+    live.window.live.show_now()
+    assert "gas zero -750 Pa, waiting for a rest" in live.window.live.counts.toolTip()
+
+
+def one_frame_everywhere(live: Bench) -> bool:
+    """Whether 3-D view, panels and status bar show the same frame."""
+    result, status = live.window.controller.result, live.window.status.labels
+    force = live.window.kappa.force.text()
+    readout = texts(live)[0]
+    return (
+        status["frame"].text().startswith(f"frame {result.frame.index} ")
+        and status["force"].text() == f"force {force}"
+        and (readout == f"contact  {force}" or (readout, force) == ("no contact", "0.00 N"))
+        and live.state.frame == result.frame.index
+        and not live.window.controller.client.look_is_old
+    )
+
+
+def test_a_frozen_view_shows_one_frame_everywhere(open_bench: Open) -> None:
+    live = connected(open_bench)
+    live.window.panels["threshold"].show()
+    for _ in range(5):
+        live.follow(5)
+        live.window.playback.freeze.click()
+        live.wait(lambda: live.state.frozen)
+        live.wait(lambda: one_frame_everywhere(live))
+        live.window.playback.now.click()
+
+
+def test_a_source_that_ended_leaves_one_frame_everywhere(open_bench: Open) -> None:
+    live = open_bench()
+    source = DentSource(robot_sensor())
+    with RecordingWriter(live.folder / "dents.mcap") as writer:
+        for k in range(5 * len(source)):  # the last one is a press
+            writer.write(replace(source[k % len(source)], index=k, time_s=k / 30.0))
+    live.window.panels["threshold"].show()
+    live.connect(single(f"replay:{live.folder / 'dents.mcap'}", sensor_file(live.folder)))
+    live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
+    live.wait(lambda: texts(live)[0].startswith("contact"))
+    live.wait(lambda: one_frame_everywhere(live))
 
 
 def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench: Open) -> None:

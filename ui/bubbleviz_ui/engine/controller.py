@@ -82,7 +82,7 @@ class Controller(QObject):
         self.client.answered.connect(self._on_answer)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
-        state.frozen_changed.connect(self._ask_newest)
+        state.frozen_changed.connect(self._on_frozen)
         state.choices_changed.connect(self._on_choices)
 
     @property
@@ -158,6 +158,11 @@ class Controller(QObject):
             self._ask_frame()
         self._ask_newest()
 
+    def _on_frozen(self, frozen: bool) -> None:
+        if frozen and self.client.look_is_old:
+            self._ask_frame()
+        self._ask_newest()
+
     def _on_choices(self, names: frozenset[str]) -> None:
         choices, sensor = self.state.choices, self.sensor
         if "solver" in names and sensor is not None:
@@ -199,6 +204,8 @@ class Controller(QObject):
         elif isinstance(answer, Opened):
             self._on_opened(answer)
         elif isinstance(answer, Waited):
+            if self.client.look_is_old:  # the source pauses
+                self._ask_frame()
             self._ask_newest()
         elif isinstance(answer, Followed):
             self.followed.emit(answer)

@@ -9,6 +9,7 @@ import numpy as np
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.diagnostics.inspector import Inspection
+from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.request_delay import RequestDelay
@@ -84,6 +85,7 @@ class SensorClient(QObject):
         self._state = state
         self._awaiting = False
         self._looked_s = 0.0
+        self._looked_at: Frame | None = None
         self._delay = RequestDelay()
         worker.answered.connect(self._on_answer)
 
@@ -91,6 +93,12 @@ class SensorClient(QObject):
     def session(self) -> int:
         """Generation of the session that is open; 0 before the first."""
         return 0 if self.opened is None else self.opened.request.session
+
+    @property
+    def look_is_old(self) -> bool:
+        """Whether the closer look is at a frame before the one that is shown."""
+        shown = None if self.result is None else self.result.frame
+        return bool(self.demand.looks) and self._looked_at is not shown
 
     def ask_frame(self, index: int, demand: Demand) -> None:
         """Ask for a frame."""
@@ -126,7 +134,8 @@ class SensorClient(QObject):
     def _due(self, demand: Demand) -> Demand:
         """What to ask for now: while playing no closer look at every frame."""
         now = time.perf_counter()
-        if self._state.playing and now - self._looked_s < LOOK_EVERY_S:
+        going_on = self._state.playing and not self._state.frozen
+        if going_on and now - self._looked_s < LOOK_EVERY_S:
             return replace(demand, looks=frozenset())
         self._looked_s = now
         return demand
@@ -155,6 +164,7 @@ class SensorClient(QObject):
         self.history = History(answer.facts.frames)
         self._awaiting = False
         self.result, self.inspection = answer.result, answer.inspection
+        self._looked_at = answer.result.frame
         same_patch = self.demand.rule == self._state.choices.rule
         self.history.take(answer.frame, answer.numbers, patch=same_patch)
 
@@ -167,7 +177,7 @@ class SensorClient(QObject):
             self._awaiting = False
             self._delay.waited(now - answer.done_s)
             self._grow(frame.time_s)
-        if frame.arrival_ns:
+        if newest and frame.arrival_ns:
             numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
         elif isinstance(request, FrameRequest) and request.asked_s is not None:
             numbers = replace(numbers, latency_ms=1e3 * (now - request.asked_s))
@@ -176,7 +186,7 @@ class SensorClient(QObject):
         if not (newest and self._state.frozen):
             self.result = answer.result
             if request.demand.looks or not self.demand.looks:  # else it was left out
-                self.inspection = answer.inspection
+                self.inspection, self._looked_at = answer.inspection, frame
 
     def _take_patch(self, answer: Thresholded) -> None:
         result, demand = self.result, answer.request.demand

@@ -186,6 +186,8 @@ class Server:
             frame = source[index]
             solver = EstimatorOptions.named(request.solver)
             pipeline = Pipeline.of(sensor, frame.intrinsics, solver)
+            if isinstance(source, LiveFrames):
+                source.zero.refer_to(pipeline.model.gas.P0)
             pipeline.prepare(request.demand.products)  # apart: says nothing about a frame
             result = _process(source, pipeline, frame, request.demand)
         except BaseException:
