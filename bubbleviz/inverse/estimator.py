@@ -31,7 +31,7 @@ from bubbleviz.result import Estimate, Status
 PRESSURE_SCALE = 3.0
 """Contact pressure in gauge pressures that the prior expects: P (1 + R/r) on an object with a
 radius of curvature r half that of the bubble, R (Young–Laplace on both sides). The λ that follows
-is compared with those of the discrepancy principle and the L-curve in `study accuracy`."""
+is compared with those of discrepancy principle and L-curve in `study accuracy --model linear`."""
 
 MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""

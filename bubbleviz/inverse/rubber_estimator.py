@@ -20,7 +20,7 @@ from bubbleviz.inverse.contact_problem import (
     Ranges,
     Selection,
 )
-from bubbleviz.inverse.detection import THRESHOLD_SAMPLE
+from bubbleviz.inverse.detection import sampled, universal_threshold
 from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOptions
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.plausibility import (
@@ -198,11 +198,11 @@ class RubberEstimator:
         view = self.observer.around(mesh.nodes)
         weight = everything.weight[view.block]
         n = len(mesh.free)
-        sample = mesh.free[np.arange(0, n, max(1, n // THRESHOLD_SAMPLE))]
+        sample = mesh.free[sampled(n)]
         D = sparse.diags_array(np.sqrt(weight)) @ view.jacobian
         sigma = np.linalg.norm(D @ self._rest_rubber[False].responses(sample), axis=0)
-        tau = np.sqrt(2.0 * np.log(n)) * np.max(sigma / mesh.areas[sample]) * mesh.areas
-        self._tau, self._weight = tau, float(weight.sum())
+        self._tau = universal_threshold(sigma / mesh.areas[sample], n) * mesh.areas
+        self._weight = float(weight.sum())
         laplacian = cotangent_laplacian(mesh).tocsr()
         held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
         self._smoothness = (smoothness * (held @ laplacian @ held)).tocsr()

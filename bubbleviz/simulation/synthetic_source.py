@@ -65,6 +65,27 @@ class Truth:
     patch_area_m2: float
     patch_mask: np.ndarray
 
+    @classmethod
+    def of(cls, contact: Contact, view: MembraneView) -> Truth:
+        """What is true of a contact on the mesh of a view."""
+        touching = (contact.contact_pressure_pa > 0.0).astype(np.float64)
+        load = np.linalg.norm(contact.nodal_force_n, axis=1)
+        moved = contact.displacement_3d_m
+        center = np.full(3, np.nan)
+        if load.sum() > 0.0:
+            center = load @ view.mesh.deformed(moved) / load.sum()
+        half = 0.5 - 1e-9  # a place at exactly one half counts
+        return cls(
+            displacement_m=contact.displacement_m,
+            displacement_3d_m=moved,
+            contact_pressure_pa=contact.contact_pressure_pa,
+            gas_pressure_change_pa=contact.gas_pressure_change_pa,
+            force_n=contact.nodal_force_n.sum(axis=0),
+            center_of_pressure_m=center,
+            patch_area_m2=area_above(view.mesh, touching, half),
+            patch_mask=view.above(moved, touching, half),
+        )
+
 
 @runtime_checkable
 class KnowsTruth(Protocol):
@@ -177,24 +198,7 @@ class SyntheticSource:
 
     def truth(self, index: int) -> Truth:
         """What is true of frame `index`."""
-        contact = self.contact(index)
-        touching = (contact.contact_pressure_pa > 0.0).astype(np.float64)
-        load = np.linalg.norm(contact.nodal_force_n, axis=1)
-        moved = contact.displacement_3d_m
-        center = np.full(3, np.nan)
-        if load.sum() > 0.0:
-            center = load @ self.mesh.deformed(moved) / load.sum()
-        half = 0.5 - 1e-9  # a place at exactly one half counts
-        return Truth(
-            displacement_m=contact.displacement_m,
-            displacement_3d_m=moved,
-            contact_pressure_pa=contact.contact_pressure_pa,
-            gas_pressure_change_pa=contact.gas_pressure_change_pa,
-            force_n=contact.nodal_force_n.sum(axis=0),
-            center_of_pressure_m=center,
-            patch_area_m2=area_above(self.mesh, touching, half),
-            patch_mask=self._view.above(moved, touching, half),
-        )
+        return Truth.of(self.contact(index), self._view)
 
     def _solve(self, index: int) -> Contact:
         contact = self._model.press(self.obj, self.poses[index])

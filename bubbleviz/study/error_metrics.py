@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
-from bubbleviz.simulation.synthetic_source import Truth
+
+if TYPE_CHECKING:
+    from bubbleviz.study.truth_bank import Sighting  # the window compares masks without it
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,10 @@ class Errors:
         for the patch by.
     force_error_relative : float
         Length of the difference of the force vectors over the length of the true one.
+    force_excess_relative : float
+        |F| over the true one, less 1.
+    area_error_relative : float
+        Of the patch's area, which is counted on the reference surface.
     cop_error_m : float
         Between centres of pressure; NaN where no contact was found.
     displacement_rms_m : float
@@ -37,43 +43,47 @@ class Errors:
     iou: float
     iou_best_threshold: float
     force_error_relative: float
+    force_excess_relative: float
+    area_error_relative: float
     cop_error_m: float
     displacement_rms_m: float
     gas_error_pa: float
 
 
 class Judge:
-    """Compares estimates on one mesh with truths on another of the same surface.
+    """Compares estimates on one mesh with truths on others of the same surface.
 
     Parameters
     ----------
     pipeline : Pipeline
         Whose results are judged.
-    truth_mesh : MembraneMesh
     """
 
-    def __init__(self, pipeline: Pipeline, truth_mesh: MembraneMesh) -> None:
+    def __init__(self, pipeline: Pipeline) -> None:
         self._view = pipeline.model.view
-        scene = TriangleScene(truth_mesh.nodes, truth_mesh.triangles)
-        _, triangle, self._barycentric = scene.closest(pipeline.mesh.nodes)
-        self._corners = truth_mesh.triangles[triangle]
 
-    def displacement_m(self, truth: Truth) -> np.ndarray:
+    def displacement_m(self, sighting: Sighting) -> np.ndarray:
         """True displacement (n,) at the estimator's nodes, m."""
-        return np.einsum("ij,ij->i", truth.displacement_m[self._corners], self._barycentric)
+        mesh = sighting.mesh
+        found = TriangleScene(mesh.nodes, mesh.triangles).closest(self._view.mesh.nodes)
+        corners = sighting.truth.displacement_m[mesh.triangles[found.triangle]]
+        moved: np.ndarray = np.einsum("ij,ij->i", corners, found.barycentric)
+        return moved
 
-    def errors(self, result: Result, truth: Truth, stride: int = 1) -> Errors:
+    def errors(self, result: Result, sighting: Sighting, stride: int = 1) -> Errors:
         """Errors of a result with an estimate, a patch and its pixels."""
-        estimate, patch = result.estimate, result.patch
+        estimate, patch, truth = result.estimate, result.patch, sighting.truth
         if estimate is None or patch is None or patch.pixel_mask is None:
             raise ValueError("the result lacks the estimate, the patch or its pixels")
-        difference = estimate.displacement_m - self.displacement_m(truth)
-        force = np.linalg.norm(truth.force_n)
+        difference = estimate.displacement_m - self.displacement_m(sighting)
+        force = float(np.linalg.norm(truth.force_n))
         seen = truth.patch_mask[::stride, ::stride]
         return Errors(
             iou=iou(patch.pixel_mask, seen),
             iou_best_threshold=self._best_iou(estimate, seen),
-            force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n) / force),
+            force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n)) / force,
+            force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
+            area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
             cop_error_m=float(
                 np.linalg.norm(patch.center_of_pressure_m - truth.center_of_pressure_m)
             ),

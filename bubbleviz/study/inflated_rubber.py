@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.inflation import Inflation
@@ -20,6 +22,7 @@ from bubbleviz.study.rubber_oracle import AxialRubber
 
 ATMOSPHERE_PA = 98_700.0
 """Some 225 m above the sea, where no sensor file assumes to be."""
+CHAMBER_M3 = 3e-4
 _NODES = 3_000
 CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frames=0.5)
 """As a RealSense D405 over a soft bubble has: σ and correlation in space and time."""
@@ -40,6 +43,10 @@ class InflatedRubber:
         γ0: mean tension at rest.
     shape : callable
         Membrane under a gauge pressure in Pa.
+    sheet : MembraneMesh
+        The same triangles stretched by λ over the rim, before there is any pressure.
+    sheet_stretch : float
+        That λ.
     """
 
     name: str
@@ -48,6 +55,46 @@ class InflatedRubber:
     mu_h_n_per_m: float
     tension_n_per_m: float
     shape: Callable[[float], MembraneMesh]
+    sheet: MembraneMesh
+    sheet_stretch: float
+
+    @cached_property
+    def rest(self) -> MembraneMesh:
+        """Membrane under the gauge pressure at rest."""
+        return self.shape(self.gauge_pressure_pa)
+
+    @property
+    def pneumatics(self) -> Pneumatics:
+        """The true ones."""
+        return Pneumatics(
+            gauge_pressure_pa=self.gauge_pressure_pa,
+            atmospheric_pressure_pa=ATMOSPHERE_PA,
+            chamber_volume_m3=CHAMBER_M3,
+            tension_n_per_m=self.tension_n_per_m,
+        )
+
+    def rubber(self, mesh: MembraneMesh) -> RubberMembrane:
+        """The membrane in equilibrium at rest, on a mesh with its nodes on the facets of `rest`."""
+        place = TriangleScene(self.rest.nodes, self.rest.triangles).closest(mesh.nodes)
+        corners = self.sheet.nodes[self.sheet.triangles[place.triangle]]
+        flat = replace(mesh, nodes=np.einsum("ij,ijk->ik", place.barycentric, corners))
+        free = self.sheet_stretch**2 * inverse_metric(flat)
+        material = self.gauge_pressure_pa, free, self.mu_h_n_per_m
+        inflation = Inflation(RubberMembrane(mesh, *material), np.zeros_like(mesh.nodes))
+        bulged = replace(mesh, nodes=inflation.at(self.gauge_pressure_pa, mesh.nodes))
+        return RubberMembrane(bulged, *material)
+
+    def resting(self, nodes: int) -> MembraneMesh:
+        """Another mesh of the membrane at rest, of about so many nodes, all on its facets."""
+        height = float(self.rest.nodes[:, 2].max())
+        mesh = mesh_cap(EllipsoidalCap.of(self.rim_semi_axes_m, height), nodes)
+        inner = ~mesh.rim
+        rays = np.zeros((int(inner.sum()), 6))
+        rays[:, :2], rays[:, 2], rays[:, 5] = mesh.nodes[inner, :2], 1.0, -1.0
+        met = TriangleScene(self.rest.nodes, self.rest.triangles).cast(rays)
+        points = mesh.nodes.copy()
+        points[inner, 2] = 1.0 - met.distance
+        return replace(mesh, nodes=points)
 
     @property
     def prestretch(self) -> float:
@@ -63,12 +110,10 @@ class InflatedRubber:
         rest = axial.rest
         ring = rest.r_m * np.gradient(rest.s_m) * rest.stretches[:, 0]
         tension = float(rest.tensions_n_per_m.mean(axis=1) @ ring / ring.sum())
-
-        def shape(pressure_pa: float) -> MembraneMesh:
-            return swept_mesh(replace(axial, gauge_pressure_pa=pressure_pa).rest, _NODES)
-
         rim = rim_radius_m, rim_radius_m
-        return cls("round sheet", rim, gauge_pressure_pa, mu_h_n_per_m, tension, shape)
+        flat = swept_mesh(replace(rest, r_m=rest.s_m, z_m=np.zeros_like(rest.s_m)), _NODES)
+        made = gauge_pressure_pa, mu_h_n_per_m, tension, partial(_swept, axial), flat, prestretch
+        return cls("round sheet", rim, *made)
 
     @classmethod
     def oval_sheet(
@@ -109,19 +154,16 @@ class InflatedRubber:
         gauge_pressure_pa: float,
     ) -> InflatedRubber:
         rubber = RubberMembrane(mesh, 0.0, prestretch**2 * inverse_metric(mesh), mu_h_n_per_m)
-        inflation = Inflation(rubber, np.zeros_like(mesh.nodes))
-        rest = replace(mesh, nodes=inflation.at(gauge_pressure_pa))
+        rest = _inflated(rubber, None, gauge_pressure_pa)
         half_trace = 0.5 * np.trace(rubber.stress(rest.nodes), axis1=1, axis2=2)
         tension = float(half_trace @ rest.facet_areas / rest.facet_areas.sum())
-
-        def shape(pressure_pa: float) -> MembraneMesh:
-            return replace(mesh, nodes=inflation.at(pressure_pa, rest.nodes))
-
-        return cls(name, rim, gauge_pressure_pa, mu_h_n_per_m, tension, shape)
+        shape = partial(_inflated, rubber, rest.nodes)
+        made = gauge_pressure_pa, mu_h_n_per_m, tension, shape, mesh, prestretch
+        return cls(name, rim, *made)
 
     def sensor(self, width: int = 160) -> Sensor:
         """What a drawing says of the sensor: an inexact height, and the sea's atmosphere."""
-        height = float(self.shape(self.gauge_pressure_pa).nodes[:, 2].max())
+        height = float(self.rest.nodes[:, 2].max())
         focal, rows = 0.55 * width, 3 * width // 4
         return Sensor(
             name=self.name,
@@ -130,7 +172,7 @@ class InflatedRubber:
                 rim_semi_axes_m=self.rim_semi_axes_m,
                 height_m=round(height, 3),
             ),
-            pneumatics=Pneumatics(gauge_pressure_pa=2500.0, chamber_volume_m3=3e-4),
+            pneumatics=Pneumatics(gauge_pressure_pa=2500.0, chamber_volume_m3=CHAMBER_M3),
             camera=Camera(
                 width=width,
                 height=rows,
@@ -155,3 +197,12 @@ class InflatedRubber:
         camera = DepthCamera.of(self.sensor(width).camera)
         name, gas = f"{self.name} at {level:g}", ATMOSPHERE_PA + gauge
         return InflatedSensor(name, camera, self.shape(gauge), gas, noise, frames, seed)
+
+
+def _swept(axial: AxialRubber, pressure_pa: float) -> MembraneMesh:
+    return swept_mesh(replace(axial, gauge_pressure_pa=pressure_pa).rest, _NODES)
+
+
+def _inflated(rubber: RubberMembrane, near: np.ndarray | None, pressure_pa: float) -> MembraneMesh:
+    inflation = Inflation(rubber, np.zeros_like(rubber.mesh.nodes))
+    return replace(rubber.mesh, nodes=inflation.at(pressure_pa, near))

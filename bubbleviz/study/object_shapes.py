@@ -35,6 +35,13 @@ def cylinder() -> RigidObject:
     return _lathe("cylinder", [(circle, 0.0), (circle, 0.040)])
 
 
+def puck() -> RigidObject:
+    """Puck, flat side down: radius 12 mm, its edge rounded by 4 mm, 20 mm tall; not shipped."""
+    turn = np.linspace(0.0, 0.5 * np.pi, 12)
+    profile = [(0.008 + 0.004 * np.sin(a), 0.004 * (1.0 - np.cos(a))) for a in turn]
+    return _lathe("puck", [(r * _circle(96), z) for r, z in [*profile, (0.012, 0.020)]])
+
+
 def sphere() -> RigidObject:
     """Ball of radius 15 mm (vertices on the sphere, facets within 0.01 mm)."""
     vertices, triangles = _icosphere(4)

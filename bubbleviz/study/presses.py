@@ -15,6 +15,8 @@ from bubbleviz.study import object_shapes
 GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
 HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
 """Held-out objects: not used while choosing the estimator's settings."""
+SMOOTH_OBJECTS = ("sphere", "puck")
+"""Objects without sharp edges, whose exact equilibrium converges as the mesh becomes finer."""
 
 LARGEST_OFFSET_M = 0.008  # off the axis, m; chosen
 LARGEST_TILT_RAD = 0.14  # 8°; chosen

@@ -7,13 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
+from bubbleviz.membrane.refine import refine
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor import load_sensor
-from bubbleviz.study.accuracy import accuracy_report, linear_model
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.study.accuracy import accuracy_report
 from bubbleviz.study.accuracy.accuracy_study import (
+    LINEAR,
     PRODUCTS,
+    RUBBER,
     Grid,
     Row,
     Setup,
@@ -23,12 +29,25 @@ from bubbleviz.study.accuracy.accuracy_study import (
 )
 from bubbleviz.study.accuracy.threshold_baseline import THRESHOLDS_M, iou_by_threshold
 from bubbleviz.study.error_metrics import Judge, iou
+from bubbleviz.study.inflated_rubber import InflatedRubber
 from bubbleviz.study.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press, made, presses
 from bubbleviz.study.report_files import check_free
-from bubbleviz.study.truth_bank import TruthBank
+from bubbleviz.study.truth_bank import LinearPresses, TruthBank
 
-SETUPS = (Setup(), Setup(nodes=300, relinearisations=0))
-GRID = Grid(("sphere", "hex_nut"), (0.012,), (0.0, 0.01), SETUPS, 2, 3_000, 7)
+NONE, ONE = DepthNoise(), DepthNoise(relative=0.01)
+SETUPS = (LINEAR, Setup("linear", nodes=300, relinearisations=0))
+DEPTH_M = 0.012
+GRID = Grid(
+    specimens=("sensor",),
+    objects=("sphere", "hex_nut"),
+    depths=(DEPTH_M / 0.05,),
+    noises=(NONE, ONE),
+    setups=SETUPS,
+    repeats=2,
+    model="linear",
+    truth_nodes=3_000,
+    limit_s=None,
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +57,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def bank(sensor):
-    return TruthBank(sensor, 7, 3_000)
+    return TruthBank(LinearPresses(SensorModel.of(sensor), 3_000), 7)
 
 
 @pytest.fixture(scope="module")
@@ -101,8 +120,8 @@ def test_the_truth_itself_has_no_errors(sensor, bank):
         "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
     )
     patch = replace(pipeline.patch(estimate), pixel_mask=truth.patch_mask)
-    result = Result(bank.frame(sighting, 0.0, 0), estimate, patch)
-    errors = Judge(pipeline, bank.mesh).errors(result, truth)
+    result = Result(bank.frame(sighting, NONE, 0), estimate, patch)
+    errors = Judge(pipeline).errors(result, sighting)
     assert errors.iou == 1.0
     assert errors.force_error_relative == pytest.approx(0.0, abs=1e-12)
     assert errors.cop_error_m < 1e-3  # the reported centre is that of the patch alone
@@ -128,7 +147,7 @@ def test_strided_camera_sees_the_same_rays(sensor):
 
 def test_noise_differs_from_frame_to_frame_and_repeats(bank):
     sighting = bank.sighting(Press("sphere", 0.012, False))
-    first, again, second = (bank.frame(sighting, 0.01, k).depth_m for k in (0, 0, 1))
+    first, again, second = (bank.frame(sighting, ONE, k).depth_m for k in (0, 0, 1))
     assert np.array_equal(first, again, equal_nan=True)
     assert not np.array_equal(first, second, equal_nan=True)
 
@@ -140,7 +159,8 @@ def test_structure(study):
         assert row.status == "ok"
         assert 0.0 < row.iou <= 1.0
         assert 0.0 < row.iou_best_threshold <= 1.0
-        assert row.force_error_relative < (0.1 if row.setup == "default" else 0.25)
+        assert row.force_error_relative < (0.1 if row.setup == "linear" else 0.25)
+        assert abs(row.force_excess_relative) <= row.force_error_relative + 1e-12
         assert row.displacement_rms_m < 1e-3
         assert row.cop_error_m < 2e-3
         assert row.warm_ms > 0.0
@@ -151,22 +171,20 @@ def test_the_oracle_is_the_best_threshold_and_no_better_than_1(study, bank):
     assert len(study.baselines) == 2 * 2 * 3
     assert all(0.0 < base.iou <= 1.0 for base in study.baselines)
     sighting = bank.sighting(Press("sphere", 0.012, False))
-    scores = iou_by_threshold(bank, sighting, 0.01, 0.0, 0)
-    frame = bank.frame(sighting, 0.01, 0)
+    scores = iou_by_threshold(bank, sighting, ONE, 0.0, 0)
+    frame = bank.frame(sighting, ONE, 0)
     change = np.abs(np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m))
     for k in (0, 60, 100):
         expected = iou(change > THRESHOLDS_M[k], sighting.truth.patch_mask)
         assert scores[k] == pytest.approx(expected)
     base = next(
-        b
-        for b in study.baselines
-        if (b.object_name, b.noise_relative, b.blur_px) == ("sphere", 0.01, 0.0)
+        b for b in study.baselines if (b.object_name, b.noise, b.blur_px) == ("sphere", "1 %", 0.0)
     )
     assert base.iou == pytest.approx(scores.max())
 
 
 def test_a_solver_that_breaks_is_left_out_by_name(sensor):
-    grid = replace(GRID, objects=("sphere",), noises_relative=(0.0,), setups=(Setup("magic"),))
+    grid = replace(GRID, objects=("sphere",), noises=(NONE,), setups=(Setup("magic"),))
     found = run_accuracy(sensor, grid)
     assert found.rows == []
     assert "magic" in found.omitted[0]
@@ -174,13 +192,71 @@ def test_a_solver_that_breaks_is_left_out_by_name(sensor):
 
 
 def test_a_stopped_study_goes_on(sensor, tmp_path):
-    grid = replace(GRID, objects=("sphere",), noises_relative=(0.01,), setups=SETUPS[1:])
+    grid = replace(GRID, objects=("sphere",), noises=(ONE,), setups=SETUPS[1:])
     first = run_accuracy(sensor, grid, tmp_path)
     again = run_accuracy(sensor, grid, tmp_path)
     assert again.rows == first.rows
-    other = run_accuracy(sensor, replace(grid, seed=8), tmp_path)
-    assert other.rows == []
-    assert "another grid" in other.omitted[0]
+    with pytest.raises(InputError, match="another study"):
+        run_accuracy(sensor, replace(grid, seed=8), tmp_path)
+
+
+def test_a_kept_truth_is_the_truth(sensor, tmp_path, bank):
+    press = Press("sphere", DEPTH_M, False)
+    model = SensorModel.of(sensor)
+    first, kept = (
+        TruthBank(LinearPresses(model, 3_000), 7, tmp_path).sighting(press) for _ in range(2)
+    )
+    fresh = bank.sighting(press)
+    for one in (first, kept):
+        assert one.gas_pressure_pa == fresh.gas_pressure_pa
+        assert np.array_equal(one.range_m, fresh.range_m, equal_nan=True)
+        assert np.array_equal(one.truth.force_n, fresh.truth.force_n)
+        assert np.array_equal(one.mesh.triangles, fresh.mesh.triangles)
+
+
+def test_a_truth_that_takes_too_long_is_left_out_by_name(sensor):
+    grid = replace(GRID, objects=("sphere",), noises=(NONE,), limit_s=0.0)
+    found = run_accuracy(sensor, grid)
+    assert found.rows == []
+    assert "sphere 12.0 mm: no answer within 0 s" in found.omitted[0]
+
+
+def test_on_rubber_the_exact_estimator_is_right_and_the_linear_one_is_not(sensor):
+    grid = Grid(
+        specimens=("dome λ 1.2",),
+        others_objects=("sphere",),
+        depths=(0.25,),
+        noises=(DepthNoise(absolute_m=1e-4),),
+        setups=(RUBBER, LINEAR),
+        repeats=1,
+        truth_nodes=900,
+        limit_s=None,
+    )
+    found = run_accuracy(sensor, grid)
+    assert found.omitted == []
+    exact, linear = found.rows
+    assert exact.force_error_relative < 0.02
+    assert linear.force_excess_relative > 0.05
+    assert exact.force_n == linear.force_n > 1.0
+    told = found.materials[0]
+    assert told.prestretch == told.true_prestretch == 1.2
+    assert {curve.depth_share for curve in accuracy_report.curves(found)} == {0.25}
+
+
+def test_another_mesh_of_an_inflated_sheet_is_on_its_surface():
+    """And a finer one of the same facets is in equilibrium, as stiff as the sheet."""
+    sheet = InflatedRubber.round_sheet(0.045, 110.0, 1.15, 2500.0)
+    rest = sheet.rest
+    other = sheet.resting(300)
+    assert len(other.nodes) < 0.2 * len(rest.nodes)
+    away = TriangleScene(rest.nodes, rest.triangles).closest(other.nodes).point - other.nodes
+    assert np.linalg.norm(away[~other.rim], axis=1).max() < 1e-6
+    fine = sheet.rubber(refine(rest, rest.nodes[rest.triangles].mean(axis=1)[:, 0] > 0.03))
+    moved = TriangleScene(rest.nodes, rest.triangles).closest(fine.mesh.nodes).point
+    assert np.linalg.norm(moved - fine.mesh.nodes, axis=1).max() < 5e-5
+    load = sheet.gauge_pressure_pa * fine.mesh.areas.mean()
+    assert np.abs(fine.rest_force[fine.mesh.free]).max() < 1e-6 * load
+    assert fine.mean_tension == pytest.approx(sheet.tension_n_per_m, rel=2e-3)
 
 
 def test_report_files(study, tmp_path):
@@ -190,40 +266,51 @@ def test_report_files(study, tmp_path):
     assert len(lines) == len(study.rows)
     assert {"depth_m", "warm_ms", "cop_error_m", "gas_error_pa"} <= set(lines[0])
     data = json.loads((tmp_path / "accuracy.json").read_text())
-    assert {"targets", "points", "baselines", "rows", "grid", "omitted"} == set(data)
+    assert {
+        "targets",
+        "curves",
+        "points",
+        "materials",
+        "baselines",
+        "rows",
+        "grid",
+        "omitted",
+    } == set(data)
     assert any(point["on_front"] for point in data["points"])
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     with pytest.raises(InputError, match="exists"):
         check_free(tmp_path, accuracy_report.FILES)
 
 
-def row(setup, ms, overlap, force):
-    return Row("sphere", False, 0.015, 0.01, setup, "x", 800, 1, 2, 0.01, 0.003, "ok",
-               overlap, overlap, force, 1e-3, 1e-4, 1.0, 0.0, 100.0, ms)  # fmt: skip
+def row(setup, ms, overlap, force, **changed):
+    known = Row(
+        "sensor", False, "sphere", False, 0.015, 0.3, "1 %", setup, "x", 800, 1, 2, 0.01, 0.003,
+        5.0, "ok", 0, overlap, overlap, force, force, 0.0, 1e-3, 1e-4, 1.0, 0.0, 100.0, ms,
+    )  # fmt: skip
+    return replace(known, **changed)
 
 
 def test_front_and_targets_on_known_rows(study):
     setups = tuple(Setup(s) for s in ("a", "b", "c"))
     rows = [row("a", 5, 0.8, 0.01), row("b", 9, 0.7, 0.02), row("c", 3, 0.6, 0.03)]
-    known = replace(study, grid=replace(GRID, setups=setups), rows=rows)
+    known = replace(study, grid=replace(GRID, setups=setups), rows=rows, baselines=[])
     front = {p.setup: p.on_front for p in accuracy_report.points(known)}
     assert front == {"a": True, "b": False, "c": True}
-    met = {t.name: t.met for t in accuracy_report.targets(known)}
-    assert met["grid, 1 %: median force error"]
-    assert met["grid, 1 %: mean patch IoU"]
-    worse = replace(known, rows=[row("a", 5, 0.1, 0.021)])
-    assert not any(t.met for t in accuracy_report.targets(worse))
+    assert all(t.met for t in accuracy_report.targets(known))
+    worse = replace(known, rows=[row("a", 5, 0.1, 0.051), row("a", 5, 0.1, np.nan, failed=2)])
+    found = accuracy_report.targets(worse)
+    assert len(found) == 4 and not any(t.met for t in found)
+    learnt = replace(known, rows=[row("a", 5, 0.8, 0.029, identified=True)])
+    assert all(t.met for t in accuracy_report.targets(learnt))
 
 
-def test_linear_model_is_worse_the_deeper(sensor, tmp_path):
-    bubble = linear_model.bubble_of(sensor)
-    found = linear_model.compare(bubble, np.array([0.005, 0.02]), nodes=800)
-    assert {c.object_name for c in found} == set(linear_model.BALLS_M)
-    for name in linear_model.BALLS_M:
-        shallow, deep = (abs(c.force_error_relative) for c in found if c.object_name == name)
-        assert shallow < deep < 0.4
-    linear_model.write(found, tmp_path)
-    assert (tmp_path / "linear_model.png").stat().st_size > 10_000
+def test_curves_tell_median_worst_and_what_has_no_answer(study):
+    grid = replace(GRID, setups=(Setup("a"),))
+    rows = [row("a", 5, 0.8, e) for e in (0.01, 0.02, 0.09)] + [row("a", 5, 0, np.nan, failed=1)]
+    (curve,) = accuracy_report.curves(replace(study, grid=grid, rows=rows))
+    assert (curve.presses, curve.failed) == (4, 1)
+    assert curve.force_error_relative_median == 0.02
+    assert curve.force_error_relative_worst == 0.09
 
 
 def test_products_are_the_whole_way_to_the_patch():

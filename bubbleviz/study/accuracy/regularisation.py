@@ -16,15 +16,19 @@ from matplotlib.figure import Figure
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.tables import table, write_csv
+from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import PRESSURE_SCALE, EstimatorOptions
+from bubbleviz.inverse.solvers.inverse_solver import LINEAR
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.study.accuracy.accuracy_study import PRODUCTS
 from bubbleviz.study.error_metrics import Judge
 from bubbleviz.study.presses import Press
 from bubbleviz.study.report_files import save_figure
-from bubbleviz.study.truth_bank import Sighting, TruthBank
+from bubbleviz.study.truth_bank import LinearPresses, Sighting, TruthBank
 
 FILES = ("regularisation.csv", "regularisation.png")
 
@@ -57,7 +61,7 @@ class Strength:
 def sweep(
     sensor: Sensor, cases: list[Press], factors: np.ndarray, *, seed: int, truth_nodes: int
 ) -> list[Strength]:
-    """Estimate every press with every λ, at the sensor's own noise.
+    """Estimate every press on the linear membrane with every λ, at the sensor's own noise.
 
     Parameters
     ----------
@@ -68,23 +72,25 @@ def sweep(
     seed, truth_nodes : int
         Of the presses and of the mesh that makes their truth.
     """
-    bank = TruthBank(sensor, seed, truth_nodes)
+    bank = TruthBank(LinearPresses(SensorModel.of(sensor), truth_nodes), seed)
     sightings = []
     for press in cases:
         try:
             sightings.append(bank.sighting(press))
         except (InputError, SolveError):  # no such pose on this sensor; the grid names it
             continue
-    return _with_choices([_strength(bank, sightings, float(f)) for f in factors])
+    return _with_choices([_strength(sensor, bank, sightings, float(f)) for f in factors])
 
 
-def _strength(bank: TruthBank, sightings: list[Sighting], factor: float) -> Strength:
+def _strength(
+    sensor: Sensor, bank: TruthBank, sightings: list[Sighting], factor: float
+) -> Strength:
     # λ is the inverse square of the pressure that the prior expects.
-    options = EstimatorOptions(pressure_scale=PRESSURE_SCALE / np.sqrt(factor))
-    pipeline = Pipeline.of(bank.sensor, options=options)
-    judge = Judge(pipeline, bank.mesh)
+    options = EstimatorOptions(LINEAR, pressure_scale=PRESSURE_SCALE / np.sqrt(factor))
+    pipeline = Pipeline.of(sensor, options=options)
+    judge = Judge(pipeline)
     L = cotangent_laplacian(pipeline.mesh)
-    noise = bank.sensor.camera.noise_relative
+    noise = DepthNoise(relative=sensor.camera.noise_relative)
     rows, not_ok = [], 0
     for sighting in sightings:
         frame = bank.frame(sighting, noise, 0)
@@ -94,9 +100,9 @@ def _strength(bank: TruthBank, sightings: list[Sighting], factor: float) -> Stre
         if estimate is None or estimate.status != "ok":
             not_ok += 1
             continue
-        errors = judge.errors(result, sighting.truth)
+        errors = judge.errors(result, sighting)
         p = estimate.contact_pressure_pa
-        alone = _noise_rms(pipeline, bank, sighting)
+        alone = _noise_rms(pipeline, sighting, frame)
         rows.append(
             (
                 estimate.residual_rms_m / alone,
@@ -116,12 +122,11 @@ def _strength(bank: TruthBank, sightings: list[Sighting], factor: float) -> Stre
     )
 
 
-def _noise_rms(pipeline: Pipeline, bank: TruthBank, sighting: Sighting) -> float:
+def _noise_rms(pipeline: Pipeline, sighting: Sighting, frame: Frame) -> float:
     """Weighted rms of this frame's noise: the residual with the true shape as the model."""
     observer = pipeline.estimator.observer
-    truth = Judge(pipeline, bank.mesh).displacement_m(sighting.truth)
+    truth = Judge(pipeline).displacement_m(sighting)
     linear = observer.linearise(truth)
-    frame = bank.frame(sighting, bank.sensor.camera.noise_relative, 0)
     observation = observer.observe(frame.depth_m, observer.predict(linear, truth))
     return observer.misfit(observation, linear, truth).rms_m
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.study.truth_bank import Sighting, TruthBank
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.study.truth_bank import Sighting, TruthBank, noise_name
 
 THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)  # from below noise to above any press
 
@@ -19,7 +20,7 @@ class Baseline:
     Attributes
     ----------
     object_name : str
-    noise_relative : float
+    noise : str
     blur_px : float
         σ of a Gaussian blur of the range change before the threshold; 0 is the usual baseline.
     threshold_m : float
@@ -29,23 +30,21 @@ class Baseline:
     """
 
     object_name: str
-    noise_relative: float
+    noise: str
     blur_px: float
     threshold_m: float
     iou: float
 
 
 def oracle_baseline(
-    bank: TruthBank, sightings: list[Sighting], noise_relative: float, blur_px: float, index: int
+    bank: TruthBank, sightings: list[Sighting], noise: DepthNoise, blur_px: float, index: int
 ) -> Baseline:
     """Baseline on presses of one object, with the threshold that an oracle picks for them."""
-    scores = np.mean(
-        [iou_by_threshold(bank, s, noise_relative, blur_px, index) for s in sightings], axis=0
-    )
+    scores = np.mean([iou_by_threshold(bank, s, noise, blur_px, index) for s in sightings], axis=0)
     best = int(np.argmax(scores))
     return Baseline(
         sightings[0].press.object_name,
-        noise_relative,
+        noise_name(noise),
         blur_px,
         float(THRESHOLDS_M[best]),
         float(scores[best]),
@@ -53,10 +52,10 @@ def oracle_baseline(
 
 
 def iou_by_threshold(
-    bank: TruthBank, sighting: Sighting, noise_relative: float, blur_px: float, index: int
+    bank: TruthBank, sighting: Sighting, noise: DepthNoise, blur_px: float, index: int
 ) -> np.ndarray:
     """IoU for each of the thresholds (t,)."""
-    frame = bank.frame(sighting, noise_relative, index)
+    frame = bank.frame(sighting, noise, index)
     change = np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m)
     if blur_px > 0.0:
         change = gaussian_filter(change, blur_px)

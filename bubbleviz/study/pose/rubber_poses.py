@@ -22,7 +22,12 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.study.pose.pose_errors import PoseJudge, TrueContact
-from bubbleviz.study.pose.rubber_truth import PRESTRETCH, TRUTH_NODES, RubberPresses, RubberTruth
+from bubbleviz.study.pose.rubber_truth import (
+    TRUTH_NODES,
+    RubberPresses,
+    RubberTruth,
+    rubber_sensor,
+)
 from bubbleviz.study.presses import Press, made
 
 START_M, START_RAD = 3e-3, np.radians(8.0)  # how far off starts are
@@ -93,20 +98,12 @@ class RubberStudy:
     omitted: list[str]
 
 
-def rubber_sensor(sensor: Sensor) -> Sensor:
-    """The sensor, of rubber where its file does not say so."""
-    if sensor.membrane.prestretch is not None:
-        return sensor
-    membrane = sensor.membrane.model_copy(update={"prestretch": PRESTRETCH})
-    return sensor.model_copy(update={"membrane": membrane})
-
-
 def run_rubber_study(
     sensor: Sensor, grid: RubberGrid, tick: Callable[[str], None] = lambda _: None
 ) -> RubberStudy:
     """Run a grid; `tick` is called with an object's name for each of its presses."""
     own = SensorModel.of(rubber_sensor(sensor))
-    presses = RubberPresses(own, grid.truth_nodes)
+    presses = RubberPresses.of(own, grid.truth_nodes)
     trials: list[RubberTrial] = []
     omitted: list[str] = []
     for name in grid.objects:
