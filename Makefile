@@ -2,8 +2,10 @@
 # make run     the window on the built-in synthetic sensor; ARGS="open REC" passes arguments
 # make test    the whole test suite in two processes; ARGS="-k recording" passes arguments
 # make lint    ruff and mypy
+# make docs    the pages into site/, warnings as errors
+# make pages   runs every block of code of the pages; make test runs those that take seconds
 # make lock    pin again what pyproject.toml asks for (needs uv)
-.PHONY: setup run test lint lock
+.PHONY: setup run test lint docs pages lock
 
 setup:
 	@.ci/setup
@@ -19,6 +21,21 @@ lint: setup
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 
+docs: .venv/docs/installed
+	NO_MKDOCS_2_WARNING=1 .venv/docs/bin/mkdocs build
+
+# In an environment of its own: nothing but the pages needs these packages
+.venv/docs/installed: docs/requirements.txt | setup
+	.venv/bin/python -m venv --clear .venv/docs
+	.venv/docs/bin/python -m pip --disable-pip-version-check install --quiet \
+	    --require-hashes -r docs/requirements.txt
+	touch $@
+
+pages: setup
+	ALL_PAGES=1 .venv/bin/python -m pytest tests/docs $(ARGS)
+
 lock:
 	uv pip compile pyproject.toml --group dev --all-extras --universal --generate-hashes --no-header \
 	    --no-annotate -o requirements.txt
+	uv pip compile --group docs --universal --generate-hashes --no-header \
+	    --no-annotate -o docs/requirements.txt

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bubbleviz.errors import InputError
     from bubbleviz.sensor import load_sensor, save_sensor
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "InputError",
     "connect",

@@ -170,7 +170,7 @@ def test_keys_play_step_and_jump(drive: Drive) -> None:
     press_key(driver, Qt.Key.Key_Space)
     assert not driver.state.playing
     label = driver.window.status.labels["frame"]  # the frames passed by may come first
-    driver.wait(lambda: f"frame {driver.state.frame}/{last}" in label.text())
+    driver.wait(lambda: f"frame {driver.state.frame} of {last + 1}" in label.text())
 
 
 def test_space_on_a_check_box_reached_by_tab_toggles_it(drive: Drive) -> None:
@@ -304,5 +304,5 @@ def test_numbers_follow_when_playback_stops(drive: Drive) -> None:
     driver.state.set_playing(False)
     driver.settle()
     shown = driver.window.controller.result.frame.index
-    assert driver.window.status.labels["frame"].text().startswith(f"frame {shown}/")
-    assert f"frame {shown} /" in driver.window.playback.readout.text()
+    assert driver.window.status.labels["frame"].text().startswith(f"frame {shown} of ")
+    assert f"frame {shown} of" in driver.window.playback.readout.text()

@@ -71,7 +71,7 @@ def test_click_and_drag_seek(drive: Drive) -> None:
     drag(driver, 7, 2, BELOW)
     assert driver.state.frame == 2
     driver.settle()
-    assert driver.window.playback.readout.text().startswith(f"frame 2 / {FRAMES - 1}")
+    assert driver.window.playback.readout.text().startswith(f"frame 2 of {FRAMES}")
 
 
 def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:

@@ -104,7 +104,7 @@ class StatusBar(QStatusBar):
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
-        of_all = "" if facts.grows else f"/{facts.frames - 1}"
+        of_all = "" if facts.grows else f" of {facts.frames}"
         texts = {
             "frame": f"frame {frame.index}{of_all} · {time_text}",
             "force": "force " + force_text(result, units),

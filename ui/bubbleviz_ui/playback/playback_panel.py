@@ -201,7 +201,7 @@ class PlaybackPanel(QWidget):
         if facts is None:
             return ""
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
-        of_all = "" if facts.grows else f" / {facts.frames - 1}"
+        of_all = "" if facts.grows else f" of {facts.frames}"
         return f"frame {frame}{of_all}   {time_text}"
 
 

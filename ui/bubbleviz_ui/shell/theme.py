@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QWidget
 
 from bubbleviz_ui.model.choices import ThemeName
+
+_FOLDER = Path(__file__).parent.as_posix()
 
 # Colours that mean something; they are the same in every theme.
 NEUTRAL = "#8c97a5"
@@ -44,8 +47,8 @@ class Colours:
         Surfaces, from the window's to those one writes on.
     text, dim, disabled : str
         Text, and what matters less.
-    accent, on_accent : str
-        What is chosen, and text on it.
+    accent, on_accent, tick : str
+        What is chosen, text on it, and the picture of a tick on it.
     button, hover, outline : str
         Buttons, and the frame of check boxes.
     message, message_edge : str
@@ -69,6 +72,7 @@ class Colours:
     disabled: str
     accent: str
     on_accent: str
+    tick: str
     button: str
     hover: str
     outline: str
@@ -95,6 +99,7 @@ DARK = Colours(
     disabled="#666f79",
     accent="#4c9fe8",
     on_accent="#0b1118",
+    tick="tick_dark.svg",
     button="#2f353d",
     hover="#3a424c",
     outline="#66717e",
@@ -120,6 +125,7 @@ LIGHT = Colours(
     disabled="#98a1ab",
     accent="#1769c2",
     on_accent="#ffffff",
+    tick="tick_white.svg",
     button="#fafbfc",
     hover="#dde6f0",
     outline="#7b8794",
@@ -186,7 +192,8 @@ QAbstractSpinBox {{ min-height: 1.35em; }}
 QCheckBox {{ spacing: 8px; padding: 2px; }}
 QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
     border-radius: 3px; background: {c.field}; }}
-QCheckBox::indicator:checked {{ background: {c.accent}; border-color: {c.accent}; }}
+QCheckBox::indicator:checked {{ background: {c.accent}; border-color: {c.accent};
+    image: url("{_FOLDER}/{c.tick}"); }}
 QCheckBox:focus {{ color: {c.accent}; }}
 QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
 QFrame#live {{ background: {c.panel}; border: none; border-bottom: 1px solid {c.border}; }}

@@ -1,0 +1,65 @@
+"""Press with a robot until a force is reached, guarded by every frame of the camera.
+
+    python examples/press_until.py zenoh:tcp/ROBOT:7447 mine.toml
+
+Without a window. The robot is moved by velocity commands that end by themselves, as those of most
+arms do: when the camera falls silent nothing renews them, and the robot stands still.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Protocol
+
+import numpy as np
+
+import bubbleviz as bv
+from bubbleviz.api.connecting import Stream
+from bubbleviz.api.frame_result import FrameResult
+
+SPEED_M_PER_S = 0.005
+VALID_S = 0.1  # three frames at 30 Hz
+
+
+class Robot(Protocol):
+    """What is asked of the arm that holds the bubble."""
+
+    def move(self, velocity_m_per_s: float, valid_s: float) -> None:
+        """Move along the bubble's axis for at most this long, unless told again."""
+
+    def stop(self) -> None:
+        """Stand still."""
+
+
+class PrintedRobot:
+    """Stands for the driver of an arm."""
+
+    def move(self, velocity_m_per_s: float, valid_s: float) -> None:
+        """Say what an arm would do."""
+        print(f"move at {1e3 * velocity_m_per_s:.0f} mm/s for {valid_s} s")
+
+    def stop(self) -> None:
+        """Say what an arm would do."""
+        print("stop")
+
+
+def press_until(stream: Stream, robot: Robot, force_n: float) -> FrameResult | None:
+    """Move on while the force is below `force_n`; the frame that ended it, None if none came.
+
+    A frame without a number to trust ends it, too: nobody presses on blindly.
+    """
+    last = None
+    try:
+        for last in bv.estimate(stream):
+            known = last.status in ("ok", "no_contact")
+            if not known or np.linalg.norm(last.force_n) >= force_n:
+                break
+            robot.move(SPEED_M_PER_S, VALID_S)
+    finally:
+        robot.stop()
+    return last
+
+
+if __name__ == "__main__":
+    with bv.connect(sys.argv[1], sensor=sys.argv[2]) as connected:
+        print(press_until(connected, PrintedRobot(), force_n=3.0))

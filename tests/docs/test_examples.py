@@ -1,0 +1,102 @@
+"""The programs of examples/, on simulated sources."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pages import REPOSITORY
+from small_press import write_press, write_small_sensor
+
+import bubbleviz as bv
+from bubbleviz.api.connecting import Stream
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz_ui.bench.live_soak import free_port
+
+sys.path.insert(0, str(REPOSITORY / "examples"))
+
+import press_until
+import ros2_without_ros
+
+WRENCH = "/bubbleviz/contact_wrench"
+DEEPER = (0.060, 0.060, 0.048, 0.046, 0.044, 0.043, 0.042, 0.041, 0.040)
+
+
+class Recorded:
+    """A robot that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def move(self, velocity_m_per_s: float, valid_s: float) -> None:
+        assert 0.0 < velocity_m_per_s <= 0.01 and valid_s <= 0.1
+        self.told.append("move")
+
+    def stop(self) -> None:
+        self.told.append("stop")
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def recording(sensor: Path) -> Path:
+    return write_press(sensor.with_name("press.mcap"), sensor, DEEPER)
+
+
+def test_the_robot_stops_at_the_force_and_before_the_end(recording: Path, sensor: Path) -> None:
+    every = np.linalg.norm(bv.estimate(bv.open(recording), sensor).force_n, axis=1)
+    limit = 0.6 * every.max()
+    robot = Recorded()
+    with bv.connect(f"replay:{recording}?speed=0.1", sensor) as stream:
+        last = press_until.press_until(stream, robot, limit)
+    assert last is not None and np.linalg.norm(last.force_n) >= limit
+    assert robot.told[-1] == "stop" and robot.told.count("stop") == 1
+    assert "move" in robot.told
+
+
+def test_the_robot_stops_when_there_is_no_number_to_trust(sensor: Path, tmp_path: Path) -> None:
+    press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
+    with RecordingWriter(tmp_path / "dark.mcap") as writer:
+        dark = np.full_like(press[0].depth_m, np.nan)
+        for k in range(5):
+            writer.write(replace(press[0], index=k, time_s=k / 10.0, depth_m=dark, stamp_ns=0))
+    robot = Recorded()
+    with bv.connect(f"replay:{tmp_path / 'dark.mcap'}", sensor) as stream:
+        last = press_until.press_until(stream, robot, 3.0)
+    assert last is not None and last.status == "no_data"
+    assert robot.told == ["stop"]
+
+
+class UntilArrived:
+    """The publisher, which ends the endless source once a topic has arrived elsewhere."""
+
+    def __init__(self, out: ZenohPublisher, stream: Stream, arrived: list[str]) -> None:
+        self.out, self.stream, self.arrived = out, stream, arrived
+
+    def put(self, topic: str, kind: str, payload: bytes, stamp_ns: int) -> None:
+        self.out.put(topic, kind, payload, stamp_ns)
+        if WRENCH in self.arrived:
+            self.stream.close()
+
+
+def test_the_force_goes_out_as_a_ros_2_message(recording: Path, sensor: Path) -> None:
+    """Another session, as `ros2 topic echo` has, gets the wrench."""
+    place = f"tcp/127.0.0.1:{free_port()}"
+    arrived: list[str] = []
+    replay = bv.connect(f"replay:{recording}?speed=0.1&loop=1", sensor)
+    with (
+        ZenohPublisher(SessionOptions("test", listen=place)) as out,
+        bv.connect(f"zenoh:{place}?wrench={WRENCH}", sensor) as listening,
+        replay as stream,
+    ):
+        listening.live.listen(lambda message: arrived.append(message.topic))
+        count = ros2_without_ros.publish_results(stream, UntilArrived(out, stream, arrived))
+    assert WRENCH in arrived and count > 0
