@@ -37,6 +37,10 @@ Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual", "pose"
 MAX_BLOCK = 32
 """Largest side of a block in pixels: beyond it averaging saves no more time."""
 
+SETTLED, SETTLED_WITHIN = 1e-3, 8
+"""Change of the contact pressure over its largest that is no change, and solves until then at most;
+two to four are usual."""
+
 
 @dataclass(frozen=True)
 class FrameOptions:
@@ -138,6 +142,28 @@ class Pipeline:
     def restart(self) -> None:
         """Forget the warm start: the next frame is solved from rest."""
         self._start = None
+
+    def settle(self, frame: Frame) -> None:
+        """Have the next frame start where this one ends, whatever came before it.
+
+        A frame's estimate depends a little on where it is started: linearisation and support are
+        kept while they serve. From rest, and on from its own end until the contact pressure stands,
+        a frame has one answer.
+
+        Raises
+        ------
+        InputError
+            The image is not of the camera's size.
+        """
+        self._check_size(frame)
+        start, before = None, np.zeros(0)
+        for _ in range(SETTLED_WITHIN):
+            estimate, start = self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa, start)
+            pressure = estimate.contact_pressure_pa
+            if before.size and np.abs(pressure - before).max() <= SETTLED * pressure.max():
+                break
+            before = pressure
+        self._start = start
 
     def estimate_aside(self, frame: Frame) -> Estimate:
         """Estimate of a frame that the next one is not started from.

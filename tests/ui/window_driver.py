@@ -60,6 +60,7 @@ class Driver:
             lambda: (
                 result() is not None
                 and (self.state.playing or result().frame.index == self.state.frame)
+                and self.window.controller.settled
             )
         )
         count = self.window.view.render_count

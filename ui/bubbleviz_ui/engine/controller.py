@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from PySide6.QtCore import QObject, Signal
+from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.inverse.estimator import EstimatorOptions
@@ -38,6 +38,8 @@ from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.playback.player import Player
 
+STANDS_MS = 150
+"""How long one has to stay at a frame before it is settled: not while scrubbing."""
 POSE: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 
 
@@ -79,6 +81,8 @@ class Controller(QObject):
         self.opening = Opening(state, self._ask)
         self.analysis = Analysis(state, self._ask)
         self.player = Player(state)
+        self._stands = QTimer(self, singleShot=True, interval=STANDS_MS)
+        self._stands.timeout.connect(lambda: self.client.ask_settled())
         self.client.answered.connect(self._on_answer)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
@@ -101,6 +105,12 @@ class Controller(QObject):
         return self.client.inspection
 
     @property
+    def settled(self) -> bool:
+        """Whether nothing is to be settled of what is shown: it goes on, or is settled."""
+        going_on = self.state.playing and not self.state.frozen
+        return going_on or self.client.result is None or self.client.settled
+
+    @property
     def dropped(self) -> int:
         """Frames left out on purpose since the source was opened."""
         return self.player.skipped + self.worker.dropped
@@ -113,6 +123,7 @@ class Controller(QObject):
     def close(self) -> None:
         """Stop playback and the solver thread."""
         self.player.close()
+        self._stands.stop()
         self.client.close()
 
     def follow(
@@ -156,11 +167,13 @@ class Controller(QObject):
     def _on_playing(self, playing: bool) -> None:
         if not playing and self.client.demand.looks:  # some were left out
             self._ask_frame()
+        self._wait_to_settle()
         self._ask_newest()
 
     def _on_frozen(self, frozen: bool) -> None:
         if frozen and self.client.look_is_old:
             self._ask_frame()
+        self._wait_to_settle()
         self._ask_newest()
 
     def _on_choices(self, names: frozenset[str]) -> None:
@@ -258,5 +271,10 @@ class Controller(QObject):
         """Draw a result that came, if the client shows it."""
         self.state.history_changed.emit()
         shown = self.client.result
-        if shown is not None and shown.frame is result.frame:
+        if shown is not None and shown.frame.index == result.frame.index:
             self.shown.emit(shown)
+        self._wait_to_settle()
+
+    def _wait_to_settle(self) -> None:
+        """Have the frame that is shown settled, once one has stayed at it for a moment."""
+        self._stands.stop() if self.settled else self._stands.start()

@@ -13,6 +13,7 @@ from bubbleviz_ui.engine.requests import (
     OpenRequest,
     PatchRequest,
     Request,
+    SettleRequest,
 )
 
 
@@ -25,6 +26,7 @@ class RequestSlots:
         PatchRequest,
         FrameRequest,
         NewestRequest,
+        SettleRequest,
         CompareRequest,
         AnalyseRequest,
     )

@@ -73,6 +73,11 @@ class FrameRequest:
 
 
 @dataclass(frozen=True)
+class SettleRequest(FrameRequest):
+    """Make products of a frame one stays at, the same whatever was looked at before it."""
+
+
+@dataclass(frozen=True)
 class FollowRequest:
     """Look for another object from now on, or for none.
 

@@ -21,6 +21,7 @@ from bubbleviz_ui.engine.requests import (
     NewestRequest,
     Opened,
     PatchRequest,
+    SettleRequest,
     Solved,
     Thresholded,
     Waited,
@@ -86,6 +87,8 @@ class SensorClient(QObject):
         self._awaiting = False
         self._looked_s = 0.0
         self._looked_at: Frame | None = None
+        self._settled: Frame | None = None
+        self._shown_products: frozenset[Product] = frozenset()
         self._delay = RequestDelay()
         worker.answered.connect(self._on_answer)
 
@@ -99,6 +102,19 @@ class SensorClient(QObject):
         """Whether the closer look is at a frame before the one that is shown."""
         shown = None if self.result is None else self.result.frame
         return bool(self.demand.looks) and self._looked_at is not shown
+
+    @property
+    def settled(self) -> bool:
+        """Whether what is shown is the same whatever was looked at before it."""
+        result = self.result
+        return result is not None and (result.estimate is None or self._settled is result.frame)
+
+    def ask_settled(self) -> None:
+        """Ask for the frame that is shown once more, settled; its pose is kept."""
+        if self.result is not None:
+            products = self._shown_products - {"pose"}
+            demand = replace(self._due(self.demand), products=products)
+            self.worker.ask(SettleRequest(self.session, demand, self.result.frame.index))
 
     def ask_frame(self, index: int, demand: Demand) -> None:
         """Ask for a frame."""
@@ -164,6 +180,7 @@ class SensorClient(QObject):
         self.history = History(answer.facts.frames)
         self._awaiting = False
         self.result, self.inspection = answer.result, answer.inspection
+        self._shown_products = answer.request.demand.products
         self._looked_at = answer.result.frame
         same_patch = self.demand.rule == self._state.choices.rule
         self.history.take(answer.frame, answer.numbers, patch=same_patch)
@@ -183,10 +200,23 @@ class SensorClient(QObject):
             numbers = replace(numbers, latency_ms=1e3 * (now - request.asked_s))
         same_patch = request.demand.rule == self._state.choices.rule
         self.history.take(frame.index, numbers, patch=same_patch)
-        if not (newest and self._state.frozen):
-            self.result = answer.result
+        if isinstance(request, SettleRequest):
+            self._take_settled(answer)
+        elif not (newest and self._state.frozen):
+            self.result, self._settled = answer.result, None
+            self._shown_products = request.demand.products
             if request.demand.looks or not self.demand.looks:  # else it was left out
                 self.inspection, self._looked_at = answer.inspection, frame
+
+    def _take_settled(self, answer: Solved) -> None:
+        shown, new = self.result, answer.result
+        if shown is None or shown.frame.index != new.frame.index:
+            return  # another frame is looked at by now
+        if not self._shown_products <= answer.request.demand.products | {"pose"}:
+            return  # more is looked at by now
+        self.result = replace(new, frame=shown.frame, pose=shown.pose)
+        self.inspection = answer.inspection
+        self._settled = self._looked_at = shown.frame
 
     def _take_patch(self, answer: Thresholded) -> None:
         result, demand = self.result, answer.request.demand

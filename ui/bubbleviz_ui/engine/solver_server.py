@@ -34,6 +34,7 @@ from bubbleviz_ui.engine.requests import (
     OpenRequest,
     PatchRequest,
     Request,
+    SettleRequest,
     Solved,
     Thresholded,
     Waited,
@@ -118,7 +119,8 @@ class Server:
     def _solved(
         self, session: Session, request: FrameRequest | NewestRequest, frame: Frame
     ) -> Solved:
-        result = _process(session.source, session.pipeline, frame, request.demand)
+        settled = isinstance(request, SettleRequest)
+        result = _process(session.source, session.pipeline, frame, request.demand, settled=settled)
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.demand)
@@ -224,10 +226,19 @@ def _look(session: Session, result: Result, demand: Demand) -> Inspection:
     return session.inspector.look(result, demand.looks, demand.options.kappa, mask)
 
 
-def _process(source: FrameSource, pipeline: Pipeline, frame: Frame, demand: Demand) -> Result:
+def _process(
+    source: FrameSource,
+    pipeline: Pipeline,
+    frame: Frame,
+    demand: Demand,
+    *,
+    settled: bool = False,
+) -> Result:
     """Products of a frame; a live one's gas pressure is zeroed."""
     if isinstance(source, LiveFrames):
         frame = zeroed(frame, source.zero, pipeline)
+    if settled:
+        pipeline.settle(frame)
     return pipeline.process(frame, demand.products, demand.options)
 
 

@@ -159,7 +159,7 @@ class PoseSession(QObject):
             self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
-        if result.pose is None:
+        if result.pose is None or result.pose is self.pose:
             return
         self.pose = result.pose
         self.rows[result.frame.index] = PoseRow.of(result)
