@@ -36,6 +36,10 @@ class KappaCurve:
     histogram_m2: np.ndarray
     iou: np.ndarray | None = None
 
+    def area_at(self, kappa: float) -> float:
+        """Area at a threshold of the curve's range, m², between its points by log κ."""
+        return float(np.interp(np.log(kappa), np.log(self.kappa), self.area_m2))
+
 
 def kappa_curve(
     mesh: MembraneMesh,

@@ -341,7 +341,6 @@ class MainWindow(QMainWindow):
         self.scene.depth_camera = opened.camera
         self.costs.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)
-        self.kappa.set_mesh(opened.mesh)
 
     def _on_shown(self, result: Result) -> None:
         if self.state.facts is None:

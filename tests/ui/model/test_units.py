@@ -74,7 +74,8 @@ def test_every_label_follows_the_units(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     window = driver.window
     window.resize(1280, 800)
-    driver.state.choose(plots=frozenset({"force", "center"}), images=frozenset({"depth"}))
+    plots, images = frozenset({"force", "center"}), frozenset({"depth"})
+    driver.state.choose(plots=plots, images=images, kappa=3.0)
     window.panels["images"].show()
     window.panels["plots"].show()
     driver.wait(lambda: "depth" in window.controller.inspection.images)

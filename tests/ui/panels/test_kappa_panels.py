@@ -58,10 +58,13 @@ def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     panel = threshold(driver)
     line, box = panel.histogram.line, panel.histogram.frame.box
+    driver.window.panels["kappa"].raise_()
+    driver.bot.mouseClick(driver.window.kappa.automatic, LEFT, pos=QPoint(10, 10))
+    driver.wait(driver.thresholded)
+    driver.window.panels["threshold"].raise_()
+    driver.settle()
     result = driver.window.controller.result
-    pressure = result.estimate.contact_pressure_pa
-    automatic = result.patch.threshold_pa / mean_pressure(driver.pipeline.mesh, pressure)
-    assert line.value() == pytest.approx(math.log10(automatic))
+    assert line.isVisible() and line.value() == pytest.approx(math.log10(3.0))
     solved, area = driver.pipeline.counts["estimate"], result.patch.area_m2
 
     def near(line: Any, log_kappa: float) -> bool:
@@ -81,6 +84,28 @@ def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
     driver.wait(lambda: driver.window.controller.result.patch.area_m2 != area)
     assert driver.pipeline.counts["estimate"] == solved
     assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.choices.kappa))
+
+
+def test_one_rule_is_shown_at_a_time(drive: Drive) -> None:
+    """The automatic threshold has no κ, and the curve says what κ would make of the frame."""
+    driver = drive(frame=CONTACT)
+    panel, kappa = threshold(driver), driver.window.kappa
+    assert driver.state.choices.kappa is None
+    patch = driver.window.controller.result.patch
+    assert not kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text() == "automatic"
+    assert not panel.curve.line.isVisible() and not panel.histogram.line.isVisible()
+    assert panel.curve.frame.text.startswith(f"auto {1e6 * patch.area_m2:.0f} mm²")
+    driver.state.choose(kappa=15.0)
+    parts = lambda: driver.window.controller.inspection.components  # noqa: E731
+    driver.wait(lambda: driver.thresholded() and len(parts()) > 1)
+    whole = driver.window.controller.inspection.kappa_curve.area_at(15.0)
+    driver.wait(lambda: panel.curve.frame.text.startswith(f"{1e6 * whole:.0f} mm² at κ"))
+    driver.state.choose(least_area_m2=parts()[1].area_m2 + 1e-6)
+    area = lambda: driver.window.controller.result.patch.area_m2  # noqa: E731
+    driver.wait(lambda: 0.0 < area() < 0.98 * whole)
+    assert kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text().endswith("kPa")
+    shown = f"{1e6 * area():.0f} of {1e6 * whole:.0f} mm²"
+    driver.wait(lambda: panel.curve.frame.text.startswith(shown))
 
 
 def test_the_histogram_is_the_area_by_pressure(drive: Drive) -> None:

@@ -18,19 +18,17 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
-from bubbleviz_ui.panels.kappa_plots import kappa_in_use
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.layouts import fill
 
 LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100
 BEFORE = 3.0
-"""κ shown before the automatic threshold of a frame is known."""
+"""κ to begin with where the threshold was automatic."""
 
 
 class KappaPanel(QWidget):
@@ -39,10 +37,11 @@ class KappaPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self._mesh: MembraneMesh | None = None
+        self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
-            "By the physics of contact: each patch must somewhere reach the gas pressure"
+            "By the physics of contact: each patch must somewhere reach the gas pressure.\n"
+            "Untick it to draw the patch where p_c exceeds κ times its mean (V-C)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(
@@ -67,26 +66,26 @@ class KappaPanel(QWidget):
         keep_keys(self)
 
     def show_result(self, result: Result) -> None:
-        """Write the numbers of the patch; the automatic threshold as the κ it amounts to."""
+        """Write the numbers of the patch."""
         self._show_patch(result)
-        kappa = kappa_in_use(self._state.choices, self._mesh, result)
-        if self._state.choices.kappa is None and kappa is not None:
-            for each in self._kappa:
-                each.show(min(max(kappa, LOWEST), HIGHEST))
-
-    def set_mesh(self, mesh: MembraneMesh) -> None:
-        """Take the membrane of another sensor."""
-        self._mesh = mesh
 
     def _lay_out(self) -> None:
-        row = fill(QHBoxLayout(), (self.slider, 1), self.box)
+        fill(QHBoxLayout(self.by_kappa), (self.slider, 1), self.box, margins=(0, 0, 0, 0))
         form = QFormLayout()
         form.setHorizontalSpacing(16)
         form.addRow("Threshold", self.threshold)
         form.addRow("Patch area", self.area)
         form.addRow("Force", self.force)
         form.addRow("Solver", self.solver)
-        fill(QVBoxLayout(self), self.automatic, row, form, self.doubt, 1, margins=(12, 10, 12, 12))
+        fill(
+            QVBoxLayout(self),
+            self.automatic,
+            self.by_kappa,
+            form,
+            self.doubt,
+            1,
+            margins=(12, 10, 12, 12),
+        )
 
     def _bind(self, state: SessionState) -> None:
         bind(self.solver, state, "solver")
@@ -95,6 +94,8 @@ class KappaPanel(QWidget):
             bind(self.slider, state, "kappa", _to_steps, _to_kappa),
             bind(self.box, state, "kappa"),
         )
+        state.choices_changed.connect(self._show_rule)
+        self._show_rule()
         if state.choices.kappa is None:
             for each in self._kappa:
                 each.show(BEFORE)
@@ -102,9 +103,16 @@ class KappaPanel(QWidget):
     def _automatic(self, on: bool) -> float | None:
         return None if on else self.box.value()
 
+    def _show_rule(self, names: frozenset[str] = frozenset({"kappa"})) -> None:
+        """One rule draws the outline, and only its controls are there."""
+        if "kappa" in names:
+            self.by_kappa.setVisible(self._state.choices.kappa is not None)
+
     def _show_patch(self, result: Result | None) -> None:
         units, patch = self._state.units, None if result is None else result.trusted_patch
-        self.threshold.setText(units.pressure.text(patch.threshold_pa if patch else None))
+        threshold_pa = patch.threshold_pa if patch else None
+        automatic = self._state.choices.kappa is None
+        self.threshold.setText("automatic" if automatic else units.pressure.text(threshold_pa))
         self.area.setText(units.area.text(patch.area_m2 if patch else None))
         self.force.setText(units.force.text(None) if result is None else force_text(result, units))
         self.doubt.setText("" if result is None else doubt_text(result))

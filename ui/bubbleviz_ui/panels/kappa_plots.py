@@ -12,10 +12,7 @@ import numpy as np
 from PySide6.QtGui import QColor
 
 from bubbleviz.diagnostics.kappa_curve import KappaCurve
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.result import Result
-from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -61,18 +58,6 @@ def kappa_at(line: Any) -> float:
     return round(float(10.0 ** line.value()), 2)
 
 
-def kappa_in_use(
-    choices: Choices, mesh: MembraneMesh | None, result: Result | None
-) -> float | None:
-    """The user's κ, or what the automatic threshold of a result amounts to; None without either."""
-    if choices.kappa is not None:
-        return choices.kappa
-    if mesh is None or result is None or result.estimate is None or result.patch is None:
-        return None
-    mean = mean_pressure(mesh, result.estimate.contact_pressure_pa)
-    return result.patch.threshold_pa / mean if mean > 0.0 else None
-
-
 class KappaHistogram(OverKappa):
     """Area of the membrane by its contact pressure, in multiples of the mean one.
 
@@ -89,7 +74,7 @@ class KappaHistogram(OverKappa):
         self.box.addItem(self.bars)
 
     def draw(self, curve: KappaCurve | None, kappa: float | None, units: Units) -> None:
-        """Draw the histogram of a frame and the line at κ; nothing without them."""
+        """Draw the histogram of a frame and the line at κ; none while that is automatic."""
         if curve is None:
             self.bars.setOpts(x=[0.0], height=[0.0], width=0.05)
         else:
@@ -123,7 +108,7 @@ class KappaPlot(OverKappa):
     def draw(
         self, curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
     ) -> None:
-        """Draw the curve of a frame and the line at κ; nothing without them."""
+        """Draw the curve of a frame and the line at κ; none while that is automatic."""
         self.curve.setData([], [])
         self.iou.setData([], [])
         if curve is not None:
@@ -132,8 +117,7 @@ class KappaPlot(OverKappa):
             if curve.iou is not None:  # as high as the areas: the two share the axis
                 self.iou.setData(np.log10(curve.kappa), float(area.max()) * curve.iou)
         self.put_line(kappa)
-        area_m2 = result.patch.area_m2 if result is not None and result.patch else None
-        text = f"{units.area.text(area_m2)} over κ"
+        text = _heading(curve, result, kappa, units)
         if curve is not None and curve.iou is not None:
             best = int(np.argmax(curve.iou))
             text += (
@@ -141,3 +125,18 @@ class KappaPlot(OverKappa):
                 f" at {curve.kappa[best]:.1f}</span>"
             )
         self.frame.write(text)
+
+
+def _heading(
+    curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
+) -> str:
+    """The curve's area at κ and what is kept of it without small parts; or the automatic area."""
+    patch = None if result is None else result.trusted_patch
+    area_m2 = None if patch is None else patch.area_m2
+    if kappa is None:
+        return f"auto {units.area.text(area_m2)}"
+    whole_m2 = None if curve is None else curve.area_at(kappa)
+    if area_m2 is not None and whole_m2 is not None and area_m2 < 0.98 * whole_m2:
+        kept = units.area.text(area_m2).split()[0]
+        return f"{kept} of {units.area.text(whole_m2)}"
+    return f"{units.area.text(whole_m2)} at κ"

@@ -18,14 +18,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.components import Component
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind_quantity
-from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at, kappa_in_use
+from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.layouts import fill
@@ -45,7 +43,6 @@ class ThresholdPanel(QWidget):
         super().__init__()
         self.setObjectName("threshold")
         self._state, self._controller = state, controller
-        self._mesh: MembraneMesh | None = None
         self._host = PlotHost(self._make)
         self._host.setMinimumHeight(HEIGHT)
         self._host.seen.connect(self._draw)
@@ -59,7 +56,6 @@ class ThresholdPanel(QWidget):
         bind_quantity(
             self.least, state, "least_area_m2", lambda u: u.area, LARGEST_M2, STEP_M2, zero=0.0
         )
-        controller.opened.connect(self._on_opened)
         controller.shown.connect(self._draw)
         keep_keys(self)
         state.choices_changed.connect(self._draw)
@@ -88,9 +84,6 @@ class ThresholdPanel(QWidget):
 
     # -- events -------------------------------------------------------------------------------
 
-    def _on_opened(self, opened: Opened) -> None:
-        self._mesh = opened.mesh
-
     def _on_dragged(self, line: Any) -> None:
         self._state.choose(kappa=kappa_at(line))
 
@@ -101,7 +94,7 @@ class ThresholdPanel(QWidget):
             return
         result, inspection = self._controller.result, self._controller.inspection
         units = self._state.units
-        kappa = kappa_in_use(self._state.choices, self._mesh, result)
+        kappa = self._state.choices.kappa
         if self.histogram is not None and self.curve is not None:
             self.histogram.draw(inspection.kappa_curve, kappa, units)
             self.curve.draw(inspection.kappa_curve, result, kappa, units)
