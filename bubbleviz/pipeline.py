@@ -156,7 +156,8 @@ class Pipeline:
             The image is not of the camera's size.
         """
         self._check_size(frame)
-        start, before = None, np.zeros(0)
+        start: Any = None  # of the estimator's own kind
+        before = np.zeros(0)
         for _ in range(SETTLED_WITHIN):
             estimate, start = self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa, start)
             pressure = estimate.contact_pressure_pa

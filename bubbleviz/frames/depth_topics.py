@@ -17,6 +17,9 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 RESULTS = "/bubbleviz/"
 """What the topics of our own results begin with: no measurement, though of the same types."""
+MARKERS = f"{RESULTS}markers"
+"""Topic of markers and notes, `STRING`, logged when they were made."""
+STRING = "std_msgs/msg/String"
 
 
 def find_depth(bag: Bag, name: str | None = None) -> Topic:

@@ -14,8 +14,10 @@ from bubbleviz.frames.bags import Bag, Messages, Topic
 from bubbleviz.frames.bags.bag import damage
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
+    MARKERS,
     POINT_CLOUD,
     PRESSURE,
+    STRING,
     WRENCH,
     find_depth,
     find_intrinsics,
@@ -27,14 +29,18 @@ from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import Series
 
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
+REORDERED_NS = 1_000_000_000
+"""A network swaps messages of a second at most; further back the clock was set, or it is a replay
+that began again."""
 _GARBAGE_NS = 3_600_000_000_000  # one hour: a stamp further off is from an unset clock
 
 
 class Recording:
     """Frames of a rosbag2 (folder, `.mcap`, `.db3`) or a ROS 1 `.bag`.
 
-    Frames are ordered by the header stamps of the depth images. When any of them is unset, the
-    log times take their place for all frames. Any thread may read; one reads at a time.
+    Frames are ordered by the header stamps of the depth images. When any of them is unset, or they
+    begin again as a looped replay's do, the log times take their place for all frames. Any thread
+    may read; one reads at a time.
 
     Parameters
     ----------
@@ -149,6 +155,21 @@ class Recording:
         with self._lock, damage(self.path, "the gas pressure"):
             return np.array([series.values(k)[0] for k in range(len(series))])
 
+    def marks(self) -> tuple[tuple[int, str], ...]:
+        """Markers and notes made while recording: the frame of each, and its text."""
+        found = [
+            topic for topic in self.bag.topics if (topic.name, topic.type) == (MARKERS, STRING)
+        ]
+        if not found:
+            return ()
+        with self._lock, damage(self.path, "the markers"):
+            messages = self.bag.messages(found[0])
+            log_ns = self._images.log_ns[self._order]
+            return tuple(
+                (int(np.abs(log_ns - messages.log_ns[k]).argmin()), str(messages.message(k).data))
+                for k in range(len(messages))
+            )
+
     def _decoded(self, message: Any) -> np.ndarray:
         if self.depth_topic.type == POINT_CLOUD:
             return decode_cloud(message, self.intrinsics)
@@ -175,7 +196,7 @@ class Recording:
         self.size = self._size_of(first, info_topic)
         self.encoding = str(getattr(first, "encoding", "points"))
         stamps = _without_garbage(_header_stamps(self._images), self._images.log_ns)
-        self._by_log = not stamps.all()
+        self._by_log = not stamps.all() or _begin_again(stamps)
         if self._by_log:
             stamps = self._images.log_ns
         self._order = np.argsort(stamps, kind="stable")
@@ -199,6 +220,14 @@ def _without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
     usual = int(np.median(ahead))
     garbage = (np.abs(ahead - usual) > _GARBAGE_NS) & (stamps_ns != 0)
     return np.where(garbage, log_ns + usual, stamps_ns)
+
+
+def _begin_again(stamps_ns: np.ndarray) -> bool:
+    """Whether stamps, in the order of their arrival, go back far, or to one that was there."""
+    back = np.maximum.accumulate(stamps_ns) - stamps_ns
+    values, counts = np.unique(stamps_ns, return_counts=True)
+    again = np.isin(stamps_ns, values[counts > 1])
+    return bool(np.any(back > REORDERED_NS) or np.any((back > 0) & again))
 
 
 def _header_stamps(images: Messages) -> np.ndarray:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
+from bubbleviz.frames.recording import REORDERED_NS
+
 Verdict = Literal["ok", "jump", "duplicate", "out_of_order", "bad"]
 
-REORDERED_NS = 1_000_000_000
-"""A network swaps messages of a second at most; further back the clock was set."""
 FORWARD_NS = 10_000_000_000
 """A stamp may gain this on the time between two arrivals: a network that stood still and caught up.
 Beyond it the clock was set, or the stamp is garbage."""

@@ -73,6 +73,21 @@ def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
             np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
 
 
+@pytest.mark.parametrize("frames", [3, 40])
+def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path: Path, frames: int) -> None:
+    """A replay that begins again has its old stamps again, whether or not they go back far."""
+    bag, laps = BagMaker("mcap file"), 3
+    for log in range(laps * frames):
+        bag.image(START + (log % frames) * PERIOD, depth_image(log % 5), log=START + log * PERIOD)
+        bag.pressure(START + (log % frames) * PERIOD, 1e5 + log, log=START + log * PERIOD)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(np.diff(recording.times_s), PERIOD * 1e-9)
+        for log in (0, frames - 1, frames, 2 * frames + 1):
+            frame = recording[log]
+            np.testing.assert_array_equal(frame.depth_m, depth_image(log % 5))
+            assert frame.gas_pressure_pa == pytest.approx(1e5 + log)
+
+
 def test_without_stamps_the_log_times_count(tmp_path: Path) -> None:
     bag = BagMaker("mcap file")
     for k in range(4):

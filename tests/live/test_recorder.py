@@ -32,9 +32,10 @@ from wire import (
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.mcap_file import McapFile
+from bubbleviz.frames.depth_topics import MARKERS
 from bubbleviz.frames.recording import Recording
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import MARKERS, Recorder
+from bubbleviz.live.sinks.recorder import Recorder
 
 INFO = "sensor_msgs/msg/CameraInfo"
 

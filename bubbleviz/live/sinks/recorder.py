@@ -10,14 +10,10 @@ from pathlib import Path
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.mcap_file import McapFile
-from bubbleviz.frames.depth_topics import RESULTS
+from bubbleviz.frames.depth_topics import MARKERS, STRING
 from bubbleviz.frames.message_encoding import ros2_types, serialise
 from bubbleviz.live.raw_message import RawMessage
 
-MARKERS = f"{RESULTS}markers"
-"""Topic of markers and notes, `std_msgs/msg/String`, logged when they were made."""
-
-_STRING = "std_msgs/msg/String"
 SYNC_S = 0.4
 """Interval of fsync, s: the most that a crash can lose."""
 QUEUE_BYTES = 256 << 20
@@ -103,9 +99,9 @@ class Recorder:
 
     def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
         """Write a marker or note into the recording, at a time (ns since 1970), by default now."""
-        content = ros2_types().types[_STRING](data=text)
+        content = ros2_types().types[STRING](data=text)
         when = time.time_ns() if at_ns is None else at_ns
-        self.push(RawMessage(MARKERS, _STRING, serialise(content, _STRING), 0, when))
+        self.push(RawMessage(MARKERS, STRING, serialise(content, STRING), 0, when))
 
     def status(self) -> RecorderStatus | None:
         """State of the present recording; None without one."""

@@ -11,12 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fakes import DentSource
 from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QFileDialog
 from window_driver import Driver
 
 from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.frames.message_encoding import FrameMessages
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.recorder import Recorder
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -82,6 +86,29 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     other.wait(lambda: other.state.facts.frames == FRAMES)
     other.window.panels["threshold"].raise_()  # above Compare
     other.wait(lambda: other.window.threshold.curve is not None and says_iou(other))
+
+
+def test_markers_and_notes_of_a_recording_are_on_the_timeline(
+    drive: Drive, sensor: Sensor, tmp_path: Path
+) -> None:
+    source, recorder = DentSource(sensor), Recorder()
+    recorder.start(tmp_path / "marked.mcap")
+    begun = 1_790_000_000_000_000_000
+    for k in range(len(source)):
+        at = begun + round(source.times_s[k] * 1e9)
+        for message in FrameMessages().of(source[k], at):
+            recorder.push(RawMessage(message.topic, message.type, message.payload, at, at))
+        if k in (3, 7):
+            recorder.mark("slipped here" if k == 7 else "marker at frame 3", at)
+    assert not recorder.stop().problem
+    driver = opened(drive, sensor, tmp_path / "marked.mcap")
+    driver.wait(lambda: driver.state.markers == (3, 7))
+    assert "marked: slipped here" in driver.window.playback.timeline.words(7)
+    assert "marked" not in driver.window.playback.timeline.words(6)
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(driver.window, Qt.Key.Key_PageDown)
+    driver.wait(lambda: driver.state.frame == 3)
 
 
 def test_a_truth_named_after_the_recording_is_found(

@@ -13,6 +13,7 @@ from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import gas_warning
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
@@ -210,7 +211,10 @@ class Server:
         if not grows:  # else its gas pressure is zeroed
             remarks.append(gas_warning(frame, sensor))
         remark = " ".join(f"{text}." for text in remarks if text)
-        facts = SourceFacts(source.name, sensor.name, source.times_s, request.live, grows, remark)
+        marks = source.marks() if isinstance(source, Recording) else ()
+        facts = SourceFacts(
+            source.name, sensor.name, source.times_s, request.live, grows, remark, marks
+        )
         numbers = numbers_of(result, pipeline.model.gas)
         inspection = _look(session, result, request.demand)
         camera, mesh = pipeline.camera, pipeline.mesh

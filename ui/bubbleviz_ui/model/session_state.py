@@ -86,7 +86,8 @@ class SessionState(QObject):
         """Change to another source: choices stay, the cursor goes to `frame`."""
         same = self.facts is not None and self.facts.title == facts.title
         if not same or (self.facts is not None and self.facts.frames != facts.frames):
-            self.play_range, self.markers = None, ()
+            self.play_range = None
+            self.markers = tuple(sorted({frame for frame, _ in facts.marks}))
         self.facts = facts
         self.history = History(facts.frames) if history is None else history
         self.frame = self.now = min(max(frame, 0), facts.frames - 1)

@@ -25,6 +25,8 @@ class SourceFacts:
         Frames are added while one looks.
     remark : str
         What the user should know about it; empty for nothing.
+    marks : tuple of (int, str)
+        Frames marked when it was recorded, with the text of each.
     """
 
     title: str
@@ -33,6 +35,7 @@ class SourceFacts:
     live: bool = False
     grows: bool = False
     remark: str = ""
+    marks: tuple[tuple[int, str], ...] = ()
 
     @property
     def frames(self) -> int:

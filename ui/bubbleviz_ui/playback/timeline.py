@@ -129,7 +129,9 @@ class Timeline(QWidget):
         time_text = self._state.units.time.text(float(self._facts.times_s[frame]))
         parts = [f"frame {frame} · {time_text}", WORDS[int(self._state.history.contact[frame])]]
         parts += [f"{g.missing} missing after it" for g in self._gaps if g.after_frame == frame]
-        parts += ["marked"] * (frame in self._state.markers)
+        if frame in self._state.markers:
+            notes = [text for at, text in self._facts.marks if at == frame]
+            parts.append(": ".join(["marked", *filter(None, ["; ".join(notes)])]))
         help_text = "Click or drag: seek. Drag above (or with Shift): range to play"
         return f"{' · '.join(parts)}\n{help_text}; double-click there: all"
 
