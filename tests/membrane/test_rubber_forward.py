@@ -197,6 +197,24 @@ def test_a_nut_keeps_the_edges_between_its_sides_and_a_ball_is_smooth():
     np.testing.assert_allclose(found.turn, curvature, atol=0.15 / 0.015)  # of facets, smoothed
 
 
+def test_a_sharp_edge_is_rounded_by_the_radius_asked_for():
+    """Distances, normals and their turn around the edge of a cylinder's flat end."""
+    R, r = 0.012, 5e-4
+    rng = np.random.default_rng(0)
+    azimuth, slope = rng.uniform(0.0, 2.0 * np.pi, 200), rng.uniform(0.05, 0.5 * np.pi - 0.05, 200)
+    away = rng.uniform(-1e-4, 2e-3, 200)
+    around = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth])
+    down = np.array([0.0, 0.0, -1.0])
+    normal = np.sin(slope)[:, None] * around + np.cos(slope)[:, None] * down
+    points = (R - r) * around - r * down + (r + away)[:, None] * normal
+    found = ObjectSurface(load_object("cylinder"), r).planes(points, -normal, np.eye(4), 0.01)
+    np.testing.assert_allclose(found.gap, away, atol=1e-5)  # 96 sides: within 6 µm
+    np.testing.assert_allclose(found.normal, normal, atol=0.035)
+    across = np.cross(np.cross(around, down), normal)
+    turn = np.einsum("ki,kij,kj->k", across, found.turn, across)
+    np.testing.assert_allclose(turn, 1.0 / (r + away), rtol=0.02)
+
+
 def test_newton_converges_quadratically_on_a_curved_object():
     """Where a ball carries much, its loads turn as the membrane slides along it."""
     contact = dome(600, None).press(load_object("sphere"), at(0.010, 0.0, H - 0.013))

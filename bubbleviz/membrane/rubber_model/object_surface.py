@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,14 +10,18 @@ from scipy import sparse
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.gap import is_watertight
-from bubbleviz.membrane.mesh import cross
+from bubbleviz.membrane.mesh import cross, triangles_across
+from bubbleviz.membrane.rubber_model.rounded_object import core_of
 from bubbleviz.rigid_object import RigidObject
 
-_SMOOTH_COSINE = np.cos(np.radians(30.0))
-"""Facets that meet at less than 30° are taken as parts of one smooth surface."""
+_SHARP, _FLAT = np.radians(30.0), np.radians(0.1)
+"""Facets that meet at less than the first are taken as parts of one smooth surface, at less than
+the second as parts of one face."""
 
 _ON_EDGE = 1e-5
 """Barycentric coordinate below which the closest point is on the edge of a facet."""
+_LEAST_M = 1e-6
+"""Distance of a point from a sharp edge above which its direction is known, m."""
 
 
 class Planes(NamedTuple):
@@ -50,27 +55,33 @@ class ObjectSurface:
     """Closest places on an object's surface.
 
     Facets that meet at a blunt angle are parts of a smooth surface, whose normal is interpolated
-    between their corners; others keep their edge. An object that is not watertight is a sheet, and
-    presses from outside.
+    between their corners; others keep their edge, or are rounded. An object that is not watertight
+    is a sheet, and presses from outside.
 
     Parameters
     ----------
     obj : RigidObject
+    rounding_m : float, optional
+        Radius of sharp edges; see `rounded_object`.
     """
 
-    def __init__(self, obj: RigidObject) -> None:
+    def __init__(self, obj: RigidObject, rounding_m: float = 0.0) -> None:
         self.object = obj
-        self._corners = obj.vertices[obj.triangles]
-        vectors = cross(
-            self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]
-        )
-        self._solid = is_watertight(obj.triangles)
-        if self._solid and np.einsum("ij,ij->", vectors, self._corners[:, 0]) < 0.0:
+        triangles, corners = obj.triangles, obj.vertices[obj.triangles]
+        vectors = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._solid = is_watertight(triangles)
+        if self._solid and np.einsum("ij,ij->", vectors, corners[:, 0]) < 0.0:
             vectors = -vectors  # normals pointed inward: the signed volume was negative
+            triangles = triangles[:, [0, 2, 1]]
+        vertices, self._rounding_m = obj.vertices, 0.0
+        if self._solid and rounding_m > 0.0:
+            vertices, self._rounding_m = core_of(replace(obj, triangles=triangles), rounding_m)
+        self._triangles, self._corners = triangles, vertices[triangles]
         self._facet_normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         self._corner_normals = self._smoothed(vectors)
         self._corner_slopes = _slopes(self._corners)
-        self._scene = TriangleScene(obj.vertices, obj.triangles)
+        self._side_bends, self._corner_bends = self._bends()
+        self._scene = TriangleScene(vertices, triangles)
         self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
         self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
 
@@ -107,13 +118,17 @@ class ObjectSurface:
         turn = _across(normal, turn / length[:, None, None])
         gap = np.einsum("ij,ij->i", away, self._facet_normals[facet])
         aside = np.linalg.norm(away - gap[:, None] * self._facet_normals[facet], axis=1)
+        beside = weights.min(axis=1) < _ON_EDGE
         # Nearest to a sharp edge or corner, not to the face it belongs to.
-        edge = (weights.min(axis=1) < _ON_EDGE) & (aside > np.maximum(0.5 * np.abs(gap), 1e-6))
+        edge = beside & (aside > np.maximum(0.5 * np.abs(gap), _LEAST_M))
         if not self._solid:
             behind = np.einsum("ij,ij->i", self._facet_normals[facet], out) > 0.0
             sign = np.where(behind, -1.0, 1.0)
             gap = np.where(edge, np.inf, sign * gap)
             return Planes(gap, sign[:, None] * normal, sign[:, None, None] * turn)
+        found = Planes(gap, normal, turn)
+        edge &= gap < 0.0
+        self._round(found, np.flatnonzero(beside & (gap >= 0.0)), x, facet, weights)
         if edge.any():
             gap[edge] = np.where(self._scene.contains(x[edge]), -1.0, 1.0) * np.linalg.norm(
                 away[edge], axis=1
@@ -123,7 +138,50 @@ class ObjectSurface:
         if wrong.any():
             gap[wrong], normal[wrong] = self._way_back(x[wrong], out[wrong])
             turn[wrong] = 0.0
-        return Planes(gap, normal, turn)
+        return found._replace(gap=gap - self._rounding_m)
+
+    def _round(
+        self, found: Planes, some: np.ndarray, x: np.ndarray, facet: np.ndarray, weights: np.ndarray
+    ) -> None:
+        """Distances of points outside that are nearest to a side of a facet and not to its plane.
+
+        Where that is sharp, normals go round it; elsewhere they stay those of a smooth surface.
+        """
+        facets, side = facet[some], weights[some].argmin(axis=1)
+        start = self._corners[facets, (side + 1) % 3]
+        along = self._corners[facets, (side + 2) % 3] - start
+        length = np.linalg.norm(along, axis=1)
+        along /= length[:, None]
+        from_start = x[some] - start
+        way = np.einsum("ij,ij->i", from_start, along)
+        outside = np.einsum("ij,ij->i", from_start, cross(along, self._facet_normals[facets])) > 0.0
+        between = (way > 0.0) & (way < length)
+        corner = (side + np.where(way > 0.0, 2, 1)) % 3
+        bend = np.where(between, self._side_bends[facets, side], self._corner_bends[facets, corner])
+        kept = (outside | ~between) & (bend > _FLAT)
+        away = from_start - np.clip(way, 0.0, length)[:, None] * along
+        distance = np.linalg.norm(away, axis=1)
+        found.gap[some[kept]] = distance[kept]
+        kept &= (bend > _SHARP) & (distance > max(0.1 * self._rounding_m, _LEAST_M))
+        some, normal = some[kept], away[kept] / distance[kept, None]
+        plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+        line = np.where(between[kept, None], along[kept], 0.0)
+        plane -= line[:, :, None] * line[:, None, :]
+        found.normal[some], found.turn[some] = normal, 0.0
+        if self._rounding_m > 0.0:
+            found.turn[some] = plane / distance[kept, None, None]
+
+    def _bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Angles between facets, (m, 3), rad: across the side opposite each corner, at it."""
+        triangles = self._triangles
+        across = triangles_across(triangles)
+        dots = np.einsum("ij,ikj->ik", self._facet_normals, self._facet_normals[across])
+        sides = np.where(across >= 0, np.arccos(np.clip(dots, -1.0, 1.0)), 0.0)
+        vertices = np.zeros(int(triangles.max()) + 1)
+        for k in range(3):
+            for end in (1, 2):
+                np.maximum.at(vertices, triangles[:, (k + end) % 3], sides[:, k])
+        return sides, vertices[triangles]
 
     def _way_back(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Conditions of points nearest to the far side of a thin object: back the way they came."""
@@ -136,8 +194,8 @@ class ObjectSurface:
 
     def _smoothed(self, vectors: np.ndarray) -> np.ndarray:
         """Unit normals (m, 3, 3) at the facets' corners: means over facets of the same surface."""
-        triangles = self.object.triangles
-        count, n = len(triangles), len(self.object.vertices)
+        triangles = self._triangles
+        count, n = len(triangles), int(triangles.max()) + 1
         facets = np.repeat(np.arange(count), 3)
         ones = np.ones(3 * count)
         at = sparse.csr_array((ones, (np.arange(3 * count), triangles.ravel())), (3 * count, n))
@@ -145,7 +203,7 @@ class ObjectSurface:
         pairs = (at @ of).tocoo()
         corner, other = pairs.coords
         dots = np.einsum("ij,ij->i", self._facet_normals[corner // 3], self._facet_normals[other])
-        kept = dots > _SMOOTH_COSINE
+        kept = dots > np.cos(_SHARP)
         sums = np.stack(
             [
                 np.bincount(corner[kept], vectors[other[kept], i], minlength=3 * count)

@@ -27,6 +27,11 @@ _SHORTEST = 0.02
 """Step of the object over the reach of its surface below which moving it in is given up."""
 _SHARP = 0.6
 """Turn of the object's normal along an edge, rad, above which it goes round an edge of its own."""
+_FINE_M = 1e-6
+"""Motion below which steps are taken whole: facets of the object are rougher than that, and energy
+and penetration do not say how good so small a step is."""
+_SHORT = 0.05
+"""Motion over the reach of the object's surface that is short."""
 _FLATTEST = 1e-4
 """Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
 
@@ -119,6 +124,20 @@ class _Solved:
         return self.missed.accepted and self.stable
 
 
+@dataclass(frozen=True)
+class PressStart:
+    """A place near an equilibrium.
+
+    Attributes
+    ----------
+    displacement_3d_m : (n, 3) array
+    contact_pressure_pa : (n,) array
+    """
+
+    displacement_3d_m: np.ndarray
+    contact_pressure_pa: np.ndarray
+
+
 class RubberForward:
     """Presses rigid objects into one exact membrane.
 
@@ -134,10 +153,13 @@ class RubberForward:
     membrane : RubberMembrane
     gas : Gas
         P0 and V0 of the reference configuration.
+    rounding_m : float, optional
+        Radius that sharp edges of the objects are given, m.
     """
 
-    def __init__(self, membrane: RubberMembrane, gas: Gas) -> None:
+    def __init__(self, membrane: RubberMembrane, gas: Gas, rounding_m: float = 0.0) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
+        self._rounding_m = rounding_m
         pattern = membrane.tangent(self.mesh.nodes, 0.0)
         self._factoriser, self._blocks = Factoriser(pattern), NodeBlocks(pattern)
         self._linear = ForwardModel(self.mesh, membrane.mean_tension, gas)
@@ -146,8 +168,17 @@ class RubberForward:
         self._reach = 2.0 * self.mesh.edge_length
         self._surface: ObjectSurface | None = None
 
-    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberContact:
+    def press(
+        self, obj: RigidObject, T_B_O: np.ndarray, near: PressStart | None = None
+    ) -> RubberContact:
         """Equilibrium with the object at the pose.
+
+        Parameters
+        ----------
+        obj : RigidObject
+        T_B_O : (4, 4) array
+        near : PressStart, optional
+            Where to look first.
 
         Raises
         ------
@@ -158,18 +189,37 @@ class RubberForward:
         surface = self._surface_of(obj)
         self._linear.forget()
         linear = self._linear.press(obj, pose)
-        load = linear.contact_pressure_pa * self.mesh.areas
-        start = self._at(surface, pose, self.mesh.nodes + linear.displacement_3d_m, load)
-        solved = self._solve(surface, pose, start)
-        if not solved.accepted:
-            stepped = self._from_outside(surface, pose)
-            count = solved.factorisations + stepped.factorisations
-            solved = replace(stepped, factorisations=count)
-        return self._certified(solved, linear)
+        starts = [PressStart(linear.displacement_3d_m, linear.contact_pressure_pa)]
+        count = 0
+        for start in starts if near is None else [near, *starts]:
+            load = start.contact_pressure_pa * self.mesh.areas
+            x = self.mesh.nodes + start.displacement_3d_m
+            solved = self._solve(surface, pose, self._at(surface, pose, x, load))
+            count += solved.factorisations
+            if solved.accepted:
+                break
+        else:
+            solved = self._from_outside(surface, pose)
+            count += solved.factorisations
+        return self._certified(replace(solved, factorisations=count), linear)
+
+    def unresolved(self, obj: RigidObject, T_B_O: np.ndarray, contact: RubberContact) -> np.ndarray:
+        """Touching triangles (m,) bool along which the object's normal turns too far for flat ones.
+
+        Their nodes catch on its edges; finer ones slide over a rounded edge.
+        """
+        x, triangles = self.mesh.deformed(contact.displacement_3d_m), self.mesh.triangles
+        planes = self._at(self._surface_of(obj), T_B_O, x, np.zeros(len(x))).planes
+        normals = planes.normal[triangles]
+        turn = np.linalg.norm(np.roll(normals, -1, axis=1) - normals, axis=2).max(axis=1)
+        touching = (contact.contact_pressure_pa > 0.0)[triangles].any(axis=1)
+        near = np.isfinite(planes.gap)[triangles].all(axis=1)
+        found: np.ndarray = touching & near & (turn > _SHARP)
+        return found
 
     def _surface_of(self, obj: RigidObject) -> ObjectSurface:
         if self._surface is None or self._surface.object is not obj:
-            self._surface = ObjectSurface(obj)
+            self._surface = ObjectSurface(obj, self._rounding_m)
         return self._surface
 
     def _from_outside(self, surface: ObjectSurface, pose: np.ndarray) -> _Solved:
@@ -192,24 +242,25 @@ class RubberForward:
                 return replace(solved, factorisations=count)
 
     def _solve(self, surface: ObjectSurface, pose: np.ndarray, state: _State) -> _Solved:
-        """Newton's method from a state, at one pose."""
-        price, closest, since, count, stable = 0.0, np.inf, 0, 0, self._rest_is_stable
+        """Newton's method from a state, at one pose: the best of the states on the way."""
+        price, since, count, stable = 0.0, 0, 0, self._rest_is_stable
+        best, least = state, self._missed(state)
         moving = self.membrane.moving
         for _ in range(_STEPS):
             missed = self._missed(state)
-            since = 0 if missed.size < 0.5 * closest else since + 1
-            closest = min(closest, missed.size)
-            if missed.size < 1.0 or (missed.accepted and since > 2) or since > _PATIENCE:
+            since = 0 if not count or missed.size < 0.5 * least.size else since + 1
+            if missed.size < least.size:
+                best, least = state, missed
+            if least.size < 1.0 or (least.accepted and since > 1) or since > _PATIENCE:
                 break
             newton = self._contact_step(state)
             step = newton.solve(state.load[moving] > 0.0)
             count += newton.factorisations
             price = max(price, 2.0 * float(step.load.max(initial=0.0)))
-            state = self._along(surface, pose, state, step, newton.residual, price)
-        missed = self._missed(state)
-        if missed.accepted and count:
+            state = self._along(surface, pose, state, step, newton.residual, price, missed)
+        if least.accepted and count:
             stable = newton.is_minimum()
-        return _Solved(state, missed, stable, count)
+        return _Solved(best, least, stable, count)
 
     def _contact_step(self, state: _State) -> ContactStep:
         membrane, moving = self.membrane, self.membrane.moving
@@ -242,8 +293,12 @@ class RubberForward:
         step: Step,
         residual: np.ndarray,
         price: float,
+        missed: _Missed,
     ) -> _State:
-        """State as far along a step as energy and penetration fall together."""
+        """State as far along a step as energy and penetration fall together.
+
+        Steps that are short for the mesh are taken whole where they come nearer to equilibrium.
+        """
         moving = self.membrane.moving
         motion, load = np.zeros_like(state.x), np.zeros_like(state.load)
         motion[moving], load[moving] = step.motion, step.load
@@ -251,14 +306,39 @@ class RubberForward:
         slope = float(np.sum(residual * step.motion)) - price * inside
         now = self._energy(state.x) + price * inside
         noise = 1e-13 * abs(now)
-        length = min(1.0, self._reach / max(float(np.abs(motion).max()), 1e-300))
-        while True:
-            x = state.x + length * motion
+        most = max(float(np.abs(motion).max()), 1e-300)
+        length = min(1.0, self._reach / most)
+
+        def at(x: np.ndarray) -> tuple[_State, bool]:
             ahead = self._at(surface, pose, x, state.load + length * (load - state.load))
             value = self._energy(x) + price * self._inside(ahead.planes)
-            if value <= now + _FLATTEST * length * slope + noise or length < 1e-4:
+            return ahead, value <= now + _FLATTEST * length * slope + noise
+
+        if most < _SHORT * self._reach:
+            ahead, falls = at(state.x + motion)
+            if falls or self._missed(ahead).size < 0.5 * missed.size:
+                return ahead
+        while True:
+            ahead, falls = at(state.x + length * motion)
+            if not falls and step.held.any():
+                ahead, falls = at(self._put_back(ahead, state, moving[step.held], length))
+            if falls or length < 1e-4 or most < _FINE_M:
                 return ahead
             length *= 0.5
+
+    def _put_back(
+        self, ahead: _State, before: _State, held: np.ndarray, length: float
+    ) -> np.ndarray:
+        """Nodes (n, 3) with the `held` ones as far from the object as its planes would have them.
+
+        A long step along a curved surface leaves it to second order, which would shorten the step
+        again and again near the solution (Maratos).
+        """
+        gap, normal, _ = ahead.planes.of(held)
+        off = gap - (1.0 - length) * before.planes.gap[held]
+        x = ahead.x.copy()
+        x[held] -= np.where(np.isfinite(off), off, 0.0)[:, None] * normal
+        return x
 
     # -- what a state is ------------------------------------------------------------------------
 
@@ -282,7 +362,8 @@ class RubberForward:
         corners, normals = x[triangles[some]], planes.normal[triangles[some]]
         turn, edge = (np.roll(v, -1, axis=1) - v for v in (normals, corners))
         depth = np.einsum("tij,tij->t", turn, edge) / 24.0
-        depth[np.linalg.norm(turn, axis=2).max(axis=1) > _SHARP] = 0.0
+        sharpness = np.linalg.norm(turn, axis=2).max(axis=1) / _SHARP
+        depth *= np.maximum(1.0 - sharpness**4, 0.0)
         at, count = triangles[some].ravel(), np.zeros(len(x))
         np.add.at(count, at, 1.0)
         return np.bincount(at, np.repeat(depth, 3), len(x)) / np.maximum(count, 1.0)
