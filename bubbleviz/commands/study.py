@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,13 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.tables import out_folder, to_json, write_csv, write_json
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.synthetic_source import Model
-from bubbleviz.study.accuracy import accuracy_report, regularisation
+from bubbleviz.study.accuracy import accuracy_report, detection_limit, regularisation
 from bubbleviz.study.accuracy.accuracy_study import full_grid, quick_grid, run_accuracy
+from bubbleviz.study.accuracy.detection_limit import (
+    DetectionGrid,
+    detection_limits,
+    quick_detection_grid,
+)
 from bubbleviz.study.pose import pose_report
 from bubbleviz.study.pose.pose_study import PoseGrid, quick_pose_grid, run_pose_study
 from bubbleviz.study.pose.rubber_poses import RubberGrid, quick_rubber_grid, run_rubber_study
@@ -97,14 +102,22 @@ def study_accuracy(
     parts = None
     if out is not None:
         out_folder(out)
-        check_free(out, accuracy_report.FILES + regularisation.FILES)
+        check_free(out, accuracy_report.FILES + detection_limit.FILES + regularisation.FILES)
         parts = out_folder(out / "accuracy_parts")
     with _progress(len(grid.specimens), "membrane") as bar:
         found = run_accuracy(sensor, grid, parts, lambda _: bar.update())
     numbers, text, written = accuracy_report.as_dict(found), accuracy_report.to_text(found), []
     if out is not None:
         written = accuracy_report.write(found, out)
-    if model == "linear":  # the H1 term is judged where nothing else is wrong
+    if model == "rubber":
+        limits_grid = replace(quick_detection_grid() if quick else DetectionGrid(), seed=seed)
+        limits = detection_limits(sensor, limits_grid)
+        numbers["detection"] = [asdict(limit) for limit in limits]
+        text += "\n\n" + detection_limit.to_text(limits)
+        if out is not None:
+            written.append(out / detection_limit.FILES[0])
+            write_csv(written[-1], limits)
+    else:  # the H1 term is judged where nothing else is wrong
         strengths = regularisation.sweep(
             sensor,
             presses(grid.objects, (DEPTH_OF_SWEEP_M,)),
