@@ -151,6 +151,19 @@ def test_an_object_is_registered_and_followed(frames: Frames, sensor: Path, tmp_
         bv.register(frames[0], "cylinder", sensor)
 
 
+def test_a_sensor_is_identified_and_saved(sensor: Path, tmp_path: Path) -> None:
+    rest = bv.simulate(sensor, "cylinder", "0 0 0.08 0 0 0 1", frames=20, noise_relative=0.002)
+    found = bv.identify(rest, sensor, nodes=200, contact_free=range(20))
+    low, high = found.tension_interval_n_per_m
+    own = bv.load_sensor(sensor).membrane
+    assert own.rim_radius_m and own.height_m
+    radius = (own.rim_radius_m**2 + own.height_m**2) / (2.0 * own.height_m)
+    assert low < 0.5 * found.gauge_pressure_pa * radius < high  # Young–Laplace of a sphere
+    assert found.tension_n_per_m == pytest.approx(0.5 * found.gauge_pressure_pa * radius, rel=0.01)
+    found.save(tmp_path / "mine.toml")
+    assert set(bv.estimate(rest[:2], tmp_path / "mine.toml").status) == {"no_contact"}
+
+
 def test_a_stream_gives_results_until_it_ends(recording: Path, sensor: Path) -> None:
     with bv.connect(f"replay:{recording}?speed=0.2", sensor) as stream:
         found = list(bv.estimate(stream, zero_gas=False))

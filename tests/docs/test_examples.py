@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,9 @@ from bubbleviz_ui.bench.live_soak import free_port
 
 sys.path.insert(0, str(REPOSITORY / "examples"))
 
+sys.path.insert(0, str(REPOSITORY / "docs"))
+
+import figures
 import press_until
 import ros2_without_ros
 
@@ -73,6 +77,13 @@ def test_the_robot_stops_when_there_is_no_number_to_trust(sensor: Path, tmp_path
         last = press_until.press_until(stream, robot, 3.0)
     assert last is not None and last.status == "no_data"
     assert robot.told == ["stop"]
+
+
+@pytest.mark.skipif("ALL_PAGES" not in os.environ, reason="make pages runs it")
+def test_the_figures_of_the_pages_can_be_made(tmp_path: Path, punyo_press: Path) -> None:
+    figures.gas_law(tmp_path / "gas.svg")
+    figures.real_press(punyo_press, tmp_path / "press.svg")
+    assert all(path.stat().st_size > 5_000 for path in tmp_path.iterdir())
 
 
 class UntilArrived:
