@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -230,8 +231,11 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(
     assert images == len(numbers)
 
 
-def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(tmp_path: Path) -> None:
-    """In a process whose files may not grow beyond 2.5 MB."""
+@pytest.mark.parametrize("pause_s", [0.002, 0.0])
+def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(
+    tmp_path: Path, pause_s: float
+) -> None:
+    """In a process whose files may not grow beyond 2.5 MB, at a pace or all at once."""
     path = tmp_path / "rec.mcap"
     code = f"""
         import resource, signal, sys, time
@@ -249,7 +253,7 @@ def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(tmp_path: Pat
             noise = rng.integers(1, 60_000, (48, 64), dtype="<u2").view(np.uint8).ravel()
             stamp = NOW + k * PERIOD
             recorder.push(arrived("/cam/depth", IMAGE, image(stamp, k, data=noise), stamp))
-            time.sleep(0.002)
+            time.sleep({pause_s})
         status = recorder.stop()
         print(status.messages, status.size_bytes, status.problem)
     """
@@ -257,9 +261,13 @@ def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(tmp_path: Pat
         [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True
     )
     assert "recording ended (File too large)" in done.stdout, done.stderr
+    told = re.search(r"its first ([0-9.]+) s are in the file, (\d+) messages", done.stdout)
+    assert told is not None
     assert done.stderr == ""
     with Recording(path) as recording:
-        assert 50 < len(recording) < 800
+        assert 150 < len(recording) < 800
+        assert len(recording) == int(told[2])
+        assert recording.times_s[-1] == pytest.approx(float(told[1]), abs=0.06)
         np.testing.assert_allclose(
             recording.times_s, np.arange(len(recording)) * PERIOD * 1e-9, atol=1e-6
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,22 @@ from bubbleviz.frames.message_encoding import ros2_types
 
 CHUNK_BYTES = 4 << 20
 """Messages of a chunk before compression: it is closed early, by `sync`, where the data is slow."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is in a file, whole chunks only.
+
+    Attributes
+    ----------
+    size_bytes, messages : int
+    duration_s : float
+        From the first message to the last.
+    """
+
+    size_bytes: int = 0
+    messages: int = 0
+    duration_s: float = 0.0
 
 
 class McapFile:
@@ -40,6 +57,8 @@ class McapFile:
         Messages written.
     synced_bytes : int
         Size up to which the file survives whatever happens.
+    kept : Kept
+        What a full disk leaves of it.
 
     Raises
     ------
@@ -64,6 +83,8 @@ class McapFile:
             raise cannot_write(self.path, error) from error
         self.count = 0
         self.synced_bytes = 0
+        self.kept = Kept()
+        self._first_ns = self._last_ns = 0
         self._facts = BagFacts(self._file.name)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -94,13 +115,22 @@ class McapFile:
             data=payload,
         )
         self._facts.add(topic, log_ns)
+        self._first_ns = self._first_ns or log_ns
+        self._last_ns = max(self._last_ns, log_ns)
         self.count += 1
+
+    def flush(self) -> None:
+        """Close the chunk and hand it to the system; OSError if that fails."""
+        self._writer.flush()
+        self._stream.flush()
+        duration_s = 1e-9 * (self._last_ns - self._first_ns)
+        self.kept = Kept(self._stream.tell(), self.count, duration_s)
 
     def sync(self) -> None:
         """Close the chunk and fsync the file; OSError if that fails."""
-        self._writer.flush()
+        self.flush()
         os.fsync(self._stream.fileno())
-        self.synced_bytes = self._stream.tell()
+        self.synced_bytes = self.kept.size_bytes
 
     def close(self) -> None:
         """Finish the file, with the index that makes it quick to open."""
@@ -122,9 +152,10 @@ class McapFile:
             self._folder.rmdir()
 
     def abandon(self) -> None:
-        """Close after a failed write; the file stays as of the last sync."""
+        """Close after a failed write; the file stays as of the last flush."""
         descriptor = self._stream.fileno()
-        os.ftruncate(descriptor, self.synced_bytes)
+        os.ftruncate(descriptor, self.kept.size_bytes)
+        self.synced_bytes = self.kept.size_bytes
         with Path(os.devnull).open("wb") as nowhere:  # for what is buffered: closing writes it
             os.dup2(nowhere.fileno(), descriptor)
         self._stream.close()

@@ -16,6 +16,8 @@ from bubbleviz.live.raw_message import RawMessage
 
 SYNC_S = 0.4
 """Interval of fsync, s: the most that a crash can lose."""
+FLUSH_BYTES = 1 << 20
+"""Messages written before they are handed to the system: the most that a full disk can lose."""
 QUEUE_BYTES = 256 << 20
 """Messages that may wait for the disk; beyond it the source is made to wait."""
 PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
@@ -177,22 +179,33 @@ class _Session:
         except (OSError, InputError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             with self._changed:
-                self._problem = (
-                    f"{self._file.path}: recording ended ({reason}); what was recorded before is "
-                    "in the file"
-                )
+                self._problem = f"{self._file.path}: recording ended ({reason}); {self._left()}"
                 self._queue.clear()
                 self._bytes = 0
                 self._changed.notify_all()
             self._file.abandon()
 
+    def _left(self) -> str:
+        """What the file has in spite of a failed write, in words."""
+        kept = self._file.kept
+        if not kept.messages:
+            return "nothing could be kept, as there was no room for a megabyte"
+        return (
+            f"its first {kept.duration_s:.1f} s are in the file, {kept.messages} messages, "
+            f"{1e-6 * kept.size_bytes:.1f} MB"
+        )
+
     def _write_all(self) -> None:
-        synced = time.monotonic()
+        synced, unflushed = time.monotonic(), 0
         while True:
             messages, ending = self._take(SYNC_S / 2)
             for message in messages:
                 row = (message.topic, message.type, message.payload, message.stamp_ns)
                 self._file.write(row, message.arrival_ns, message.sequence or 0)
+                unflushed += len(message.payload)
+                if unflushed >= FLUSH_BYTES:
+                    self._file.flush()
+                    unflushed = 0
                 with self._changed:
                     self._bytes -= len(message.payload)
                     self._changed.notify_all()
