@@ -57,6 +57,7 @@ from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar
 from bubbleviz_ui.shell.open_panels import OpenPanels
+from bubbleviz_ui.shell.save_dialog import picture_format
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
 from bubbleviz_ui.view3d.layers_panel import LayersPanel
@@ -189,7 +190,7 @@ class MainWindow(QMainWindow):
 
     def save_screenshot(self, path: Path) -> None:
         """Write the picture of the whole window."""
-        if not self.grab().save(str(path)):
+        if not self.grab().toImage().save(str(path), picture_format(path)):
             self.message.say(f"{path}: cannot be written; choose another place")
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:

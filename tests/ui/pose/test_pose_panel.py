@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
-from PySide6.QtWidgets import QFileDialog, QWidget
+from PySide6.QtWidgets import QWidget
 from window_driver import Driver, in_view
 
 from bubbleviz.rigid_object import load_object
@@ -19,6 +19,7 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.study.object_shapes import ply_bytes
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.pose import pose_panel
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 
@@ -146,7 +147,7 @@ def test_tracking_runs_only_when_asked_and_exports(
     bench.driver.wait(lambda: bench.panel.csv.isEnabled())
     for button, name in ((bench.panel.csv, "p.csv"), (bench.panel.tum, "p.tum")):
         out = str(tmp_path / name)
-        monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, out=out: (out, ""))
+        monkeypatch.setattr(pose_panel, "file_to_save", lambda *_, out=out: Path(out))
         bench.click(button)
     with (tmp_path / "p.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -32,6 +32,7 @@ from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
 from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.save_dialog import file_to_save
 
 if TYPE_CHECKING:
     from bubbleviz_ui.pose.fit_curves import Curves
@@ -203,15 +204,15 @@ class PosePanel(QWidget):
             self.start.show_pose(start)  # angles that were typed stay as typed
 
     def _export(self, form: str) -> None:
-        name, _ = QFileDialog.getSaveFileName(self, "Export poses", f"poses.{form}")
-        if not name:
+        path = file_to_save(self, "Export poses", f"poses.{form}")
+        if path is None:
             return
         try:
-            count = self.session.export(Path(name), "tum" if form == "tum" else "csv")
+            count = self.session.export(path, "tum" if form == "tum" else "csv")
         except InputError as error:
             self.said.emit(str(error))
         else:
-            self.values["state"].setText(f"{count} poses written to {Path(name).name}")
+            self.values["state"].setText(f"{count} poses written to {path.name}")
 
     def _on_choices(self, names: frozenset[str]) -> None:
         if names & SYSTEMS.keys():

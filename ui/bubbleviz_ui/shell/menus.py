@@ -18,6 +18,7 @@ from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
+from bubbleviz_ui.shell.save_dialog import file_to_save
 from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
@@ -242,16 +243,11 @@ class Menus:
             self._saver.open(Path(name))
 
     def _save_session(self) -> None:
-        name, _ = QFileDialog.getSaveFileName(
-            self._bar, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS
-        )
-        if name:
-            path = Path(name)
-            self._saver.save_as(path if path.suffix else path.with_suffix(SESSION_SUFFIX))
+        path = file_to_save(self._bar, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS)
+        if path is not None:
+            self._saver.save_as(path)
 
     def _screenshot(self) -> None:
-        name, _ = QFileDialog.getSaveFileName(
-            self._bar, "Save screenshot", "bubbleviz.png", "PNG images (*.png)"
-        )
-        if name:
-            self._window.save_screenshot(Path(name))
+        path = file_to_save(self._bar, "Save screenshot", "bubbleviz.png", "PNG images (*.png)")
+        if path is not None:
+            self._window.save_screenshot(path)

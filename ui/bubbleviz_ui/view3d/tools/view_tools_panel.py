@@ -12,7 +12,6 @@ from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
-    QFileDialog,
     QFormLayout,
     QHBoxLayout,
     QLabel,
@@ -34,6 +33,7 @@ from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.save_dialog import file_to_save, picture_format
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -244,15 +244,14 @@ class ViewTools(QWidget):
         pixels = still(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-        if not image.save(str(path)):
+        if not image.save(str(path), picture_format(path)):
             self.failed.emit(f"{path}: cannot be written; choose another place")
 
     def _choose_file(self) -> None:
-        name, _ = QFileDialog.getSaveFileName(
-            self, "Save picture of the 3-D view", "view.png", "PNG images (*.png)"
-        )
-        if name:
-            self.save_picture(Path(name))
+        title = "Save picture of the 3-D view"
+        path = file_to_save(self, title, "view.png", "PNG images (*.png)")
+        if path is not None:
+            self.save_picture(path)
 
     @staticmethod
     def _button(text: str) -> QToolButton:

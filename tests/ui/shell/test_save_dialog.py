@@ -1,0 +1,86 @@
+"""Saving by the dialogs, typed as a person would: nothing is replaced unasked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import QTimer
+from PySide6.QtGui import QAction, QImage
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QLineEdit,
+    QMessageBox,
+)
+from window_driver import Driver
+
+from bubbleviz.files.defaults import SESSION_SUFFIX
+
+Drive = Callable[..., Driver]
+
+
+def typed(driver: Driver, start: Callable[[], None], name: str) -> list[str]:
+    """Answer the dialog that `start` opens with a name; the kinds of dialogs seen.
+
+    A question whether a file may be replaced is answered with No, and then nothing is saved.
+    """
+    seen: list[str] = []
+    timer = QTimer(interval=20)
+
+    def answer() -> None:
+        dialog = QApplication.activeModalWidget()
+        if isinstance(dialog, QMessageBox):
+            seen.append("question")
+            dialog.button(QMessageBox.StandardButton.No).click()
+        elif isinstance(dialog, QFileDialog) and "question" in seen:
+            dialog.reject()
+        elif isinstance(dialog, QFileDialog) and not seen:
+            seen.append("dialog")
+            dialog.findChild(QLineEdit).setText(name)  # typed, it would be completed
+            save = dialog.findChild(QDialogButtonBox).button(QDialogButtonBox.StandardButton.Save)
+            # not here: a question would wait in it, and this timer with that
+            QTimer.singleShot(0, save.click)
+        elif isinstance(dialog, QDialog) and "dialog" in seen:
+            dialog.reject()
+
+    timer.timeout.connect(answer)
+    timer.start()
+    start()
+    driver.wait(lambda: QApplication.activeModalWidget() is None)
+    timer.stop()
+    return seen
+
+
+def action(driver: Driver, text: str) -> QAction:
+    found = [
+        a for a in driver.window.findChildren(QAction) if a.text().replace("&", "").startswith(text)
+    ]
+    assert len(found) == 1, text
+    return found[0]
+
+
+def test_a_session_named_without_its_suffix_is_not_replaced_unasked(
+    drive: Drive, tmp_path: Path
+) -> None:
+    driver = drive()
+    precious = tmp_path / f"look{SESSION_SUFFIX}"
+    precious.write_text("precious")
+    save = action(driver, "Save session as")
+    assert typed(driver, save.trigger, str(tmp_path / "look")) == ["dialog", "question"]
+    assert precious.read_text() == "precious"
+    assert typed(driver, save.trigger, str(tmp_path / "other")) == ["dialog"]
+    assert (tmp_path / f"other{SESSION_SUFFIX}").is_file()
+
+
+@pytest.mark.parametrize("name", ["shot", "shot.v2"])
+def test_a_picture_named_without_suffix_is_a_png(drive: Drive, tmp_path: Path, name: str) -> None:
+    driver = drive()
+    typed(driver, action(driver, "Screenshot").trigger, str(tmp_path / name))
+    (path,) = tmp_path.iterdir()
+    assert path.name in ("shot.png", "shot.v2")
+    assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
+    assert not driver.window.message.isVisible()

@@ -1,0 +1,34 @@
+"""Asking where to save: the suffix is there before it is asked whether a file may be replaced."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtGui import QImageWriter
+from PySide6.QtWidgets import QFileDialog, QWidget
+
+
+def file_to_save(parent: QWidget, title: str, proposed: str, kinds: str = "") -> Path | None:
+    """File to write, with the suffix of the proposed name where it is given none; None to cancel.
+
+    Parameters
+    ----------
+    parent : QWidget
+    title, proposed : str
+    kinds : str
+        Filters of file names, as Qt writes them.
+    """
+    dialog = QFileDialog(parent, title, "", kinds)
+    dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+    dialog.setDefaultSuffix(Path(proposed).suffix)
+    dialog.selectFile(proposed)
+    chosen = dialog.selectedFiles() if dialog.exec() else []
+    dialog.deleteLater()
+    return Path(chosen[0]) if chosen else None
+
+
+def picture_format(path: Path) -> bytes:
+    """Format of a picture by the suffix of its file; PNG where that names none."""
+    known = {bytes(name.data()) for name in QImageWriter.supportedImageFormats()}
+    suffix = path.suffix.removeprefix(".").lower().encode()
+    return suffix if suffix in known else b"png"
