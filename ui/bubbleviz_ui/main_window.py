@@ -190,7 +190,7 @@ class MainWindow(QMainWindow):
 
     def save_screenshot(self, path: Path) -> None:
         """Write the picture of the whole window."""
-        if not self.grab().toImage().save(str(path), picture_format(path)):
+        if not self.grab().save(str(path), picture_format(path)):
             self.message.say(f"{path}: cannot be written; choose another place")
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:

@@ -27,8 +27,8 @@ def file_to_save(parent: QWidget, title: str, proposed: str, kinds: str = "") ->
     return Path(chosen[0]) if chosen else None
 
 
-def picture_format(path: Path) -> bytes:
+def picture_format(path: Path) -> str:
     """Format of a picture by the suffix of its file; PNG where that names none."""
-    known = {bytes(name.data()) for name in QImageWriter.supportedImageFormats()}
-    suffix = path.suffix.removeprefix(".").lower().encode()
-    return suffix if suffix in known else b"png"
+    known = {bytes(name.data()).decode() for name in QImageWriter.supportedImageFormats()}
+    suffix = path.suffix.removeprefix(".").lower()
+    return suffix if suffix in known else "png"

@@ -6,7 +6,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QImage
+from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
@@ -244,7 +244,7 @@ class ViewTools(QWidget):
         pixels = still(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-        if not image.save(str(path), picture_format(path)):
+        if not QPixmap.fromImage(image).save(str(path), picture_format(path)):
             self.failed.emit(f"{path}: cannot be written; choose another place")
 
     def _choose_file(self) -> None:
