@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
@@ -33,9 +32,6 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual", "pose"]
-
-MAX_BLOCK = 32
-"""Largest side of a block in pixels: beyond it averaging saves no more time."""
 
 SETTLED, SETTLED_WITHIN = 1e-3, 8
 """Change of the contact pressure over its largest that is no change, and solves until then at most;
@@ -103,13 +99,7 @@ class Pipeline:
     def estimator(self) -> Estimator | RubberEstimator:
         """The inverse solver; built when the first frame needs it."""
         model = self.model
-        observer = RangeObserver(
-            self.camera,
-            self.mesh,
-            model.sensor.camera.noise_relative,
-            model.pixels,
-            self.options.block or self._block_size(),
-        )
+        observer = model.observer(self.options.block)
         known = model.sensor.membrane.prestretch is not None
         if self.options.solver == RUBBER or (self.options.solver is None and known):
             tension = model.tension_n_per_m
@@ -270,14 +260,6 @@ class Pipeline:
         yield
         times[stage] = 1e3 * (time.perf_counter() - start)
         self.counts[stage] += 1
-
-    def _block_size(self) -> int:
-        """Side in pixels of half a mesh edge, seen from the camera: averaging loses nothing."""
-        T = self.camera.T_B_C
-        depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
-        focal = min(self.camera.intrinsics.fx, self.camera.intrinsics.fy)
-        size = int(0.5 * self.mesh.edge_length * focal / depth)
-        return min(max(1, size), MAX_BLOCK)
 
     def _check_size(self, frame: Frame) -> None:
         height, width = frame.depth_m.shape

@@ -10,6 +10,7 @@ import numpy as np
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.gas import Gas
@@ -17,6 +18,9 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.sensor import Sensor
+
+_MAX_BLOCK = 32
+"""Largest side of a block in pixels: beyond it averaging saves no more time."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,24 @@ class SensorModel:
     def view(self) -> MembraneView:
         """The membrane as the camera sees it."""
         return MembraneView(self.camera, self.mesh)
+
+    def observer(self, block: int | None = None) -> RangeObserver:
+        """What range images say of the membrane, by blocks of pixels.
+
+        Parameters
+        ----------
+        block : int, optional
+            Side in pixels; half a mesh edge seen from the camera where not given, so that averaging
+            loses nothing.
+        """
+        noise = self.sensor.camera.noise_relative
+        return RangeObserver(self.camera, self.mesh, noise, self.pixels, block or self._block())
+
+    def _block(self) -> int:
+        T, own = self.camera.T_B_C, self.camera.intrinsics
+        depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
+        size = int(0.5 * self.mesh.edge_length * min(own.fx, own.fy) / depth)
+        return min(max(1, size), _MAX_BLOCK)
 
     def with_tension(self, tension_n_per_m: float) -> SensorModel:
         """The same sensor under another γ0, N/m."""

@@ -95,6 +95,7 @@ def identify(
     nodes: int = 1000,
     levels: Iterable[FrameSource] = (),
     vented: FrameSource | None = None,
+    held_press: bool = True,
     progress: Progress = quiet,
 ) -> Identified:
     """Identify tension γ0, reference surface and pixels of an untouched sensor.
@@ -117,6 +118,9 @@ def identify(
         recorded, pre-stretch λ and gauge pressure.
     vented : Frames, optional
         The chamber open: its gas pressure is the atmospheric one.
+    held_press : bool
+        Whether a press in `frames` that is held is asked for λ and gauge pressure where there are
+        no levels.
     progress : callable
         Told each step and how far it is.
 
@@ -149,6 +153,7 @@ def identify(
             surface=surface,
             levels=levels,
             vented=opened,
+            held_press=held_press,
             progress=progress,
         )
     return Identified(found, source, name)

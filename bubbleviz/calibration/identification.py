@@ -17,11 +17,13 @@ import numpy as np
 
 from bubbleviz.calibration.checks import check_no_dent, check_seen, seen_share
 from bubbleviz.calibration.rest.contact_free import find_contact_free
-from bubbleviz.calibration.rest.depth_statistics import DepthStatistics
+from bubbleviz.calibration.rest.depth_statistics import MIN_FRAMES, DepthStatistics
 from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
+from bubbleviz.calibration.rest.press_frames import held_frames, settled
 from bubbleviz.calibration.rest.rest_frames import Samples, collect
-from bubbleviz.calibration.robust_statistics import robust_sigma
+from bubbleviz.calibration.rubber.force_sensitivity import ForceSensitivity
+from bubbleviz.calibration.rubber.press_fit import HeldPress
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate, estimate_rubber
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.surface.free_form import FreeForm
@@ -73,7 +75,9 @@ class Identification:
     wander_m : float
         How far the dome moves over the frames beyond noise, m.
     rubber : RubberEstimate or None
-        Where inflation levels or the open chamber told of gauge pressure and rubber.
+        Where inflation levels, a press or the open chamber told of gauge pressure and rubber.
+    sensitivity : ForceSensitivity or None
+        Where λ is known and the source has a press that is held.
     """
 
     sensor: Sensor
@@ -86,6 +90,7 @@ class Identification:
     seen: float
     wander_m: float
     rubber: RubberEstimate | None = None
+    sensitivity: ForceSensitivity | None = None
 
     @property
     def mesh(self) -> MembraneMesh:
@@ -241,21 +246,13 @@ def measure_chamber(
 
     None where there is no gas pressure, or no press that moves it ten times its noise.
     """
-    free = samples.gas_pressure_pa
-    if free is None:
+    held = held_frames(source, samples, progress)
+    if samples.gas_pressure_pa is None or not held:
         return None
-    rest = float(np.median(free))
-    later = range(max(samples.frames) + 1, len(source))
-    rises = []
-    for k in later:
-        value = source[k].gas_pressure_pa
-        rises.append(np.nan if value is None else value - rest)
-        progress("measuring the chamber", 0.5 * (k - later.start) / len(later))
-    rise = np.array(rises)
-    if not np.isfinite(rise).any() or np.nanmax(rise) < 10.0 * max(robust_sigma(free), 1e-9):
-        return None
-    held = np.flatnonzero(rise > 0.9 * np.nanmax(rise))
-    picked = held[np.unique(np.linspace(0, len(held) - 1, _PRESSED_FRAMES).astype(int))]
+    picked = [
+        held[k] for k in np.unique(np.linspace(0, len(held) - 1, _PRESSED_FRAMES).astype(int))
+    ]
+    rest = float(np.median(samples.gas_pressure_pa))
     tracker = MembraneTracker(
         surfaces.mesh,
         surfaces.camera,
@@ -263,7 +260,15 @@ def measure_chamber(
         tension.tension.value,
         surfaces.free_form.smoothing,
     )
-    return estimate_chamber(tracker, [source[later[k]] for k in picked], rest, progress)
+    return estimate_chamber(tracker, [source[k] for k in picked], rest, progress)
+
+
+def collect_press(
+    source: FrameSource, found: Identification, progress: Progress = quiet
+) -> Samples | None:
+    """Frames of a later press that is held and whose gas pressure is known; None without one."""
+    frames = settled(held_frames(source, found.samples, progress))
+    return collect(source, found.given, frames, progress) if len(frames) >= MIN_FRAMES else None
 
 
 def assemble(
@@ -306,9 +311,12 @@ def assemble(
 
 
 def with_rubber(
-    found: Identification, levels: Sequence[Samples], vented: Vented | None = None
+    found: Identification,
+    levels: Sequence[Samples],
+    vented: Vented | None = None,
+    held: Samples | None = None,
 ) -> Identification:
-    """Identification with λ, and the gauge pressure, as inflation levels and open chamber tell.
+    """Identification with λ, and the gauge pressure, as levels, a press and open chamber tell.
 
     Parameters
     ----------
@@ -317,20 +325,15 @@ def with_rubber(
     levels : sequence of Samples
         Of the untouched sensor at other pressures.
     vented : Vented, optional
+    held : Samples, optional
+        Of a press, which is asked where there are no levels; shows what moves the force.
 
     Raises
     ------
     InputError
         An open chamber was recorded, but not the gas pressure of the inflated sensor.
     """
-    rubber = estimate_rubber(
-        found.samples,
-        found.surfaces,
-        found.pixels.mask,
-        found.tension,
-        levels,
-        vented,
-    )
+    rubber = estimate_rubber(found.model, found.samples, found.tension, levels, vented, held)
     if rubber is None:
         return found
     tension, sensor = found.tension, found.sensor
@@ -340,7 +343,7 @@ def with_rubber(
         "gauge_pressure_pa": round(tension.gauge_pressure_pa, 1),
         "tension_n_per_m": round(tension.tension.value, 3),
     }
-    if rubber.gauge_from == "levels" and found.samples.gas_pressure_pa is not None:
+    if rubber.gauge_from in ("levels", "press") and found.samples.gas_pressure_pa is not None:
         absolute = float(np.median(found.samples.gas_pressure_pa))
         section["atmospheric_pressure_pa"] = round(absolute - tension.gauge_pressure_pa, 1)
     membrane = sensor.membrane
@@ -349,7 +352,20 @@ def with_rubber(
         membrane = membrane.model_copy(update=stretch)
     pneumatics = sensor.pneumatics.model_copy(update=section)
     update = {"membrane": membrane, "pneumatics": pneumatics}
-    return replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
+    out = replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
+    return replace(out, sensitivity=_sensitivity(out, held))
+
+
+def _sensitivity(found: Identification, held: Samples | None) -> ForceSensitivity | None:
+    """What moves the force on the press; None where λ is not known, or nothing explains it."""
+    stretch = found.sensor.membrane.prestretch
+    if held is None or stretch is None or held.gas_pressure_pa is None:
+        return None
+    try:
+        press = HeldPress(found.model, found.samples, held)
+        return ForceSensitivity.of(press, found.tension.gauge_pressure_pa, stretch)
+    except InputError:
+        return None
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

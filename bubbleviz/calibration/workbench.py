@@ -20,6 +20,7 @@ from bubbleviz.calibration.identification import (
     Identification,
     assemble,
     check_dome,
+    collect_press,
     measure_chamber,
     rest_gauge_pressure,
     with_rubber,
@@ -235,10 +236,21 @@ class Workbench:
         found = self._once(
             "rubber",
             (*rests_on, settings.min_validity, settings.deviations, settings.levels),
-            lambda: with_rubber(found, [each.samples for each in levels if each.samples], vented),
+            lambda: self._with_rubber(found, levels, vented, progress),
         )
         draft = replace(draft, tension=found.tension, pixels=found.pixels, found=found)
         return replace(draft, validation=self._validation(found, settings, progress))
+
+    def _with_rubber(
+        self,
+        found: Identification,
+        levels: list[Level],
+        vented: Vented | None,
+        progress: Progress,
+    ) -> Identification:
+        held = collect_press(self.source, found, progress)
+        progress("stretching rubber", 0.0)
+        return with_rubber(found, [each.samples for each in levels if each.samples], vented, held)
 
     def _vented(self, path: Path | None) -> Vented | None:
         if path is None:

@@ -150,6 +150,8 @@ class RangeObserver:
         block: int = 1,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
+        self.columns = -(-camera.intrinsics.width // block)
+        """Blocks in a row of the image."""
         hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
             mesh.nodes, mesh.normals
         )
@@ -170,6 +172,8 @@ class RangeObserver:
         order = np.argsort(self._block_of(pixel), kind="stable")
         pixel = pixel[order]
         blocks, self._starts = np.unique(self._block_of(pixel), return_index=True)
+        self.block_number = blocks
+        """Number of every block, row by row over the image, (B,)."""
         self.pixel = pixel
         """Flat indices of the pixels in use, grouped by block, (k,)."""
         self.block_of_pixel = np.repeat(
@@ -197,14 +201,12 @@ class RangeObserver:
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
-        columns = -(-self.camera.intrinsics.width // self.block)
-        return (row // self.block) * columns + column // self.block
+        return (row // self.block) * self.columns + column // self.block
 
     def _neighbourhoods(self, blocks: np.ndarray) -> np.ndarray:
         """Number of the square of `_SQUARE`² blocks that each block lies in, (B,)."""
-        columns = -(-self.camera.intrinsics.width // self.block)
-        row, column = np.divmod(blocks, columns)
-        return (row // _SQUARE) * columns + column // _SQUARE
+        row, column = np.divmod(blocks, self.columns)
+        return (row // _SQUARE) * self.columns + column // _SQUARE
 
     def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
         """Positions of some thousand pixels in whole blocks, one block a row."""

@@ -32,6 +32,12 @@ import click
     type=click.Path(path_type=Path),
     help="Recording of the open chamber: its gas pressure is the atmospheric one.",
 )
+@click.option(
+    "--press/--no-press",
+    "held_press",
+    default=True,
+    help="Let a held press in REC tell λ and gauge pressure where no level does (default).",
+)
 @click.option("--object", "obj", help="Known object in REC to validate by: mesh file or preset.")
 @click.option("--pose", help='Its T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
 @click.option("--pressed", metavar="A:B", help="Frames A to B−1 in which it is held still.")
@@ -46,6 +52,7 @@ def identify(
     nodes: int,
     levels: tuple[Path, ...],
     vented: Path | None,
+    held_press: bool,
     obj: str | None,
     pose: str | None,
     pressed: str | None,
@@ -53,7 +60,8 @@ def identify(
 ) -> None:
     """Identify γ0, reference surface and pixels of an untouched sensor.
 
-    Inflation levels with their gas pressures give λ and the gauge pressure, too.
+    Inflation levels with their gas pressures give λ and the gauge pressure, too; so does, less
+    precisely, a press in REC that is held.
     """
     from bubbleviz.commands.identify import identify_recording, known_press
 
@@ -73,6 +81,7 @@ def identify(
             nodes=nodes,
             levels=levels,
             vented=vented,
+            held_press=held_press,
             press=press,
             progress=bar,
         )

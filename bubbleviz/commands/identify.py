@@ -9,7 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.calibration.identification import Identification, identify, with_rubber
+from bubbleviz.calibration.identification import (
+    Identification,
+    collect_press,
+    identify,
+    with_rubber,
+)
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.save_identification import check_outputs, save
@@ -64,6 +69,7 @@ def identify_recording(
     nodes: int = 1000,
     levels: Sequence[Path] = (),
     vented: Path | None = None,
+    held_press: bool = True,
     press: KnownPress | None = None,
     progress: Progress = quiet,
 ) -> IdentifySummary:
@@ -84,6 +90,9 @@ def identify_recording(
         Recordings of the untouched sensor at other inflation levels.
     vented : Path, optional
         Recording of the gas pressure with the chamber open to the atmosphere.
+    held_press : bool
+        Whether a held press in the recording is asked for λ and gauge pressure where there are no
+        levels.
     press : KnownPress, optional
         What to validate by, in the same recording.
     progress : Progress
@@ -112,6 +121,7 @@ def identify_recording(
             surface=surface,
             levels=_opened(levels),
             vented=opened,
+            held_press=held_press,
             progress=progress,
         )
         validation = None
@@ -131,9 +141,10 @@ def identify_with_levels(
     surface: Name | None,
     levels: Iterable[FrameSource],
     vented: Vented | None,
+    held_press: bool,
     progress: Progress,
 ) -> Identification:
-    """`identify`, then pixels rectified and rubber inflated by other inflation levels.
+    """`identify`, then pixels rectified by other levels, and rubber by them or by a press.
 
     Parameters
     ----------
@@ -143,6 +154,8 @@ def identify_with_levels(
     levels : iterable of FrameSource
         Of the untouched sensor at other pressures.
     vented : Vented or None
+    held_press : bool
+        Whether a held press in the source is asked where there are no levels.
 
     Raises
     ------
@@ -152,8 +165,10 @@ def identify_with_levels(
     found = identify(source, sensor, contact_free, nodes=nodes, surface=surface, progress=progress)
     measured = [Level.measure(KeptFrames(level), sensor, nodes, progress) for level in levels]
     found = rectify(found, measured)
-    progress("inflating rubber", 0.0)
-    return with_rubber(found, [each.samples for each in measured if each.samples], vented)
+    held = collect_press(source, found, progress) if held_press else None
+    progress("stretching rubber", 0.0)
+    inflated = [each.samples for each in measured if each.samples]
+    return with_rubber(found, inflated, vented, held)
 
 
 def _opened(paths: Sequence[Path]) -> Iterator[Recording]:

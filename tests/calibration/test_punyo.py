@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import identify
+from bubbleviz.calibration.identification import collect_press, identify, with_rubber
 from bubbleviz.calibration.rest.contact_free import find_contact_free
 from bubbleviz.calibration.sensor_writer import file_hash, write_sensor
 from bubbleviz.camera.pixel_model import PixelModel
@@ -30,8 +30,10 @@ def press():
 
 @pytest.fixture(scope="module")
 def found(press):
-    """Identified from the first 40 of 60 contact-free frames."""
-    return identify(press, load_sensor("punyo_oval_d405"), range(40))
+    """Identified from the first 40 of 60 contact-free frames, at the sea's atmosphere."""
+    sensor = load_sensor("punyo_oval_d405")
+    air = sensor.pneumatics.model_copy(update={"atmospheric_pressure_pa": 101_325.0})
+    return identify(press, sensor.model_copy(update={"pneumatics": air}), range(40))
 
 
 @needs_press
@@ -61,6 +63,20 @@ def test_no_force_on_frames_not_used(press, found, tmp_path):
         for k in range(42, 60, 3)
     ]
     assert np.sqrt(np.mean(np.square(forces))) <= 0.05
+
+
+@needs_press
+def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
+    """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean."""
+    told = with_rubber(found, [], held=collect_press(press, found))
+    gauge = told.rubber.gauge
+    assert told.rubber.gauge_from == "press" and len(told.rubber.fit.gauge_by_part_pa) == 7
+    for part, value in told.rubber.fit.gauge_by_part_pa.items():
+        assert gauge.low < value < gauge.high, part
+    assert gauge.half_width < 0.15 * gauge.value
+    assert gauge.low < np.mean(found.samples.gas_pressure_pa) - 98_700.0 < gauge.high
+    assert told.rubber.prestretch is not None
+    assert told.sensitivity.force_n == pytest.approx(2.6, rel=0.15)
 
 
 @needs_press

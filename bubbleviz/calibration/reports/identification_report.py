@@ -19,6 +19,7 @@ from bubbleviz.calibration.reports.verdict import (
     validation_advice,
     wrench_advice,
 )
+from bubbleviz.calibration.rubber.press_fit import PressFit
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.calibration.sensor_writer import Origin
 from bubbleviz.calibration.tension.wrench_tension import WrenchTension
@@ -69,6 +70,7 @@ def summary(
         "validation": _validation(validation),
         "rectification": _rectification(found),
         "rubber": _rubber(found.rubber),
+        "force_sensitivity": found.sensitivity and asdict(found.sensitivity),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
@@ -176,6 +178,7 @@ def _rubber(rubber: RubberEstimate | None) -> dict[str, Any] | None:
         "why_not_determined": rubber.why_not or None,
         "gauge_pressure_pa": rubber.gauge and asdict(rubber.gauge),
         "gauge_from": rubber.gauge_rests_on,
+        "from": None if fit is None else "press" if isinstance(fit, PressFit) else "levels",
         "levels": None
         if fit is None
         else {
@@ -183,6 +186,7 @@ def _rubber(rubber: RubberEstimate | None) -> dict[str, Any] | None:
             "change_rms_m": fit.change_rms_m,
             "unexplained_rms_m": fit.rms_m,
         },
+        "gauge_by_part_pa": fit.gauge_by_part_pa if isinstance(fit, PressFit) else {},
     }
 
 

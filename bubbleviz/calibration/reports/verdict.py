@@ -140,7 +140,7 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
     if rubber is None:
         return [
             "λ is not determined: record the untouched sensor at two other inflations, 15 % of its"
-            " gauge pressure apart, with their gas pressures (--level)."
+            " gauge pressure apart, with their gas pressures (--level), or press it and hold."
         ]
     advice = []
     if rubber.prestretch is None:
@@ -149,6 +149,12 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
         stretch = rubber.prestretch
         advice.append(
             f"λ = {stretch.value:.3f}, 95 % interval {stretch.low:.3f} to {stretch.high:.3f}."
+        )
+    if rubber.gauge_from == "press" and (gauge := rubber.gauge) is not None:
+        advice.append(
+            f"By the press the gauge pressure is {1e-3 * gauge.value:.2f} kPa, 95 % interval"
+            f" {1e-3 * gauge.low:.2f} to {1e-3 * gauge.high:.2f}: record the open chamber to know"
+            " it more precisely (--vented)."
         )
     if rubber.gauge is None:
         advice.append(

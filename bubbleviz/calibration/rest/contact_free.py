@@ -18,7 +18,8 @@ SIGNIFICANT = 6.0
 _TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
 _COVERED = 0.01  # share of the view that a contact must move to count
 _SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
-_LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
+LAG = 5
+"""Frames: apart enough for the camera's temporal filter to have forgotten."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def _score(values: np.ndarray) -> np.ndarray:
     values = values[:, np.isfinite(values).all(axis=0)]
     if values.shape[1] == 0:
         return np.zeros(len(values))
-    lag = min(_LAG, len(values) - 1)
+    lag = min(LAG, len(values) - 1)
     differences = values[lag:] - values[:-lag]
     sigma = np.array([robust_sigma(column, center=0.0) for column in differences.T]) / np.sqrt(2.0)
     typical = float(np.median(sigma))
@@ -134,7 +135,7 @@ def _first_change(score: np.ndarray) -> int:
     if not len(starts):
         return len(score)
     end = int(starts[0])
-    before = max(0, end - 2 * _LAG)
+    before = max(0, end - 2 * LAG)
     usual = float(score[: max(before, 1)].max())
     while end > before and score[end - 1] > usual:  # its beginning, before it was certain
         end -= 1

@@ -1,1 +1,1 @@
-"""What inflation tells of the rubber: pre-stretch, gauge pressure, atmospheric pressure."""
+"""What inflation or a press tells of the rubber: pre-stretch, gauge and atmospheric pressure."""

@@ -33,19 +33,19 @@ from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.stiffness import mean_curvature
 
-_LEAST, _MOST = 1e-3, 0.97
+SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which is as good as constant tension, to 1.005."""
-_LEAST_RISE = 0.01
+LEAST_RISE = 0.01
 """Change of the gauge pressure, over itself, below which a level says nothing."""
 _STARTS = (0.35, 0.05)
 """λ of 1.19 to begin with; where that cannot hold the levels, 1.65."""
 _STEPS = 12
 _SMALL = 1e-4
-_STEP_OF_Q = 1e-3
+STEP_OF_Q = 1e-3
 """Relative step of q for the derivative of the forces."""
 _LOOK_M = 1e-5
 """Largest motion of a node for the derivative of ranges, m."""
-_BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
+BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
 _CLIP = 3.0  # as the mean of a pixel is clipped
 
 
@@ -103,7 +103,7 @@ class LevelModel:
         """
         inflation = Inflation(self._rubber(q))
         x = inflation.at(ratio, near)
-        step = _STEP_OF_Q * q
+        step = STEP_OF_Q * q
         here, ahead = (
             membrane.force(x) - membrane.rest_force
             for membrane in (inflation.membrane, self._rubber(q + step))
@@ -194,7 +194,7 @@ def fit_rubber(
     pressures = [_mean_pressure(each) for each in (base, *levels)]
     rises = np.array([mean - pressures[0][0] for mean, _ in pressures[1:]])
     for each, rise in zip(levels, rises, strict=True):
-        if abs(rise) < _LEAST_RISE * gauge_pressure_pa:
+        if abs(rise) < LEAST_RISE * gauge_pressure_pa:
             raise InputError(
                 f"{each.source_name}: its gas pressure differs from {base.source_name}'s by"
                 f" {rise:.0f} Pa only; inflate by 15 % more and less"
@@ -293,7 +293,7 @@ class _Fit:
             sigma = max(robust_sigma(state.missed_m, center=0.0), 1e-9)
             weights = tukey_weights(state.missed_m, sigma)
             step = _step(state, weights, free, damping)
-            ahead = float(np.clip(state.q + step[0], _LEAST, _MOST))
+            ahead = float(np.clip(state.q + step[0], SMALLEST_Q, LARGEST_Q))
             gauge = state.gauge_pa * float(np.exp(np.clip(step[1], -0.5, 0.5)))
             trial = self._state(ahead, gauge, state)
             if trial is not None and _loss(trial.missed_m, sigma) <= _loss(state.missed_m, sigma):
@@ -383,7 +383,7 @@ class _Fit:
             tile_numbers(pixels, samples.camera.intrinsics.width, side),
             parameters=2,
         )
-        block = max(1, round(_BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
+        block = max(1, round(BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
         return draw_errors(table, block, int(np.random.default_rng(seed).integers(2**31))).total
 
 

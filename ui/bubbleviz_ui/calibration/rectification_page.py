@@ -84,11 +84,16 @@ class RectificationPage(Page):
         self.numbers.set("holds over", text)
 
     def _show_rubber(self, answer: Answer) -> None:
-        """λ and gauge pressure as the levels and the open chamber tell, or why they do not."""
+        """λ and gauge pressure as levels, press and open chamber tell, or why they do not."""
         found, pressure = answer.draft.found, self.units.gas_pressure
+        force = found.sensitivity if found is not None else None
+        if force is not None:
+            per_gauge, per_stretch = 1e3 * force.per_gauge_n_per_pa, 0.1 * force.per_prestretch_n
+            self.numbers.set("dF/dG on the press", f"{per_gauge:+.3f} N per kPa")
+            self.numbers.set("dF/dλ on the press", f"{per_stretch:+.3f} N per 0.1")
         rubber = found.rubber if found is not None else None
         if rubber is None:
-            self.numbers.set("λ", "not determined: add levels")
+            self.numbers.set("λ", "not determined: add levels, or press and hold")
             self.numbers.set("gauge pressure", None)
             self.numbers.set("gauge pressure rests on", "the sensor file's atmospheric pressure")
             return

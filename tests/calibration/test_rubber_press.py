@@ -1,0 +1,167 @@
+"""λ and gauge pressure from a held press, on rubber whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.identification import collect_press, identify, with_rubber
+from bubbleviz.calibration.reports.identification_report import summary
+from bubbleviz.calibration.rubber.vented import Vented
+from bubbleviz.calibration.sensor_writer import Origin
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.rubber_model.inflation import Inflation
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.simulation.inflated_sensor import InflatedSensor
+from bubbleviz.study.inflated_rubber import ATMOSPHERE_PA, CAMERA_NOISE
+
+RIM, HEIGHT, G = (0.045, 0.038), 0.022, 4000.0
+STRETCH, MU_H = 1.2, 90.0
+FREE, HELD = 30, 21
+GIVEN_ATMOSPHERE = ATMOSPHERE_PA + 900.0
+"""The sensor file's, which nobody measured."""
+
+
+class Press:
+    """Frames without contact, then frames of a ball that is held."""
+
+    name = "press"
+
+    def __init__(self, membranes, gas_pa, camera, seed):
+        self.parts = [
+            InflatedSensor(self.name, camera, mesh, gas, CAMERA_NOISE, count, seed + k)
+            for k, (mesh, gas, count) in enumerate(
+                zip(membranes, gas_pa, (FREE, HELD), strict=True)
+            )
+        ]
+        self.times_s = np.arange(FREE + HELD) / 30.0
+
+    def __len__(self):
+        return FREE + HELD
+
+    def __getitem__(self, k):
+        frame = self.parts[0][k] if k < FREE else self.parts[1][k - FREE]
+        return replace(frame, index=k, time_s=k / 30.0)
+
+    def close(self):
+        pass
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Sensor, meshes at rest and pressed, and their gas pressures; on a mesh of its own."""
+    cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 2500)
+    free = RubberMembrane(cap, 0.0, STRETCH**2 * inverse_metric(cap), MU_H)
+    rest = replace(cap, nodes=Inflation(free, np.zeros_like(cap.nodes)).at(G))
+    membrane = RubberMembrane(rest, G, STRETCH**2 * inverse_metric(cap), MU_H)
+    sensor = given(float(rest.nodes[:, 2].max()))
+    true_air = sensor.pneumatics.model_copy(
+        update={"atmospheric_pressure_pa": ATMOSPHERE_PA, "gauge_pressure_pa": G}
+    )
+    ball = load_object("sphere")
+    pose = np.eye(4)
+    pose[:3, 3] = -0.012, 0.006, 0.0
+    top = ball.vertices[:, 2].min()
+    pose[2, 3] = float(rest.nodes[:, 2].max()) - top - 0.006
+    contact = RubberForward(membrane, Gas.of(true_air, rest)).press(ball, pose)
+    assert contact.converged
+    pressed = replace(rest, nodes=rest.nodes + contact.displacement_3d_m)
+    gas = ATMOSPHERE_PA + G, ATMOSPHERE_PA + G + contact.gas_pressure_change_pa
+    stretch = (1.0 - membrane.mean_tension / MU_H) ** (-1.0 / 6.0)
+    print("true stretch", stretch)
+    force = float(np.linalg.norm(contact.nodal_force_n.sum(axis=0)))
+    return sensor, (rest, pressed), gas, stretch, force
+
+
+def given(height):
+    width, rows, focal = 160, 120, 88.0
+    return Sensor(
+        name="dome",
+        membrane=Membrane(shape="ellipsoidal_cap", rim_semi_axes_m=RIM, height_m=round(height, 3)),
+        pneumatics=Pneumatics(
+            gauge_pressure_pa=3000.0,
+            atmospheric_pressure_pa=GIVEN_ATMOSPHERE,
+            chamber_volume_m3=5e-5,
+        ),
+        camera=Camera(
+            width=width, height=rows, fx=focal, fy=focal, cx=79.5, cy=59.5,
+            position_m=(0.0, 0.0, -1.4 * RIM[0]),
+        ),
+    )  # fmt: skip
+
+
+def identified(truth, seed=0, vented=None):
+    sensor, membranes, gas, *_ = truth
+    sensor = sensor if vented is None else vented.set_in(sensor)
+    source = Press(membranes, gas, DepthCamera.of(sensor.camera), seed)
+    found = identify(source, sensor, range(FREE), nodes=600)
+    return found, collect_press(source, found)
+
+
+@pytest.fixture(scope="module")
+def pressed(truth):
+    return identified(truth)
+
+
+@pytest.fixture(scope="module")
+def told(pressed):
+    found, held = pressed
+    assert held.frames[0] == FREE + 5  # the camera's filter has forgotten the way in
+    return with_rubber(found, [], held=held)
+
+
+def test_press_tells_gauge_pressure_and_rubber(truth, told):
+    """The sensor file's atmosphere is 0.9 kPa too much."""
+    rubber, stretch = told.rubber, truth[3]
+    assert rubber.gauge_rests_on == rubber.prestretch_rests_on == "the press in press"
+    assert rubber.gauge.low < G < rubber.gauge.high
+    assert rubber.gauge.value == pytest.approx(G, rel=0.05)
+    assert rubber.gauge.half_width < 0.1 * G
+    assert rubber.prestretch.low < stretch < rubber.prestretch.high
+    mu_h = told.tension_n_per_m / (1.0 - rubber.prestretch.value**-6)
+    assert mu_h == pytest.approx(MU_H, rel=0.05)
+    assert len(rubber.fit.gauge_by_part_pa) == 7
+    for part, gauge in rubber.fit.gauge_by_part_pa.items():
+        assert rubber.gauge.low < gauge < rubber.gauge.high, part
+    air = told.sensor.pneumatics.atmospheric_pressure_pa
+    assert air + rubber.gauge.value == pytest.approx(ATMOSPHERE_PA + G, abs=5.0)
+
+
+def test_what_moves_the_force(truth, told):
+    sensitivity = told.sensitivity
+    assert sensitivity.force_n == pytest.approx(truth[4], rel=0.05)
+    assert sensitivity.per_prestretch_n < 0.0  # farther stretched, rubber is softer
+    numbers = summary(told, Origin("press", None, "given", ""))
+    assert numbers["force_sensitivity"]["per_prestretch_n"] == sensitivity.per_prestretch_n
+    assert numbers["rubber"]["from"] == "press"
+
+
+def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
+    vented = Vented("vented", ATMOSPHERE_PA, 2.0)
+    found, held = identified(truth, seed=7, vented=vented)
+    rubber = with_rubber(found, [], vented, held).rubber
+    assert rubber.gauge_from == "vented"
+    assert rubber.gauge.value == pytest.approx(G, rel=0.003)
+    assert rubber.prestretch.low < truth[3] < rubber.prestretch.high
+    assert rubber.prestretch_rests_on.startswith(
+        "the press in press; the gauge pressure by the open"
+    )
+
+
+def test_press_that_says_nothing(pressed):
+    found, held = pressed
+    silent = replace(held, gas_pressure_pa=None)
+    kept = with_rubber(found, [], held=silent)
+    assert kept.sensor == found.sensor and "gas pressure" in kept.rubber.why_not
+    untouched = replace(found.samples, gas_pressure_pa=found.samples.gas_pressure_pa + 400.0)
+    kept = with_rubber(found, [], held=untouched)
+    assert kept.sensor == found.sensor and "no dent" in kept.rubber.why_not
+    wrong = replace(held, gas_pressure_pa=held.gas_pressure_pa - 600.0)  # it fell in the press
+    kept = with_rubber(found, [], held=wrong)
+    assert kept.rubber.gauge is None and kept.rubber.prestretch is None
+    assert kept.sensor == found.sensor
