@@ -20,6 +20,7 @@ from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.study.object_shapes import ply_bytes
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.pose import pose_panel
+from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 
@@ -161,6 +162,31 @@ def test_tracking_runs_only_when_asked_and_exports(
     bench.driver.state.choose(layers=frozenset({"membrane"}))
     bench.driver.seek(0)
     assert counts["pose"] == ran
+
+
+def test_rmse_is_in_the_unit_of_length_on_an_axis_of_its_own(bench: Bench) -> None:
+    bench.choose("frustum")
+    bench.fit()
+    pose = bench.panel.session.pose
+    assert pose is not None and pose.stage_two is not None
+    curves = bench.panel.findChild(Curves)
+    assert curves is not None
+    for unit, factor in (("mm", 1e3), ("m", 1.0)):
+        bench.driver.state.choose(length_unit=unit)
+        bench.driver.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
+        fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
+        assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
+        assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
+
+
+def test_a_fit_leaves_out_the_parts_that_are_too_small(bench: Bench) -> None:
+    """The patch that is fitted is the one that is shown."""
+    bench.driver.state.choose(least_area_m2=0.01)
+    bench.choose("frustum")
+    bench.fit()
+    patch = bench.window.controller.result.patch
+    assert patch is not None and patch.area_m2 == 0.0
+    assert bench.panel.session.pose is None or bench.panel.session.pose.stage_two is None
 
 
 def test_stage_one_can_be_seen(bench: Bench) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from PySide6.QtGui import QColor
 
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -15,71 +17,77 @@ HEIGHT = 109
 
 
 class Curves(PlotHost):
-    """Two plots below each other: iterations of the last fit, and frames so far."""
+    """Fitness and rmse side by side: of the iterations of the last fit, and of the frames so far.
+
+    Attributes
+    ----------
+    iterations, frames : (Curve, Curve)
+        Fitness, and rmse in the operator's unit of length.
+    """
 
     def __init__(self, units: Units) -> None:
         super().__init__(self._fill)
         self._units = units
         self.setMinimumHeight(2 * HEIGHT)
+        self.setToolTip("Above: iterations of the last fit, both stages; below: frames so far")
         self.prepare()
 
     def _fill(self) -> list[Part]:
-        self.iterations, self.frames = _Curve(), _Curve()
-        self.arrange([self.iterations.frame.item, self.frames.frame.item])
-        return [self.iterations, self.frames]
+        self.iterations = Curve("fitness", BLUE, "number"), Curve("rmse", ORANGE, "number")
+        self.frames = Curve("fitness", BLUE, "seconds"), Curve("rmse", ORANGE, "seconds")
+        every = [*self.iterations, *self.frames]
+        self.arrange([curve.frame.item for curve in every], columns=2)
+        return list(every)
 
     def draw_iterations(self, one: np.ndarray, two: np.ndarray) -> None:
         """Histories (i, 2) of the stages, one after the other."""
         both = np.concatenate([one, two])
-        self.iterations.draw(np.arange(len(both)), both, self._units, "by iteration", len(one))
+        self._draw(self.iterations, np.arange(len(both)), both, len(one))
 
     def draw_frames(self, time_s: np.ndarray, values: np.ndarray) -> None:
         """Fitness, and rmse in m, (f, 2) of frames."""
-        self.frames.draw(time_s, values, self._units, "over s", None)
+        self._draw(self.frames, time_s, values, None)
 
     def clear(self) -> None:
         """Draw nothing."""
-        for curve in (self.iterations, self.frames):
-            curve.draw(np.zeros(0), np.zeros((0, 2)), self._units, "", None)
+        for curves in (self.iterations, self.frames):
+            self._draw(curves, np.zeros(0), np.zeros((0, 2)), None)
+
+    def _draw(
+        self, curves: tuple[Curve, Curve], x: np.ndarray, values: np.ndarray, change: int | None
+    ) -> None:
+        known = np.isfinite(values).all(axis=1)
+        for k, unit in enumerate((self._units.share, self._units.length)):
+            curves[k].draw(x[known], values[known, k], unit, change)
 
 
-class _Curve:
-    """Fitness and rmse on one axis: 1 is all of the patch, and 1 mm.
+class Curve:
+    """One quantity in its unit; the last value is written above.
 
     Attributes
     ----------
-    fitness, rmse : pyqtgraph.PlotDataItem
+    line : pyqtgraph.PlotDataItem
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str, colour: str, below: Literal["number", "seconds"]) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
-        self.frame = PlotFrame("number")
+        self._name, self._colour = name, colour
+        self.frame = PlotFrame(below)
         self.frame.box.setMouseEnabled(x=False, y=False)
-        self.fitness = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=1))
-        self.rmse = pg.PlotDataItem(pen=pg.mkPen(ORANGE, width=1))
+        self.line = pg.PlotDataItem(pen=pg.mkPen(colour, width=1))
         self.change = pg.InfiniteLine()
-        for item in (self.fitness, self.rmse):
-            self.frame.box.addItem(item)
+        self.frame.box.addItem(self.line)
         self.frame.box.addItem(self.change, ignoreBounds=True)
 
-    def draw(
-        self, x: np.ndarray, values: np.ndarray, units: Units, over: str, change: int | None
-    ) -> None:
-        """Draw fitness, 1 = 100 %, and rmse, 1 = 1 mm; the last of them is written above."""
-        known = np.isfinite(values).all(axis=1)
-        x, values = x[known], values[known]
-        self.fitness.setData(x, values[:, 0])
-        self.rmse.setData(x, 1e3 * values[:, 1])
+    def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
+        """Draw values (k,) in SI, with a line where the second stage begins."""
+        self.line.setData(x, unit.of(1.0) * values)
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
-        text = f'<span style="color:{BLUE}">fitness</span>'
-        if len(values):
-            last = units.length.text(float(values[-1, 1]))
-            text += f' <span style="color:{BLUE}">{100 * values[-1, 0]:.0f} %</span> · '
-            text += f'<span style="color:{ORANGE}">rmse {last}</span>'
-        self.frame.write(f"{text} {over}" if over else text)
+        last = f" {unit.text(float(values[-1]))}" if len(values) else ""
+        self.frame.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Take the theme's colours."""

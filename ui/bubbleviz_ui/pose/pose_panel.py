@@ -217,6 +217,7 @@ class PosePanel(QWidget):
     def _on_choices(self, names: frozenset[str]) -> None:
         if names & SYSTEMS.keys():
             self.start.fit_units()
+            self._on_changed()
         if names & {"pose_start", *SYSTEMS}:
             self._show_start()
         if names & POSE_CHOICES:
