@@ -16,7 +16,7 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.inverse.rubber_estimator import RIM_SLACK_M, RubberEstimator
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.reference_mesh import build_rubber, varied_rubber
 from bubbleviz.patch.components import without_small
@@ -103,7 +103,7 @@ class Pipeline:
         known = model.sensor.membrane.prestretch is not None
         if self.options.solver == RUBBER or (self.options.solver is None and known):
             tension = model.tension_n_per_m
-            material = model.sensor, model.mesh, tension, RIM_SLACK_M
+            material = model.sensor, model.mesh, tension, self.options.rim_slack_m
             rubber, varied = build_rubber(*material), varied_rubber(*material)
             return RubberEstimator(observer, rubber, model.gas, self.options, varied)
         return Estimator(observer, model.gas, model.tension_n_per_m, self.options)

@@ -14,12 +14,17 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.tables import out_folder, to_json, write_csv, write_json
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.synthetic_source import Model
-from bubbleviz.study.accuracy import accuracy_report, detection_limit, regularisation
+from bubbleviz.study.accuracy import accuracy_report, detection_limit, invariance, regularisation
 from bubbleviz.study.accuracy.accuracy_study import full_grid, quick_grid, run_accuracy
 from bubbleviz.study.accuracy.detection_limit import (
     DetectionGrid,
     detection_limits,
     quick_detection_grid,
+)
+from bubbleviz.study.accuracy.invariance import (
+    InvarianceGrid,
+    quick_invariance_grid,
+    run_invariance,
 )
 from bubbleviz.study.pose import pose_report
 from bubbleviz.study.pose.pose_study import PoseGrid, quick_pose_grid, run_pose_study
@@ -102,7 +107,8 @@ def study_accuracy(
     parts = None
     if out is not None:
         out_folder(out)
-        check_free(out, accuracy_report.FILES + detection_limit.FILES + regularisation.FILES)
+        check_free(out, accuracy_report.FILES + detection_limit.FILES + invariance.FILES)
+        check_free(out, regularisation.FILES)
         parts = out_folder(out / "accuracy_parts")
     with _progress(len(grid.specimens), "membrane") as bar:
         found = run_accuracy(sensor, grid, parts, lambda _: bar.update())
@@ -112,11 +118,15 @@ def study_accuracy(
     if model == "rubber":
         limits_grid = replace(quick_detection_grid() if quick else DetectionGrid(), seed=seed)
         limits = detection_limits(sensor, limits_grid)
+        same_grid = replace(quick_invariance_grid() if quick else InvarianceGrid(), seed=seed)
+        changes = run_invariance(sensor, same_grid)
         numbers["detection"] = [asdict(limit) for limit in limits]
-        text += "\n\n" + detection_limit.to_text(limits)
+        numbers["invariance"] = [asdict(change) for change in changes]
+        text = "\n\n".join((text, detection_limit.to_text(limits), invariance.to_text(changes)))
         if out is not None:
-            written.append(out / detection_limit.FILES[0])
-            write_csv(written[-1], limits)
+            written += [out / detection_limit.FILES[0], out / invariance.FILES[0]]
+            write_csv(written[-2], limits)
+            write_csv(written[-1], changes)
     else:  # the H1 term is judged where nothing else is wrong
         strengths = regularisation.sweep(
             sensor,

@@ -33,6 +33,10 @@ PRESSURE_SCALE = 3.0
 radius of curvature r half that of the bubble, R (Young–Laplace on both sides). The λ that follows
 is compared with those of discrepancy principle and L-curve in `study accuracy --model linear`."""
 
+RIM_SLACK_M = 1.5e-4
+"""Motion of the exact membrane's rim under the pull of the mean tension, m: how precisely a clamp
+holds rubber."""
+
 MAX_NODES = 60_000
 """Beyond this a frame would take minutes."""
 
@@ -66,6 +70,8 @@ class EstimatorOptions:
         Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
     block : int or None
         Side of the squares of pixels that are averaged; None for half a mesh edge.
+    rim_slack_m : float
+        How far the rim of the exact membrane gives, see `RIM_SLACK_M`.
     """
 
     solver: str | None = None
@@ -74,6 +80,7 @@ class EstimatorOptions:
     tolerance: float | None = None
     pressure_scale: float = PRESSURE_SCALE
     block: int | None = None
+    rim_slack_m: float = RIM_SLACK_M
 
     @classmethod
     def named(cls, name: str | None) -> EstimatorOptions:

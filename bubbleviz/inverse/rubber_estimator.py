@@ -42,9 +42,6 @@ from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
-RIM_SLACK_M = 1.5e-4
-"""Motion of the rim under the pull of the mean tension: how precisely a clamp holds rubber."""
-
 _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
 """Shares of a mesh edge. A frame alone is done when it moves the shape by less than the first, one
 of a stream by less than the last; a tangent serves while the shape is nearer than the second to

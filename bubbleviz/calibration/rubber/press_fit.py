@@ -37,9 +37,8 @@ from bubbleviz.calibration.tension.bootstrap import (
 )
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.estimator import PRESSURE_SCALE
+from bubbleviz.inverse.estimator import PRESSURE_SCALE, RIM_SLACK_M
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
-from bubbleviz.inverse.rubber_estimator import RIM_SLACK_M
 from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser
