@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,7 @@ def test_a_run_is_like_a_list_with_arrays(frames: Frames, sensor: Path) -> None:
     assert run.force_n.shape == (5, 3) and (run.force_n[touched, 2] < -1.0).all()
     assert [found.index for found in run[-2:]] == [3, 4]
     np.testing.assert_array_equal(run[2].force_n, run.force_n[2])
+    assert not any(found.result.frame.depth_m.size for found in run)  # memory is for numbers
     columns = run.columns()
     assert columns["force_magnitude_n"][2] == pytest.approx(np.linalg.norm(run.force_n[2]))
     pressed = run[2].nodes_m - run[0].nodes_m
@@ -123,6 +125,17 @@ def test_one_frame_and_a_list_of_frames(frames: Frames, sensor: Path) -> None:
     both = bv.estimate([frames[2], frames[3]], sensor)
     np.testing.assert_array_equal(found.force_n, both[0].force_n)
     assert found.status == "ok" and len(both) == 2
+
+
+def test_the_measured_force_is_beside_the_found_one(frames: Frames, sensor: Path) -> None:
+    bias, pressed = np.array([0.5, 0.0, 1.0, 0, 0, 0]), np.array([0.0, 3.0, 4.0, 0, 0, 0])
+    beside = [
+        replace(frame, wrench=bias + (k in TOUCHING) * pressed) for k, frame in enumerate(frames)
+    ]
+    run = bv.estimate(beside, sensor)
+    expected = [5.0 if k in TOUCHING else 0.0 for k in range(len(frames))]
+    np.testing.assert_allclose(run.arrays()["measured_force_n"], expected, atol=1e-12)
+    np.testing.assert_allclose(run.columns()["measured_force_n"], expected, atol=1e-12)
 
 
 def test_simulated_frames_are_estimated_and_saved(sensor: Path, tmp_path: Path) -> None:
@@ -170,6 +183,16 @@ def test_a_stream_gives_results_until_it_ends(recording: Path, sensor: Path) -> 
         assert stream.counters.frames == len(HEIGHTS)
     assert {each.status for each in found} <= {"ok", "no_contact"}
     assert max(float(np.linalg.norm(each.force_n)) for each in found) > 1.0
+
+
+def test_frames_and_poses_of_a_stream(recording: Path, sensor: Path) -> None:
+    slowly = f"replay:{recording}?speed=0.1"
+    with bv.connect(slowly, sensor) as stream:
+        assert [frame.index for frame in stream] == list(range(len(HEIGHTS)))
+    with bv.connect(slowly, sensor) as stream:
+        poses = bv.track(stream, "cylinder", init="0.005 0 0.044 0 0 0 1")
+        heights = [each.T_B_O[2, 3] for each in poses if each.status == "ok"]
+    assert heights[-1] == pytest.approx(0.042, abs=1e-3)
 
 
 def test_errors_are_the_command_lines(frames: Frames, sensor: Path, tmp_path: Path) -> None:
