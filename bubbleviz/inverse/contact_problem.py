@@ -19,9 +19,8 @@ from scipy import sparse
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
 
-_LEAST, _ROUNDS = 40, 6
-"""Nodes that the problem of a frame without contact before it starts with, and how often nodes
-that pull are added to them."""
+_LEAST = 40
+"""Nodes that the problem of a frame without contact before it starts with."""
 _SLACK = 1e-6
 """Pull below zero that counts as zero, over the largest."""
 
@@ -101,11 +100,14 @@ class Selection:
     pivots : int
         Of the solver, to find it.
     converged : bool
+    complete : bool
+        No node outside it pulls.
     """
 
     support: np.ndarray
     pivots: int = 0
     converged: bool = True
+    complete: bool = True
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,10 @@ class ContactPressure:
     motion : (n, 3) array
         To first order, m.
     pivots : int
-    converged : bool
+    converged, complete : bool
+        As of `Selection`.
+    objective : float
+        Of the debiased problem, less that without any pressure: half of χ².
     kkt_residual : float
         ‖min(p, ∇)‖ of the debiased problem on its support, both over their largest.
     nodes : (s,) int array
@@ -137,6 +142,8 @@ class ContactPressure:
     motion: np.ndarray
     pivots: int
     converged: bool
+    complete: bool
+    objective: float
     kkt_residual: float
     nodes: np.ndarray
     covariance: np.ndarray
@@ -184,16 +191,36 @@ class ContactProblem:
         """Whether no contact pressure at all is the solution; for p₀ = 0."""
         return bool((self._at_before + self._prior.threshold >= 0.0).all())
 
-    def select(self, start: np.ndarray) -> Selection:
+    def select(self, start: np.ndarray, rounds: int) -> Selection:
         """Solve with the L1 term.
 
         Parameters
         ----------
         start : (n,) bool array
             Guess of the support.
+        rounds : int
+            How often nodes that pull may be added to it; each costs a response of the membrane.
         """
-        pressure, pivots, converged = self._select(start)
-        return Selection(pressure > 0.0, pivots, converged)
+        prior, pivots = self._prior, 0
+        gradient = self._gradient(self._before) + prior.threshold
+        work = prior.around(start | (self._before > 0.0)) | self._strongest(gradient, start)
+        pressure = self._before
+        for _ in range(rounds):
+            self._set(np.flatnonzero(work))
+            guess = (start | (pressure > 0.0))[self._work]
+            if not guess.any():
+                slope = gradient[self._work]
+                guess = slope < 0.5 * slope.min(initial=0.0)
+            linear = self._linear + prior.threshold[self._work]
+            x, count, converged = nonnegative_qp(DenseQuadratic(self._hessian), linear, guess)
+            pressure = self._everywhere(x)
+            pivots += count
+            gradient = self._gradient(pressure) + prior.threshold
+            pulled = (gradient < -_SLACK * np.abs(self._linear).max()) & ~work
+            if not (converged and pulled.any()):
+                break
+            work |= prior.around(pulled)
+        return Selection(pressure > 0.0, pivots, converged, not pulled.any())
 
     def refine(self, selection: Selection, touches: TouchRule) -> ContactPressure:
         """Solve on a support without the L1 term.
@@ -227,33 +254,13 @@ class ContactProblem:
             motion,
             pivots,
             selection.converged and solved,
+            selection.complete,
+            self._objective(pressure),
             self._kkt(pressure, support) if support.any() else 0.0,
             nodes,
             np.linalg.inv(self._hessian[np.ix_(where, where)]),
             gas_error,
         )
-
-    def _select(self, start: np.ndarray) -> tuple[np.ndarray, int, bool]:
-        prior, pivots = self._prior, 0
-        gradient = self._gradient(self._before) + prior.threshold
-        work = prior.around(start | (self._before > 0.0)) | self._strongest(gradient, start)
-        pressure = self._before
-        for _ in range(_ROUNDS):
-            self._set(np.flatnonzero(work))
-            guess = (start | (pressure > 0.0))[self._work]
-            if not guess.any():
-                slope = gradient[self._work]
-                guess = slope < 0.5 * slope.min(initial=0.0)
-            linear = self._linear + prior.threshold[self._work]
-            x, count, converged = nonnegative_qp(DenseQuadratic(self._hessian), linear, guess)
-            pressure = self._everywhere(x)
-            pivots += count
-            gradient = self._gradient(pressure) + prior.threshold
-            pulled = (gradient < -_SLACK * np.abs(self._linear).max()) & ~work
-            if not pulled.any():
-                return pressure, pivots, converged
-            work |= prior.around(pulled)
-        return pressure, pivots, False
 
     def _on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support alone."""
@@ -297,6 +304,10 @@ class ContactProblem:
         scale = float(np.abs(self._linear).max())
         share = pressure[support] / max(float(pressure.max()), 1e-300)
         return float(np.abs(np.minimum(share, gradient / scale)).max())
+
+    def _objective(self, pressure: np.ndarray) -> float:
+        values = pressure[self._work]
+        return float(self._linear @ values + 0.5 * values @ (self._hessian @ values))
 
     def _motion(self, pressure: np.ndarray) -> np.ndarray:
         """Motion to equilibrium under a pressure (n,), (n, 3)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -47,17 +47,18 @@ _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
 of a stream by less than the last; a tangent serves while the shape is nearer than the second to
 where it was taken, for what it misses the exact residual puts right."""
 _STEPS, _WHOLE_STEPS = 16, 8
-"""Gauss–Newton steps of a frame, and how many of them may be shorter than `_LONGEST`: by then the
-shape stands, or model and data contradict each other."""
-_SELECTIONS = 2
-"""Times that the support is looked for anew where the shape stands."""
+"""Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
+by then the shape stands, or model and data contradict each other."""
+_SELECTIONS, _ROUNDS = 2, 6
+"""Times that the support is looked for anew where the shape stands, and how often nodes that pull
+are added to it each time."""
 _LONGEST = 1.0
 """Longest step in mesh edges."""
 _BALANCED = 1e-3
 """Force left at a node over the gas load on one of mean area."""
-_NEWTON, _FRESH, _HALVINGS = 10, 2, 3
-"""Newton steps to equilibrium under a contact pressure, how many of them may factorise a new
-tangent, and how often the change of pressure is halved where they do not converge."""
+_NEWTON, _FRESH = 10, 2
+"""Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
+tangent."""
 
 
 @dataclass(frozen=True)
@@ -252,11 +253,12 @@ class RubberEstimator:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
+        While the shape is far from the image only those nodes are looked at that pull most.
         """
         measured = self.observer.measure(depth_m)
         state, warm = start.state or self._rest, start.state is not None
         rubber, solve_ms = start.rubber, 0.0
-        selecting, chosen = True, 0
+        selecting, standing, chosen = True, warm, 0
         whole = 0
         for _ in range(_STEPS):
             view = self.observer.around(state.x)
@@ -271,26 +273,26 @@ class RubberEstimator:
             rubber = self._rubber_at(state, measured_gas, rubber)
             ranges = Ranges(view.jacobian, error, weight)
             began = time.perf_counter()
-            contact = self._contact(rubber, ranges, state, measured_gas, selecting)
+            rounds = (_ROUNDS if standing else 1) if selecting else 0
+            contact = self._contact(rubber, ranges, state, measured_gas, rounds)
             solve_ms += 1e3 * (time.perf_counter() - began)
             if not contact.converged:
                 return "not_converged"
             before = state
             state, balanced = self._step(rubber, state, contact, measured_gas)
-            if not balanced:
-                return "not_converged"
             moved = float(np.abs(state.x - before.x).max())
-            whole += moved < 0.9 * self._longest_m
+            far = moved > self._far_m
+            whole += selecting and far and moved < 0.9 * self._longest_m
             lasting = warm and contact.pressure.any()
-            if moved <= (self._far_m if lasting else self._near_m):
-                if selecting or chosen > _SELECTIONS:
+            if balanced and moved <= (self._far_m if lasting else self._near_m):
+                if (selecting and contact.complete) or chosen > _SELECTIONS:
                     break
-                selecting = True
+                selecting = standing = True
                 chosen += 1
             elif whole == _WHOLE_STEPS:
                 return "not_converged"
             else:
-                selecting = moved > self._far_m
+                selecting, standing = far, False
         else:
             return "not_converged"
         left = error - view.jacobian @ (state.x - before.x).ravel()
@@ -308,7 +310,7 @@ class RubberEstimator:
         ranges: Ranges,
         state: State,
         gas: float | None,
-        selecting: bool,
+        rounds: int,
     ) -> ContactPressure:
         tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
         prior = Prior(self._smoothness, tau, self._neighbours)
@@ -319,14 +321,22 @@ class RubberEstimator:
             error = GasError(bulge, ranges.jacobian @ bulge.ravel(), self._gas_sigma(gas))
         problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing, error)
         selection = Selection(state.support)
-        if selecting and (state.pressure.any() or not problem.nothing_pulls()):
-            selection = problem.select(state.support)
+        if rounds and (state.pressure.any() or not problem.nothing_pulls()):
+            selection = problem.select(state.support, rounds)
         least = self.held_pressure_pa + (self._gas_at(state.x)[0] if gas is None else gas)
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return self._reaching(support, pressure, least)
 
-        return problem.refine(selection, touches)
+        contact = problem.refine(selection, touches)
+        if not (rounds and np.any(state.support & ~selection.support)):
+            return contact
+        # The L1 term counts force, not area: it likes few nodes under high pressure. They have to
+        # explain the image as well as those of before do: Akaike's (1974) criterion.
+        both = replace(selection, support=selection.support | state.support)
+        wider = problem.refine(both, touches)
+        fewer = contact.objective + len(contact.nodes) <= wider.objective + len(wider.nodes)
+        return contact if fewer else wider
 
     def _reaching(self, support: np.ndarray, pressure: np.ndarray, least: float) -> np.ndarray:
         """Connected parts of a support whose pressure somewhere reaches `least`."""
@@ -347,17 +357,22 @@ class RubberEstimator:
         contact: ContactPressure,
         gas: float | None,
     ) -> tuple[State, bool]:
-        """Towards a contact pressure, and to equilibrium under it."""
+        """Towards a contact pressure, and to equilibrium under it where that is close.
+
+        Part of a pressure need not have an equilibrium nearby: a dent is held by the object's
+        place. Then the shape goes where the data pull it, and the next step balances it.
+        """
         share = min(1.0, self._longest_m / max(float(np.abs(contact.motion).max()), 1e-300))
-        for _ in range(_HALVINGS):
-            pressure = state.pressure + share * (contact.pressure - state.pressure)
-            inside = gas
-            if gas is not None:
-                inside = state.gas + share * (gas + contact.gas_error_pa - state.gas)
-            x, balanced = self._settled(rubber, state.x + share * contact.motion, pressure, inside)
-            if balanced:
-                break
-            share *= 0.5
+        pressure = state.pressure + share * (contact.pressure - state.pressure)
+        ahead, inside = state.x + share * contact.motion, gas
+        if gas is not None:
+            inside = state.gas + share * (gas + contact.gas_error_pa - state.gas)
+        x, balanced = ahead, False
+        if share == 1.0:
+            x, balanced = self._settled(rubber, ahead, pressure, inside)
+            balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
+        if not balanced:
+            x = ahead
         if inside is None:
             inside = self._gas_at(x)[0]
         return State(x, pressure, contact.support, inside), balanced

@@ -154,6 +154,18 @@ def test_what_should_not_matter(change):
     assert error(other, usual.force_n) < 0.03
 
 
+@pytest.mark.parametrize("depth", [0.008, 0.011])
+def test_far_stretched_rubber_is_reached_from_rest(depth):
+    """Close to constant tension it bends to single nodes, which once took all of the pressure."""
+    mesh, contact = pressed("sphere", depth, prestretch=1.5)
+    solver = estimator(prestretch=1.5)
+    estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    true = contact.nodal_force_n.sum(axis=0)
+    assert estimate.status == "ok"
+    assert error(estimate, true) < 0.03
+    assert estimate.contact_pressure_pa.max() < 2.0 * contact.contact_pressure_pa.max()
+
+
 def test_warm_frames_end_where_cold_ones_do():
     solver, start = estimator(), None
     for depth in (0.003, 0.005, 0.007):
@@ -161,7 +173,9 @@ def test_warm_frames_end_where_cold_ones_do():
         image = seen(mesh, contact.displacement_3d_m, NOISE_M)
         warm, start = solver.estimate(image, start=start)
     cold, _ = solver.estimate(image)
-    assert error(warm, cold.force_n) < 0.01
+    assert error(warm, cold.force_n) < 0.015  # a warm frame takes one step, from 2 mm away
+    settled, _ = solver.estimate(image, start=start)
+    assert error(settled, cold.force_n) < 0.01
     again, _ = solver.estimate(image)
     np.testing.assert_array_equal(again.force_n, cold.force_n)
 

@@ -63,7 +63,8 @@ class Prestress:
         Raises
         ------
         InputError
-            The surface is flat or hollow, so that no tension holds a pressure.
+            The surface is flat or hollow, so that no tension holds a pressure, or the mesh has
+            fewer nodes than the field has unknowns.
         """
         curvature = mean_curvature(mesh)
         if not curvature > 0.0:
@@ -183,6 +184,11 @@ def _virtual_displacements(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
     at = disc[mesh.free]
     weight = np.sqrt(mesh.areas[mesh.free] / mesh.areas.sum())[:, None]
     ways = zernike(at, _DEGREE) * (1.0 - np.einsum("ij,ij->i", at, at))[:, None]
+    if len(ways) < ways.shape[1]:
+        raise InputError(
+            f"mesh: {len(ways)} nodes inside the rim do not determine the stress of rubber; use a"
+            " mesh of 100 nodes or more"
+        )
     out = np.zeros((len(mesh.nodes), ways.shape[1]))
     out[mesh.free] = np.linalg.qr(weight * ways)[0] / weight
     return out
