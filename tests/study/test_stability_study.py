@@ -28,7 +28,9 @@ def test_there_are_enough_cases_of_every_kind():
         "plate over everything", "wholly inside", "grazing", "90 % of the height", "two far",
         "gas pressure measured, nan", "noise 0 mm", "noise 10 mm", "0 valid", "1 valid", "2 valid",
         "30 % outliers", "saturated", "constant", "millimetres for metres", "frozen", "float32",
-        "big-endian", "NaN in the sensor pose",
+        "big-endian", "NaN in the sensor pose", "rubber, λ 1.0001", "rubber, dome 2 %",
+        "over-inflated", "rubber, 30 nodes", "rubber, 5000 nodes", "rubber, press of 45 mm",
+        "rubber, half unseen",
     ):  # fmt: skip
         assert any(word in name for name in names), word
     assert 10 <= len(quick_cases()) < len(names) / 2
@@ -111,12 +113,52 @@ MUTANTS = {
 }
 
 
+SMALL_RUBBER = replace(
+    SMALL, sensor={"membrane": {"nodes": 300, "prestretch": 1.2}}, object_name="sphere"
+)
+
+
+def another_force(pipeline, estimate):
+    return replace(estimate, force_n=1.1 * estimate.force_n)
+
+
+def half_the_way(pipeline, estimate):
+    return replace(estimate, displacement_3d_m=0.5 * estimate.displacement_3d_m)
+
+
+def weak(pipeline, estimate):
+    return replace(estimate, status="no_contact")
+
+
+RUBBER_MUTANTS = {
+    twice_the_pressure: "balance",
+    half_the_way: "balance",
+    other_gas: "balance|gas law",
+    another_force: "not that of the pressure",
+    weak: "with contact pressure",
+}
+
+
+def spoilt(spoil):
+    kind = type("Spoilt", (Broken,), {"spoil": staticmethod(spoil)})
+    return lambda sensor, options: kind.of(sensor, options=options)
+
+
+@pytest.mark.parametrize("spoil", RUBBER_MUTANTS)
+def test_a_broken_estimator_of_the_exact_membrane_fails(spoil):
+    with pytest.raises(FailedError, match=RUBBER_MUTANTS[spoil]):
+        replace(SMALL_RUBBER, make=spoilt(spoil))()
+
+
+def test_the_same_rubber_passes_unbroken():
+    verdict, detail = attempt(Case("whole", SMALL_RUBBER, "solve"))
+    assert verdict == "passed", detail
+
+
 @pytest.mark.parametrize("spoil", MUTANTS)
 def test_a_broken_estimator_fails(spoil):
-    kind = type("Spoilt", (Broken,), {"spoil": staticmethod(spoil)})
-    trial = replace(SMALL, make=lambda sensor, options: kind.of(sensor, options=options))
     with pytest.raises(FailedError, match=MUTANTS[spoil]):
-        trial()
+        replace(SMALL, make=spoilt(spoil))()
 
 
 def test_the_same_trial_passes_unbroken():

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.membrane.forward_model import Contact
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.result import Result
+from bubbleviz.result import Estimate, Result
 from bubbleviz.simulation.synthetic_source import Truth
 
 BALANCE = 1e-3
@@ -20,6 +22,13 @@ KKT = {"osqp": 5e-2, "osqp-cold": 5e-2}
 FORCE_RELATIVE = 0.2  # of the true force; chosen as a gross error
 FORCE_PER_EDGE = 20.0  # relative error per m of mesh edge: coarse meshes are worse
 FORCE_PER_NOISE = 2.5  # of γ0 × noise: the force that noise alone makes
+RUBBER_BALANCE = 1e-2
+"""Largest force that the exact membrane's equilibrium misses along a random motion, relative to
+that of the gas: ten times what a node may be off by."""
+RUBBER_RELATIVE, RUBBER_PER_EDGE = 0.05, 10.0
+"""Force error of the exact membrane that its sigma does not know of: that of its mesh, relative,
+and per m of mesh edge where that is more."""
+SIGMAS = 4.0  # seldom exceeded by chance in some dozens of cases
 MISFIT = 3.0
 """Largest misfit of a called-ok frame, in units of the noise."""
 
@@ -28,9 +37,9 @@ MISFIT = 3.0
 class Band:
     """How far the force may be off.
 
-    A fifth of it, or 2 % for every millimetre of mesh edge where that is more, plus γ0 times
-    2.5 σ of the range: a membrane that moves by σ changes its force by about γ0 σ, whatever its
-    size.
+    Where the estimate gives a sigma: four of it, and what the mesh makes wrong. Elsewhere a fifth
+    of the force, or 2 % for every millimetre of mesh edge where that is more, plus γ0 times 2.5 σ
+    of the range: a membrane that moves by σ changes its force by about γ0 σ, whatever its size.
 
     Attributes
     ----------
@@ -40,12 +49,16 @@ class Band:
 
     noise_m: float
 
-    def width_n(self, truth: Truth, pipeline: Pipeline) -> float:
+    def width_n(self, truth: Truth, pipeline: Pipeline, estimate: Estimate) -> float:
         """Width of the band on either side of the true force, N."""
-        floor = FORCE_PER_NOISE * pipeline.model.tension_n_per_m * max(self.noise_m, 3e-4)
+        true = float(np.linalg.norm(truth.force_n))
         edge = 1.5 * np.sqrt(np.median(pipeline.mesh.facet_areas))
+        if estimate.status == "ok" and estimate.force_sigma_n is not None:
+            sigma = float(np.linalg.norm(estimate.force_sigma_n))
+            return SIGMAS * sigma + max(RUBBER_RELATIVE, RUBBER_PER_EDGE * edge) * true
+        floor = FORCE_PER_NOISE * pipeline.model.tension_n_per_m * max(self.noise_m, 3e-4)
         relative = max(FORCE_RELATIVE, FORCE_PER_EDGE * edge)
-        return float(relative * np.linalg.norm(truth.force_n) + floor)
+        return float(relative * true + floor)
 
 
 def forward_faults(contact: Contact, gauge_pressure_pa: float) -> list[str]:
@@ -67,15 +80,17 @@ def inverse_faults(
     pipeline: Pipeline, result: Result, truth: Truth | None, band: Band, measured_gas: bool = False
 ) -> list[str]:
     """Faults of a result whose status is `ok` or `no_contact`."""
-    faults = [*_fields(pipeline, result), *_status(pipeline, result, band)]
-    if not faults:
-        faults = _equations(pipeline, result, measured_gas)
+    faults = [*_fields(result), *_status(pipeline, result, band)]
+    if not faults and isinstance(pipeline.estimator, RubberEstimator):
+        faults = _rubber_equations(pipeline, pipeline.estimator, result, measured_gas)
+    elif not faults:
+        faults = [*_linear_fields(pipeline, result), *_equations(pipeline, result, measured_gas)]
     if truth is not None and not faults:
         faults = _against(pipeline, result, truth, band)
     return faults
 
 
-def _fields(pipeline: Pipeline, result: Result) -> list[str]:
+def _fields(result: Result) -> list[str]:
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return ["no estimate or no patch"]
@@ -88,11 +103,17 @@ def _fields(pipeline: Pipeline, result: Result) -> list[str]:
         patch.force_n,
         patch.area_m2,
     ]
-    faults = []
     if not all(np.isfinite(x).all() for x in numbers):
         return ["not finite"]
     if estimate.contact_pressure_pa.min() < 0.0:
-        faults.append(f"negative pressure {estimate.contact_pressure_pa.min():.3g} Pa")
+        return [f"negative pressure {estimate.contact_pressure_pa.min():.3g} Pa"]
+    return []
+
+
+def _linear_fields(pipeline: Pipeline, result: Result) -> list[str]:
+    estimate, patch, faults = result.estimate, result.patch, []
+    if estimate is None or patch is None:
+        return []
     if np.any(estimate.displacement_m[pipeline.mesh.rim] != 0.0):
         faults.append("the rim moves")
     force = -(pipeline.mesh.areas * estimate.contact_pressure_pa) @ pipeline.mesh.normals
@@ -140,14 +161,52 @@ def _equations(pipeline: Pipeline, result: Result, measured_gas: bool) -> list[s
     return faults
 
 
+def _rubber_equations(
+    pipeline: Pipeline, estimator: RubberEstimator, result: Result, measured_gas: bool
+) -> list[str]:
+    """Equilibrium, gas law and force, by differences of the membrane's energy and volume alone."""
+    estimate, patch, membrane = result.estimate, result.patch, estimator.membrane
+    if estimate is None or patch is None or estimate.displacement_3d_m is None:
+        return []
+    rest, gas, gauge = pipeline.mesh.nodes, pipeline.model.gas, membrane.gauge_pressure_pa
+    x, p_v = rest + estimate.displacement_3d_m, estimate.gas_pressure_change_pa
+    contact = estimate.contact_pressure_pa / gauge
+    inside = 1.0 + p_v / gauge - contact
+    moving = np.isin(np.arange(len(rest)), membrane.moving)[:, None]
+    rng, missed, loads, h = np.random.default_rng(0), [], [], 1e-7
+
+    def slope(function: Callable[[np.ndarray], float], at: np.ndarray, way: np.ndarray) -> float:
+        return (function(at + h * way) - function(at - h * way)) / (2.0 * h)
+
+    for _ in range(8):
+        way = moving * rng.standard_normal(rest.shape)
+        loads.append(gauge * slope(membrane.volume, rest, way))
+        held = slope(membrane.energy, rest, way) - loads[-1]
+        pushed = gauge * slope(membrane.volume, x, inside[:, None] * way)
+        missed.append(slope(membrane.energy, x, way) - pushed - held)
+    faults = []
+    off, load = np.linalg.norm(missed), np.linalg.norm(loads)
+    if off > RUBBER_BALANCE * load:
+        faults.append(f"balance off by {off / load:.2g} of the gas load")
+    force = [-gauge * slope(membrane.volume, x, contact[:, None] * axis) for axis in np.eye(3)]
+    if not np.allclose(force, patch.force_n, rtol=1e-4, atol=1e-5):
+        faults.append("the force is not that of the pressure")
+    if not measured_gas:
+        grown = membrane.volume(x) - membrane.volume(rest)
+        law = -gas.P0 * grown / (gas.V0 + grown)
+        if abs(law - p_v) > BALANCE * max(abs(law), 1.0):
+            faults.append(f"gas law: p_v {p_v:.4g} Pa instead of {law:.4g} Pa")
+    return faults
+
+
 def _against(pipeline: Pipeline, result: Result, truth: Truth, band: Band) -> list[str]:
-    patch = result.patch
-    if patch is None:
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
         return []
     off = float(np.linalg.norm(patch.force_n - truth.force_n))
-    width = band.width_n(truth, pipeline)
+    width = band.width_n(truth, pipeline, estimate)
     if off <= width:
         return []
-    status = result.estimate.status if result.estimate else ""
+    status = estimate.status
     true, got = np.linalg.norm(truth.force_n), np.linalg.norm(patch.force_n)
     return [f"called {status} with {got:.4g} N instead of {true:.4g} N (band {width:.3g} N)"]

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
@@ -27,7 +28,7 @@ def all_cases() -> list[Case]:
     """Every case, in the order in which the study runs them."""
     groups = (
         _tension, _gauge, _dome, _chamber, _meshes, _slivers, _contacts, _gas, _noise, _pixels,
-        _nonsense, _streams, _formats, _bad_input, _solvers,
+        _nonsense, _streams, _formats, _bad_input, _solvers, _rubber, _rubber_views,
     )  # fmt: skip
     return [case for group in groups for case in group()]
 
@@ -262,3 +263,69 @@ def _solvers() -> Iterator[Case]:
         for name, values in extremes.items():
             must: Must = "either" if values else "solve"
             yield Case(f"{solver}, {name}", Trial({"pneumatics": values}, options=options), must)
+
+
+def _rubber_trial(
+    prestretch: float | None = 1.2,
+    membrane: dict[str, Any] | None = None,
+    pneumatics: dict[str, Any] | None = None,
+    **changes: Any,
+) -> Trial:
+    """A ball pressed into the exact membrane."""
+    sensor = {
+        "membrane": {"nodes": 800, "prestretch": prestretch, **(membrane or {})},
+        "pneumatics": pneumatics or {},
+    }
+    usual: dict[str, Any] = {"object_name": "sphere", "repeats": 2, "truth_nodes": 2_000}
+    return Trial(sensor, options=EstimatorOptions(solver=RUBBER), **{**usual, **changes})
+
+
+def _rubber() -> Iterator[Case]:
+    yield Case("rubber, λ 1", _rubber_trial(1.0), "refuse")
+    for stretch in (1.0001, 1.001, 1.01, 1.05, 1.2, 1.5, 3.0):
+        must: Must = "solve" if 1.05 <= stretch <= 1.5 else "either"
+        trial = _rubber_trial(stretch)
+        yield Case(f"rubber, λ {stretch:g}", trial, must, quick=stretch in (1.0001, 1.5))
+    yield Case("rubber, constant tension", _rubber_trial(None))
+    for share in (0.02, 0.05, 0.2, 1.2, 1.5):
+        height = share * 0.075
+        trial = _rubber_trial(membrane={"height_m": height}, depth_m=min(0.012, 0.5 * height))
+        yield Case(f"rubber, dome {100 * share:g} % of the rim radius", trial)
+    # Tall, far-stretched domes are past the limit pressure: the gas behind them alone holds them.
+    for volume in (5e-4, 2.2e-3, 1.0):
+        tall = _rubber_trial(1.6, {"height_m": 0.09}, {"chamber_volume_m3": volume})
+        yield Case(f"rubber, over-inflated, chamber {volume:g} m³", tall)
+        measured = replace(tall, gas_pressure_pa="true")
+        yield Case(f"rubber, over-inflated, chamber {volume:g} m³, gas measured", measured)
+    for nodes in (30, 100, 5_000):
+        trial = _rubber_trial(membrane={"nodes": nodes})
+        yield Case(f"rubber, {nodes} nodes", trial, limit_s=300.0, quick=nodes == 30)
+    for depth in (1e-4, 0.020, 0.030, 0.045):
+        yield Case(f"rubber, press of {1e3 * depth:g} mm", _rubber_trial(depth_m=depth))
+    yield Case("rubber, two far contacts", _rubber_trial(object_name=shapes.two_far_balls), "solve")
+    yield Case("rubber, plate", _rubber_trial(object_name=shapes.plate, depth_m=0.015))
+    by_turns = Streak((0.012, -0.01) * 3, trial=_rubber_trial())
+    yield Case("rubber, contact and none by turns", by_turns, "solve")
+    sudden = Streak((-0.01, 0.020, 0.002, 0.020), trial=_rubber_trial())
+    yield Case("rubber, sudden deep press", sudden)
+
+
+def _rubber_views() -> Iterator[Case]:
+    for side, x in (("seen", -0.03), ("unseen", 0.03), ("both", 0.0)):
+        trial = _rubber_trial(alter=shapes.left_half, offset_m=(x, 0.0))
+        yield Case(f"rubber, half unseen, press on {side}", trial, quick=side == "both")
+    for mm in (0.0, 0.1, 3.0, 10.0):
+        trial = _rubber_trial(noise=DepthNoise(absolute_m=1e-3 * mm))
+        yield Case(f"rubber, noise {mm:g} mm", trial)
+    yield Case("rubber, gas measured", _rubber_trial(gas_pressure_pa="true"), "solve")
+    P0 = 101_325.0 + 2_585.5
+    for off in (-250.0, 250.0):
+        wrong = _rubber_trial(gas_pressure_pa=P0 + off)
+        yield Case(f"rubber, gas measured {off:g} Pa over rest", wrong)
+    nonsense = _rubber_trial(alter=lambda d: 1e3 * d, known=False)
+    yield Case("rubber, depth millimetres for metres", nonsense, "refuse")
+    turned = _rubber_trial(alter=lambda d: np.roll(d[::-1], 60, axis=1), known=False)
+    yield Case("rubber, depth upside down, off the axis", turned, "refuse")
+    yield Case("rubber, 2 valid pixels", _rubber_trial(alter=shapes.only_pixels(2)))
+    outliers = DepthNoise(relative=0.01, outliers=0.3)
+    yield Case("rubber, 30 % outliers of 20 mm", _rubber_trial(noise=outliers))

@@ -14,12 +14,13 @@ import tomli_w
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
+from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
 from bubbleviz.study.presses import made, touching_height
 from bubbleviz.study.stability.case import FailedError, RefusedError
 from bubbleviz.study.stability.certificates import Band, forward_faults, inverse_faults
@@ -62,6 +63,7 @@ class Trial:
     repeats : int
         Frames of the press; the first is cold.
     options : EstimatorOptions
+        With the solver `rubber` the truth is the exact membrane's even without a pre-stretch.
     gas_pressure_pa : float or "true" or None
         Measured gas pressure that comes with the frames.
     known : bool
@@ -112,8 +114,10 @@ class Trial:
         obj = made(make) if isinstance(make, str) else make()
         pose = np.eye(4)
         pose[:2, 3], pose[2, 3] = self.offset_m, 1.0
+        poses = np.repeat(pose[None], self.repeats, 0)
+        model: Model | None = "rubber" if self.options.solver == RUBBER else None
         source = SyntheticSource(
-            sensor, obj, np.repeat(pose[None], self.repeats, 0), self.noise, nodes=self.truth_nodes
+            sensor, obj, poses, self.noise, nodes=self.truth_nodes, model=model
         )
         pose[2, 3] = touching_height(obj, pose, source.mesh) - self.depth_m
         source.poses = np.repeat(pose[None], self.repeats, 0)
@@ -140,16 +144,19 @@ class Streak:
         Press depth of every frame; negative hovers.
     frozen : bool
         The camera repeats its first image for ever, noise and all.
+    trial : Trial
+        What is pressed into which sensor.
     """
 
     depths_m: tuple[float, ...]
     frozen: bool = False
+    trial: Trial = field(default_factory=Trial)
     make: MakePipeline = shipped_pipeline
 
     def __call__(self) -> str:
         """Run; what was found in words, or an error (see `Case`)."""
-        base = Trial()
-        sensor = varied_sensor({})
+        base = self.trial
+        sensor = varied_sensor(base.sensor)
         source = base._source(sensor)
         touch = source.poses[0, 2, 3] + base.depth_m
         source.poses = np.tile(np.eye(4), (len(self.depths_m), 1, 1))
