@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def study() -> None:
-    """Measure error against run time, speed, stability and pose."""
+    """Measure error against run time, speed, stability, identification and pose."""
 
 
 _sensor = click.option(
@@ -88,6 +88,21 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
     from bubbleviz.commands.study import study_stability
 
     _print(study_stability(pattern, out, quick=quick), as_json)
+
+
+@study.command()
+@_common
+@click.option(
+    "--seeds", type=click.IntRange(1), help="Identifications of every rubber; 50 by default."
+)
+def identification(out: Path | None, as_json: bool, quick: bool, seeds: int | None) -> None:
+    """Coverage of the truth by the intervals of rubber identified from inflation levels.
+
+    With --out a stopped study goes on where it was.
+    """
+    from bubbleviz.commands.study import study_identification
+
+    _print(study_identification(out, quick=quick, seeds=seeds), as_json)
 
 
 @study.command()

@@ -26,6 +26,12 @@ from bubbleviz.study.accuracy.invariance import (
     quick_invariance_grid,
     run_invariance,
 )
+from bubbleviz.study.identification import coverage_report
+from bubbleviz.study.identification.coverage_study import (
+    CoverageGrid,
+    quick_coverage,
+    run_coverage,
+)
 from bubbleviz.study.pose import pose_report
 from bubbleviz.study.pose.pose_study import PoseGrid, quick_pose_grid, run_pose_study
 from bubbleviz.study.pose.rubber_poses import RubberGrid, quick_rubber_grid, run_rubber_study
@@ -191,6 +197,29 @@ def study_pose(sensor_name: str, out: Path | None, *, quick: bool, seed: int) ->
     found = pose_report.PoseReport(trials, rubber, screws)
     written = pose_report.write(found, out) if out is not None else []
     return Findings(pose_report.as_dict(found), pose_report.to_text(found), written)
+
+
+def study_identification(out: Path | None, *, quick: bool, seeds: int | None) -> Findings:
+    """Whether the intervals of identified rubber hold the truth; as `study_accuracy`.
+
+    Parameters
+    ----------
+    out, quick
+        As of `study_accuracy`.
+    seeds : int or None
+        Identifications of every rubber; None for the usual number.
+    """
+    grid = quick_coverage() if quick else CoverageGrid()
+    if seeds is not None:
+        grid = replace(grid, seeds=seeds)
+    parts = None
+    if out is not None:
+        check_free(out_folder(out), coverage_report.FILES)
+        parts = out_folder(out / "coverage_parts")
+    with _progress(grid.seeds * len(grid.rubbers), "identification") as bar:
+        rows = run_coverage(grid, parts, lambda _: bar.update())
+    written = coverage_report.write(rows, out) if out is not None else []
+    return Findings(coverage_report.as_dict(rows), coverage_report.to_text(rows), written)
 
 
 def _progress(total: int, unit: str) -> AbstractContextManager[Any]:
