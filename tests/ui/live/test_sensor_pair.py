@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+from fakes import DentSource
 from live_bench import IMAGE, Bench, contents, robot_sensor, two
 from PySide6.QtCore import Qt
 from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import props
+
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz_ui.shell import theme
 
 Open = Callable[[], Bench]
 
@@ -148,3 +153,27 @@ def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: O
     bench.window.scene.reset_view()  # with nothing beside it in view
     middle = [0.0, 0.0, 0.5 * robot_sensor().membrane.height_m]
     np.testing.assert_allclose(bench.window.view.camera.focal_point, middle, atol=1e-3)
+
+
+def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench: Open) -> None:
+    """Its membrane has the colour of that, and its button the word and the reason."""
+    bench = open_bench()
+    preset, source = two(bench.folder), DentSource(robot_sensor())
+    with RecordingWriter(bench.folder / "far.mcap") as writer:
+        for k in range(len(source)):  # no membrane of this sensor is half as far again
+            frame = source[k]
+            writer.write(replace(frame, depth_m=np.float32(1.5) * frame.depth_m))
+    replay = f"replay:{bench.folder / 'far.mcap'}?loop=true"
+    far = preset.sensors[1].model_copy(update={"source": replay})
+    bench.state.choose(layers=frozenset({"membrane"}))
+    bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], far)}))
+    buttons = lambda: [button.text() for button in bench.window.live.sensors]  # noqa: E731
+    bench.wait(lambda: buttons() == ["● left", "● right: implausible"])
+    assert "not near this membrane" in bench.window.live.sensors[1].toolTip() or (
+        "off any shape" in bench.window.live.sensors[1].toolTip()
+    )
+    bench.settle_picture()
+    own = [int(theme.UNTRUSTED[k : k + 2], 16) for k in (1, 3, 5)]
+    hue = bench.window.view.pixels().astype(float)
+    like = hue @ own / (np.linalg.norm(hue, axis=2) * np.linalg.norm(own) + 1e-9)
+    assert np.count_nonzero(like > 0.99) > 200  # shaded, so by its hue

@@ -27,6 +27,7 @@ DOTS: dict[State, str] = {
 }
 """Colour of the dot for each state of a source."""
 
+SENSOR_TIP = "The panels show this sensor (B: the other)"
 RATE_LOOKS = 11
 RATE_FROM_S = 0.5
 """The rate is counted over the last looks, once they span this."""
@@ -90,6 +91,7 @@ class LiveBar(QFrame):
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters()
         self._say_state(status.state, self._with_rate(status, counters.frames))
         self.publish.setChecked(live.publishing.on)
+        self._say_doubts()
         self._counts = "  ·  ".join([*counted(counters), self._zero_text(), *_problem(counters)])
         self.counts.setToolTip(self._counts)
         self._fit_counts()
@@ -129,7 +131,7 @@ class LiveBar(QFrame):
             self._row.removeWidget(button)
             button.deleteLater()
         for number, place in enumerate(places):
-            button = self._button(f"● {place.name}", "The panels show this sensor (B: the other)")
+            button = self._button(f"● {place.name}", SENSOR_TIP)
             button.setStyleSheet(
                 f"QToolButton {{ color: {place.colour}; }}"
                 f"QToolButton:checked {{ background: {place.colour}; color: black; }}"
@@ -140,6 +142,14 @@ class LiveBar(QFrame):
             button.clicked.connect(lambda _=False, number=number: self._live.choose(number))
             self._row.insertWidget(1 + number, button)
             self.sensors.append(button)
+
+    def _say_doubts(self) -> None:
+        """Which of two sensors is not to be trusted: the readout is of the chosen one alone."""
+        run = self._live.run
+        for number, button in enumerate(self.sensors if run is not None else ()):
+            name, doubt = run.preset.sensors[number].name, self._live.doubt_about(number)
+            button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
+            button.setToolTip(doubt or SENSOR_TIP)
 
     def _say_state(self, state: State, text: str) -> None:
         self.state.setText(f'<span style="color:{DOTS[state]}">●</span> {text}')

@@ -18,6 +18,7 @@ from bubbleviz_ui.live.recording_control import Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
+from bubbleviz_ui.model.result_text import doubt_text
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""
@@ -76,6 +77,11 @@ class LiveController(QObject):
     def sensor(self) -> LiveSensor | None:
         """The sensor that the panels show."""
         return None if self.run is None else self.run.session.sensors[self.chosen]
+
+    def doubt_about(self, number: int) -> str:
+        """Why what is shown of a sensor is not to be trusted; empty where it is."""
+        result = self._pair.result_of(number)
+        return "" if result is None else doubt_text(result)
 
     def choose_folder(self, folder: str | Path) -> None:
         """Put the next recordings there."""

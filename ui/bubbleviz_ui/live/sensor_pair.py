@@ -9,6 +9,7 @@ import numpy as np
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.pipeline import Product
+from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Answer, Failed, Opened, OpenRequest, Solved, Waited
 from bubbleviz_ui.engine.sensor_client import SensorClient
@@ -87,6 +88,11 @@ class SensorPair(QObject):
                 live=True,
             )
         )
+
+    def result_of(self, number: int) -> Result | None:
+        """What the view shows of a sensor; None before its first frame."""
+        client = self._controller.client if number == self.chosen else self.second
+        return None if client is None else client.result
 
     def choose(self, number: int) -> bool:
         """Have the panels show the other sensor; whether they do."""
