@@ -85,7 +85,7 @@ class Probe:
         return self._probed((row, column) if inside else None, result, nodes, node)
 
     def _probed(self, pixel: Pixel | None, result: Result, nodes: np.ndarray, node: int) -> Probed:
-        estimate = result.estimate
+        estimate = result.trusted_estimate
         return Probed(
             pixel=pixel,
             point_m=self._point(pixel, result) if pixel else np.full(3, np.nan),

@@ -146,7 +146,9 @@ class LiveBar(QFrame):
     def _say_doubts(self) -> None:
         """Which of two sensors is not to be trusted: the readout is of the chosen one alone."""
         run = self._live.run
-        for number, button in enumerate(self.sensors if run is not None else ()):
+        if run is None:
+            return
+        for number, button in enumerate(self.sensors):
             name, doubt = run.preset.sensors[number].name, self._live.doubt_about(number)
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
