@@ -107,15 +107,12 @@ class Sighting:
     truth : Truth
     range_m : (H, W) array
         Range along each ray, NaN where it misses the membrane.
-    gas_pressure_pa : float
-        Absolute.
     """
 
     press: Press
     mesh: MembraneMesh
     truth: Truth
     range_m: np.ndarray
-    gas_pressure_pa: float
 
 
 class TruthBank:
@@ -158,18 +155,9 @@ class TruthBank:
             self._sightings[press] = self._kept(press)
         return self._sightings[press]
 
-    def frame(
-        self,
-        sighting: Sighting,
-        noise: DepthNoise,
-        index: int,
-        stride: int = 1,
-        *,
-        with_gas: bool = False,
-    ) -> Frame:
+    def frame(self, sighting: Sighting, noise: DepthNoise, index: int, stride: int = 1) -> Frame:
         """Frame number `index` of a press: new noise for every number; every stride-th pixel."""
-        gas = sighting.gas_pressure_pa if with_gas else None
-        return self.seen(sighting.range_m, noise, index, stride, gas)
+        return self.seen(sighting.range_m, noise, index, stride)
 
     def seen(
         self,
@@ -179,7 +167,7 @@ class TruthBank:
         stride: int = 1,
         gas_pressure_pa: float | None = None,
     ) -> Frame:
-        """Frame of ranges (H, W)."""
+        """Frame of ranges (H, W), m, with the gas pressure where it is measured."""
         noisy = noise.apply(range_m, self.seed, index)
         depth = np.ascontiguousarray(self.camera.depth_image(noisy)[::stride, ::stride], np.float32)
         return Frame(index, index / 30.0, depth, gas_pressure_pa=gas_pressure_pa)
@@ -205,8 +193,7 @@ class TruthBank:
 
     def _sighting(self, press: Press, made: RubberTruth) -> Sighting:
         view = MembraneView(self.camera, made.mesh)
-        gas = self.rest_pressure_pa + made.contact.gas_pressure_change_pa
-        return Sighting(press, made.mesh, Truth.of(made.contact, view), made.range_m, gas)
+        return Sighting(press, made.mesh, Truth.of(made.contact, view), made.range_m)
 
 
 def _pressed(presses: Presses, press: Press, T_B_O: np.ndarray) -> RubberTruth:
@@ -217,7 +204,7 @@ def _save(sighting: Sighting, path: Path) -> None:
     mesh, truth = vars(sighting.mesh), asdict(sighting.truth)
     arrays = {f"mesh_{name}": mesh[name] for name in ("nodes", "triangles", "rim")}
     arrays |= {f"truth_{name}": value for name, value in truth.items()}
-    arrays |= {"range_m": sighting.range_m, "gas_pressure_pa": sighting.gas_pressure_pa}
+    arrays["range_m"] = sighting.range_m
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, **arrays)
 
@@ -231,7 +218,7 @@ def _load(press: Press, path: Path) -> Sighting:
         return {k: v if v.ndim else float(v) for k, v in named.items()}
 
     mesh, truth = MembraneMesh(**part("mesh_")), Truth(**part("truth_"))
-    return Sighting(press, mesh, truth, arrays["range_m"], float(arrays["gas_pressure_pa"]))
+    return Sighting(press, mesh, truth, arrays["range_m"])
 
 
 def noise_name(noise: DepthNoise) -> str:

@@ -1,1 +1,1 @@
-"""Accuracy: error against run time, regularisation, the linear model against exact bubbles."""
+"""Accuracy: errors over depth, run time and membranes, the detection limit, regularisation."""
