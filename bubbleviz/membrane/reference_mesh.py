@@ -27,16 +27,31 @@ def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
         The surface cannot be built; names the file and the place.
     """
     membrane = sensor.membrane
-    count = membrane.nodes if nodes is None else nodes
-    if membrane.shape == "mesh" and membrane.mesh_file is not None:
+    cap = cap_of(sensor)
+    if cap is not None:
+        return mesh_cap(cap, membrane.nodes if nodes is None else nodes)
+    if membrane.mesh_file is not None:
         return load_membrane(sensor.resolve(membrane.mesh_file))
+    raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its numbers')
+
+
+def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
+    """Analytic reference surface of a sensor; None where a mesh file gives it.
+
+    Raises
+    ------
+    InputError
+        Numbers of the surface are missing.
+    """
+    membrane = sensor.membrane
+    if membrane.shape == "mesh":
+        return None
     if membrane.height_m is None:
         raise InputError(f"{sensor.name}: membrane.height_m is missing; add it")
     if membrane.shape == "spherical_cap" and membrane.rim_radius_m is not None:
-        return mesh_cap(spherical_cap(membrane.rim_radius_m, membrane.height_m), count)
+        return spherical_cap(membrane.rim_radius_m, membrane.height_m)
     if membrane.rim_semi_axes_m is not None:
-        cap = EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
-        return mesh_cap(cap, count)
+        return EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
     raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its numbers')
 
 

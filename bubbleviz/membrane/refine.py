@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
 
 
+class Refined(NamedTuple):
+    """A finer mesh and where its nodes are on the coarser one.
+
+    Attributes
+    ----------
+    mesh : MembraneMesh
+        The coarser one's nodes come first.
+    cut : (c, 2) int array
+        Ends of the edges of the coarser mesh whose middles are the other nodes.
+    """
+
+    mesh: MembraneMesh
+    cut: np.ndarray
+
+    def values(self, coarse: np.ndarray) -> np.ndarray:
+        """Values on the coarser nodes (n, …), interpolated linearly to the finer ones."""
+        return np.concatenate([coarse, coarse[self.cut].mean(axis=1)])
+
+
 def refine(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> MembraneMesh:
-    """Triangles cut into four at the middles of their edges.
+    """Triangles cut into four at the middles of their edges; see `refinement`."""
+    return refinement(mesh, chosen).mesh
+
+
+def refinement(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> Refined:
+    """Cut triangles into four at the middles of their edges.
 
     Parameters
     ----------
@@ -35,8 +61,9 @@ def refine(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> MembraneMesh
         a, b, c = corners[halved][:, [k, (k + 1) % 3, (k + 2) % 3]].T
         m = middle[which[halved, k]]
         parts += [(a, m, c), (m, b, c)]
-    return MembraneMesh(
+    finer = MembraneMesh(
         nodes=np.concatenate([mesh.nodes, mesh.nodes[edges[cut]].mean(axis=1)]),
         triangles=np.concatenate([corners[ways == 0], *(np.stack(p, axis=1) for p in parts)]),
         rim=np.concatenate([mesh.rim, count[cut] == 1]),
     )
+    return Refined(finer, edges[cut])

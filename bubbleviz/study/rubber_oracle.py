@@ -1,13 +1,15 @@
 """Exact contact of an axisymmetric rubber membrane, to judge the triangles by.
 
 An incompressible neo-Hookean membrane over a circular rim, inflated and pressed on its axis by a
-ball or a flat plate without friction: ordinary differential equations along the meridian, solved by
-shooting. Nothing here knows of triangles or of an energy.
+ball, a flat plate or the sharp-edged end of a rod without friction: ordinary differential equations
+along the meridian, solved by shooting. Nothing here knows of triangles or of an energy.
 
 With stretches λ1 along and λ2 around the meridian, tensions T = μh (λ_i² − (λ1 λ2)⁻²)/(λ1 λ2),
 radius r, arc length s and slope ψ below the horizontal,
 
     d(r T1)/ds = T2 cos ψ,   T1 dψ/ds + T2 sin ψ / r = p   where nothing touches.
+
+Round a sharp edge ψ jumps and T1 does not: without friction the edge's line load halves the angle.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from math import acos, cos, pi, sin
+from math import acos, asin, cos, pi, sin
 from typing import Any
 
 import numpy as np
@@ -141,8 +143,16 @@ class AxialRubber:
         """Of the apex at rest, m."""
         return float(self.rest.z_m[0])
 
-    def press(self, depth_m: float, ball_radius_m: float = np.inf) -> RubberPress:
+    def press(
+        self, depth_m: float, ball_radius_m: float = np.inf, face_radius_m: float = np.inf
+    ) -> RubberPress:
         """Press a ball, or a plate where the radius is infinite, `depth_m` below the apex.
+
+        Parameters
+        ----------
+        depth_m, ball_radius_m : float
+        face_radius_m : float, optional
+            Of the sharp edge that ends ball or plate.
 
         Raises
         ------
@@ -155,12 +165,18 @@ class AxialRubber:
         span = rest.s_m[-1]
 
         def missed(depth: float, u: np.ndarray) -> np.ndarray:
-            end = self._meridian(u[0], self.height_m - depth, u[2], ball_radius_m, u[1] * span)
+            end = self._meridian(
+                u[0], self.height_m - depth, u[2], ball_radius_m, u[1] * span, u[3]
+            )
             gas = (self.atmospheric_pressure_pa + u[2]) * (self.chamber_volume_m3 + end.volume_m3)
-            return np.array([end.r_m[-1] / a - 1.0, end.z_m[-1] / a, gas / filled - 1.0])
+            left = end.r_m[-1] / a - 1.0, end.z_m[-1] / a, gas / filled - 1.0
+            inside = face_radius_m / float(np.interp(u[1] * span, end.s_m, end.r_m)) - 1.0
+            # No kink short of the edge, no contact beyond it (Fischer–Burmeister).
+            edge = u[3] if np.isinf(inside) else u[3] + inside - np.hypot(u[3], inside)
+            return np.array([*left, edge])
 
         curvature = 2.0 * self.height_m / (a**2 + self.height_m**2) + 1.0 / ball_radius_m
-        unknown = np.array([rest.stretches[0, 0], 0.0, self.gauge_pressure_pa])
+        unknown = np.array([rest.stretches[0, 0], 0.0, self.gauge_pressure_pa, 0.0])
         before, depth, step, taken = unknown, 0.0, min(depth_m, 1e-3), 0.0
         while depth < depth_m:
             way = min(step, depth_m - depth)
@@ -175,14 +191,15 @@ class AxialRubber:
                     raise
                 continue
             before, unknown, depth, taken, step = unknown, found, depth + way, way, 2.0 * way
-        stretch, share, gauge = unknown
-        meridian = self._meridian(
-            stretch, self.height_m - depth_m, gauge, ball_radius_m, share * span
-        )
+        stretch, share, gauge, kink = unknown
         edge = share * span
+        meridian = self._meridian(
+            stretch, self.height_m - depth_m, gauge, ball_radius_m, edge, kink
+        )
         radius = float(np.interp(edge, meridian.s_m, meridian.r_m))
         tension = float(np.interp(edge, meridian.s_m, meridian.tensions_n_per_m[:, 0]))
-        force = np.pi * radius**2 * gauge + 2.0 * np.pi * radius * tension * radius / ball_radius_m
+        upward = sin(asin(radius / ball_radius_m) + kink)
+        force = np.pi * radius**2 * gauge + 2.0 * np.pi * radius * tension * upward
         return RubberPress(meridian, radius, gauge - self.gauge_pressure_pa, force)
 
     def _reference(self, s: float) -> tuple[float, float]:
@@ -204,9 +221,18 @@ class AxialRubber:
         return self.mu_h_n_per_m * (l1 / l2 - closed), self.mu_h_n_per_m * (l2 / l1 - closed)
 
     def _meridian(
-        self, apex_stretch: float, apex_z: float, pressure: float, ball: float, contact_s: float
+        self,
+        apex_stretch: float,
+        apex_z: float,
+        pressure: float,
+        ball: float,
+        contact_s: float,
+        kink: float = 0.0,
     ) -> Meridian:
-        """Integrate from the apex, on the object up to `contact_s` and free from there."""
+        """Integrate from the apex, on the object up to `contact_s` and free from there.
+
+        There it turns up by `kink`, rad, round the edge of the object.
+        """
         lam, mu_h = self.prestretch, self.mu_h_n_per_m
 
         def slopes(s: float, y: np.ndarray, touching: bool) -> list[float]:
@@ -246,7 +272,7 @@ class AxialRubber:
             )
             if not found.success:
                 raise SolveError("rubber oracle: the integration failed")
-            y = found.y[:, -1]
+            y = found.y[:, -1] - ([0.0, 0.0, kink, 0.0, 0.0] if on_object else 0.0)
             s_all.append(found.t)
             y_all.append(found.y)
         s, (r, z, _, l1, v) = np.concatenate(s_all), np.concatenate(y_all, axis=1)
@@ -257,7 +283,7 @@ class AxialRubber:
 
 
 def _root(missed: Callable[[np.ndarray], np.ndarray], guess: np.ndarray, what: str) -> np.ndarray:
-    scale = np.maximum(np.abs(guess), 1e-6)
+    scale = np.where(guess == 0.0, 1.0, np.maximum(np.abs(guess), 1e-6))
 
     def scaled(unknown: np.ndarray) -> np.ndarray:
         return missed(unknown * scale)

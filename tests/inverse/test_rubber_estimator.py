@@ -22,6 +22,7 @@ from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
+from bubbleviz.simulation.refined_press import refined_press
 from bubbleviz.study.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
@@ -129,6 +130,22 @@ def test_measured_gas_pressure(depth, off_pa):
     assert abs(estimate.gas_pressure_change_pa - true_pa) < 10.0
     rest = seen(mesh, np.zeros(len(mesh.nodes)), NOISE_M)
     assert solver.estimate(rest, solver.gas.P0 + off_pa)[0].status == "no_contact"
+
+
+def test_sharp_edged_rod_off_the_axis():
+    """A truth that resolves the edge; on an even mesh nodes catch on it, as if it had friction."""
+    T = np.eye(4)
+    T[:3, 3] = 0.012, 0.006, H - 0.004
+    start = mesh_cap(spherical_cap(A, H), 1000)
+
+    def rubber(mesh):
+        return RubberMembrane.uniform(mesh, GAUGE, TENSION, 1.05)
+
+    mesh, contact = refined_press(rubber, gas_of, start, load_object("cylinder"), T)
+    assert contact.converged
+    estimate, _ = estimator(800, 1.05).estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    assert estimate.status == "ok"
+    assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
 
 
 def test_nothing_where_nothing_touches():

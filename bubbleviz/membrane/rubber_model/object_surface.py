@@ -10,13 +10,17 @@ from scipy import sparse
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.gap import is_watertight
-from bubbleviz.membrane.mesh import cross, triangles_across
+from bubbleviz.membrane.mesh import MembraneMesh, cross, triangles_across
 from bubbleviz.membrane.rubber_model.rounded_object import core_of
 from bubbleviz.rigid_object import RigidObject
 
 _SHARP, _FLAT = np.radians(30.0), np.radians(0.1)
 """Facets that meet at less than the first are taken as parts of one smooth surface, at less than
 the second as parts of one face."""
+
+MOST_TURN_RAD = 0.6
+"""Turn of the object's normal along a triangle above which the triangle is too large to be taken as
+a chord of a smooth surface."""
 
 _ON_EDGE = 1e-5
 """Barycentric coordinate below which the closest point is on the edge of a facet."""
@@ -106,6 +110,17 @@ class ObjectSurface:
             gap[near], normal[near], turn[near] = self._near(x[near], out[near])
         gap[gap > reach_m] = np.inf
         return Planes(gap, normal @ R.T, R @ turn @ R.T)
+
+    def turn_along(self, pressed: MembraneMesh, T_B_O: np.ndarray, reach_m: float) -> np.ndarray:
+        """Largest turn of the object's normal along the sides of a pressed mesh's triangles, (m,).
+
+        In rad; 0 where a corner is further from the object than the reach.
+        """
+        planes = self.planes(pressed.nodes, pressed.normals, T_B_O, reach_m)
+        normals = planes.normal[pressed.triangles]
+        cosine = np.einsum("tij,tij->ti", normals, np.roll(normals, -1, axis=1)).min(axis=1)
+        near = np.isfinite(planes.gap)[pressed.triangles].all(axis=1)
+        return np.where(near, np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
 
     def _near(self, x: np.ndarray, out: np.ndarray) -> Planes:
         _, facet, weights = self._scene.closest(x)

@@ -11,7 +11,7 @@ from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
-from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
+from bubbleviz.membrane.rubber_model.object_surface import MOST_TURN_RAD, ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
@@ -25,8 +25,6 @@ _STEPS, _PATIENCE = 60, 10
 """Steps of Newton's method for one pose, and how many may pass without halving what is missed."""
 _SHORTEST = 0.02
 """Step of the object over the reach of its surface below which moving it in is given up."""
-_SHARP = 0.6
-"""Turn of the object's normal along an edge, rad, above which it goes round an edge of its own."""
 _FINE_M = 1e-6
 """Motion below which steps are taken whole: facets of the object are rougher than that, and energy
 and penetration do not say how good so small a step is."""
@@ -169,7 +167,12 @@ class RubberForward:
         self._surface: ObjectSurface | None = None
 
     def press(
-        self, obj: RigidObject, T_B_O: np.ndarray, near: PressStart | None = None
+        self,
+        obj: RigidObject,
+        T_B_O: np.ndarray,
+        near: PressStart | None = None,
+        *,
+        quick: bool = False,
     ) -> RubberContact:
         """Equilibrium with the object at the pose.
 
@@ -179,6 +182,9 @@ class RubberForward:
         T_B_O : (4, 4) array
         near : PressStart, optional
             Where to look first.
+        quick : bool, optional
+            Be content with what is found from there and from the linear model's equilibrium, even
+            if it has not converged.
 
         Raises
         ------
@@ -198,24 +204,10 @@ class RubberForward:
             count += solved.factorisations
             if solved.accepted:
                 break
-        else:
+        if not (solved.accepted or quick):
             solved = self._from_outside(surface, pose)
             count += solved.factorisations
         return self._certified(replace(solved, factorisations=count), linear)
-
-    def unresolved(self, obj: RigidObject, T_B_O: np.ndarray, contact: RubberContact) -> np.ndarray:
-        """Touching triangles (m,) bool along which the object's normal turns too far for flat ones.
-
-        Their nodes catch on its edges; finer ones slide over a rounded edge.
-        """
-        x, triangles = self.mesh.deformed(contact.displacement_3d_m), self.mesh.triangles
-        planes = self._at(self._surface_of(obj), T_B_O, x, np.zeros(len(x))).planes
-        normals = planes.normal[triangles]
-        turn = np.linalg.norm(np.roll(normals, -1, axis=1) - normals, axis=2).max(axis=1)
-        touching = (contact.contact_pressure_pa > 0.0)[triangles].any(axis=1)
-        near = np.isfinite(planes.gap)[triangles].all(axis=1)
-        found: np.ndarray = touching & near & (turn > _SHARP)
-        return found
 
     def _surface_of(self, obj: RigidObject) -> ObjectSurface:
         if self._surface is None or self._surface.object is not obj:
@@ -256,23 +248,29 @@ class RubberForward:
             newton = self._contact_step(state)
             step = newton.solve(state.load[moving] > 0.0)
             count += newton.factorisations
+            if np.abs(step.motion).max() > self._reach:  # far off, loads turn too far
+                newton = self._contact_step(state, turning=False)
+                step = newton.solve(state.load[moving] > 0.0)
+                count += newton.factorisations
             price = max(price, 2.0 * float(step.load.max(initial=0.0)))
             state = self._along(surface, pose, state, step, newton.residual, price, missed)
         if least.accepted and count:
             stable = newton.is_minimum()
         return _Solved(best, least, stable, count)
 
-    def _contact_step(self, state: _State) -> ContactStep:
+    def _contact_step(self, state: _State, *, turning: bool = True) -> ContactStep:
         membrane, moving = self.membrane, self.membrane.moving
         pressure, stiffness = self._gas_at(state.x)
         planes, load = state.planes.of(moving), state.load[moving]
         touching = np.flatnonzero(load > 0.0)
-        turning = -load[touching, None, None] * planes.turn[touching]
         data = membrane.tangent(state.x, pressure).data
+        if turning:
+            turn = -load[touching, None, None] * planes.turn[touching]
+            data = self._blocks.added(data, touching, turn)
         return ContactStep(
             self._factoriser,
             self._blocks,
-            self._blocks.added(data, touching, turning),
+            data,
             membrane.residual(state.x, pressure)[moving],
             membrane.volume_gradient(state.x)[moving],
             stiffness,
@@ -362,7 +360,7 @@ class RubberForward:
         corners, normals = x[triangles[some]], planes.normal[triangles[some]]
         turn, edge = (np.roll(v, -1, axis=1) - v for v in (normals, corners))
         depth = np.einsum("tij,tij->t", turn, edge) / 24.0
-        sharpness = np.linalg.norm(turn, axis=2).max(axis=1) / _SHARP
+        sharpness = np.linalg.norm(turn, axis=2).max(axis=1) / MOST_TURN_RAD
         depth *= np.maximum(1.0 - sharpness**4, 0.0)
         at, count = triangles[some].ravel(), np.zeros(len(x))
         np.add.at(count, at, 1.0)
