@@ -143,9 +143,12 @@ def test_sharp_edged_rod_off_the_axis():
 
     mesh, contact = refined_press(rubber, gas_of, start, load_object("cylinder"), T)
     assert contact.converged
+    force = contact.nodal_force_n.sum(axis=0)
+    askew = np.degrees(np.arctan2(force[1], force[0]) - np.arctan2(-0.006, -0.012))
+    assert abs(askew) < 3.0  # towards the axis, by symmetry; tens of degrees on an even mesh
     estimate, _ = estimator(800, 1.05).estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
     assert estimate.status == "ok"
-    assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
+    assert error(estimate, force) < 0.03
 
 
 def test_nothing_where_nothing_touches():
