@@ -154,11 +154,29 @@ def _comment(identification: Identification) -> str:
         f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
         "tension_n_per_m: Young–Laplace, summed over the surface so that its bumps do not bias"
         f" it; 95 % within {value.low:.2f}…{value.high:.2f}",
-        f"while the gauge pressure is right; 100 Pa more of it would make it"
+        f"at this gauge pressure; 100 Pa more of it would make it"
         f" {100 * tension.per_pascal:.2f} N/m larger.",
     ]
+    lines += _rubber_lines(identification.rubber)
     lines += _chamber_lines(identification)
     return "".join(f"# {line}\n" for line in lines) + "\n"
+
+
+def _rubber_lines(rubber: RubberEstimate | None) -> list[str]:
+    if rubber is None:
+        return []
+    lines = []
+    if (gauge := rubber.gauge) is not None:
+        lines.append(
+            f"gauge_pressure_pa: {rubber.gauge_rests_on}; 95 % within"
+            f" {gauge.low:.0f}…{gauge.high:.0f}, which γ0's interval holds."
+        )
+    if (stretch := rubber.prestretch) is not None:
+        lines.append(
+            f"prestretch: {rubber.prestretch_rests_on}; 95 % within"
+            f" {stretch.low:.3f}…{stretch.high:.3f}."
+        )
+    return lines
 
 
 def _chamber_lines(identification: Identification) -> list[str]:

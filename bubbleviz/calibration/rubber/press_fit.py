@@ -50,16 +50,16 @@ _EDGE_OF_DENT = 0.25
 covers a dome to 0.85 of its radius there; anything smaller or rounder it leaves deeper."""
 _START = 0.35
 """q to begin with: λ of 1.19."""
-_STEPS, _LONGEST, _NEAR, _STANDS = 60, 1.0, 0.25, 0.01
+_STEPS, _LONGEST, _NEAR, _STANDS = 100, 1.0, 0.25, 0.02
 """Gauss–Newton steps; in mesh edges the longest, the one from which on q and G move too, and the
-one that ends the fit."""
+one that ends the fit where both are known."""
 _SLOW, _LEAST = 0.7, 0.25
 """A step longer than this share of the one before goes to and fro: the next is
 halved, down to the second."""
 _BOLDEST = 0.2
 """Largest step of q and of ln G."""
-_SMALL = 1e-4
-"""Step of q and ln G that ends it."""
+_SMALL = 5e-4
+"""Step of q and ln G that ends it: far below their intervals."""
 _SECTORS = 8
 """Around the dent: each large against what errors of the model are alike over."""
 
@@ -247,8 +247,7 @@ class HeldPress:
                 step = self._step(linear, state, free if settled else contact)
                 motion = (linear.relaxing + linear.motions @ step).reshape(-1, 3)
                 moved = float(np.abs(motion).max())
-                stands = moved < _STANDS * mesh.edge_length
-                if settled and stands and np.abs(step[-2:]).max() < _SMALL:
+                if settled and self._ends(step, moved, free):
                     return state, linear
                 share = max(_LEAST, 0.5 * share) if moved > _SLOW * before else 1.0
                 state = self._moved(state, share * step, share * motion)
@@ -260,6 +259,12 @@ class HeldPress:
             f"{self.source_name}: no rubber of this shape explains the press; check the gas"
             " pressures and the atmospheric pressure"
         )
+
+    def _ends(self, step: np.ndarray, moved: float, free: np.ndarray) -> bool:
+        """Whether what is asked for stands: q and G, or the shape where both are known."""
+        if free[-2:].any():
+            return bool(np.abs(step[-2:]).max() < _SMALL)
+        return moved < _STANDS * self._mesh.edge_length
 
     def _moved(self, state: _State, step: np.ndarray, motion: np.ndarray) -> _State:
         longest = max(float(np.abs(motion).max()), 1e-300)
