@@ -22,8 +22,11 @@ from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
 from bubbleviz.calibration.rest.press_frames import held_frames, settled
 from bubbleviz.calibration.rest.rest_frames import Samples, collect
-from bubbleviz.calibration.rubber.force_sensitivity import ForceSensitivity
-from bubbleviz.calibration.rubber.press_fit import HeldPress
+from bubbleviz.calibration.rubber.force_sensitivity import (
+    ForceSensitivity,
+    force_sensitivity,
+    mean_frame,
+)
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate, estimate_rubber
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.surface.free_form import FreeForm
@@ -353,19 +356,8 @@ def with_rubber(
     pneumatics = sensor.pneumatics.model_copy(update=section)
     update = {"membrane": membrane, "pneumatics": pneumatics}
     out = replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
-    return replace(out, sensitivity=_sensitivity(out, held))
-
-
-def _sensitivity(found: Identification, held: Samples | None) -> ForceSensitivity | None:
-    """What moves the force on the press; None where λ is not known, or nothing explains it."""
-    stretch = found.sensor.membrane.prestretch
-    if held is None or stretch is None or held.gas_pressure_pa is None:
-        return None
-    try:
-        press = HeldPress(found.model, found.samples, held)
-        return ForceSensitivity.of(press, found.tension.gauge_pressure_pa, stretch)
-    except InputError:
-        return None
+    sensitivity = None if held is None else force_sensitivity(out.model, mean_frame(held))
+    return replace(out, sensitivity=sensitivity)
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

@@ -50,9 +50,8 @@ _EDGE_OF_DENT = 0.25
 covers a dome to 0.85 of its radius there; anything smaller or rounder it leaves deeper."""
 _START = 0.35
 """q to begin with: λ of 1.19."""
-_STEPS, _LONGEST, _NEAR, _STANDS = 100, 1.0, 0.25, 0.02
-"""Gauss–Newton steps; in mesh edges the longest, the one from which on q and G move too, and the
-one that ends the fit where both are known."""
+_STEPS, _LONGEST, _NEAR = 100, 1.0, 0.25
+"""Gauss–Newton steps; in mesh edges the longest, and the one from which on q and G move too."""
 _SLOW, _LEAST = 0.7, 0.25
 """A step longer than this share of the one before goes to and fro: the next is
 halved, down to the second."""
@@ -218,27 +217,11 @@ class HeldPress:
             },
         )
 
-    def force(self, gauge_pressure_pa: float, prestretch: float) -> np.ndarray:
-        """Contact force on the membrane, (3,), N, where gauge pressure and λ are known.
-
-        Raises
-        ------
-        InputError
-            No rubber is near the press.
-        """
-        free = np.arange(len(self._zone) + 2) < len(self._zone)
-        state, _ = self._solve(gauge_pressure_pa, free, prestretch**-6)
-        areas = self._rubber(state.q).volume_gradient(state.x)
-        force: np.ndarray = -state.gauge_pa * state.pressure @ areas
-        return force
-
     # -- the fit --------------------------------------------------------------------------------
 
-    def _solve(
-        self, gauge_pa: float, free: np.ndarray, q: float = _START
-    ) -> tuple[_State, _Linear]:
+    def _solve(self, gauge_pa: float, free: np.ndarray) -> tuple[_State, _Linear]:
         mesh = self._mesh
-        state = _State(mesh.nodes, np.zeros(len(mesh.nodes)), q, gauge_pa)
+        state = _State(mesh.nodes, np.zeros(len(mesh.nodes)), _START, gauge_pa)
         contact = free & (np.arange(len(free)) < len(self._zone))
         settled, before, share = False, np.inf, 1.0
         try:
@@ -247,7 +230,7 @@ class HeldPress:
                 step = self._step(linear, state, free if settled else contact)
                 motion = (linear.relaxing + linear.motions @ step).reshape(-1, 3)
                 moved = float(np.abs(motion).max())
-                if settled and self._ends(step, moved, free):
+                if settled and np.abs(step[-2:]).max() < _SMALL:
                     return state, linear
                 share = max(_LEAST, 0.5 * share) if moved > _SLOW * before else 1.0
                 state = self._moved(state, share * step, share * motion)
@@ -259,12 +242,6 @@ class HeldPress:
             f"{self.source_name}: no rubber of this shape explains the press; check the gas"
             " pressures and the atmospheric pressure"
         )
-
-    def _ends(self, step: np.ndarray, moved: float, free: np.ndarray) -> bool:
-        """Whether what is asked for stands: q and G, or the shape where both are known."""
-        if free[-2:].any():
-            return bool(np.abs(step[-2:]).max() < _SMALL)
-        return moved < _STANDS * self._mesh.edge_length
 
     def _moved(self, state: _State, step: np.ndarray, motion: np.ndarray) -> _State:
         longest = max(float(np.abs(motion).max()), 1e-300)
