@@ -73,11 +73,18 @@ def accuracy(
 @study.command()
 @_common
 @_sensor
-def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
+@click.option(
+    "--recording",
+    type=click.Path(exists=True, path_type=Path),
+    help="A real press to measure the exact and the linear membrane on, too.",
+)
+def speed(
+    out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
+) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
     from bubbleviz.commands.study import study_speed
 
-    _print(study_speed(sensor, out, quick=quick), as_json)
+    _print(study_speed(sensor, out, quick=quick, recording=recording), as_json)
 
 
 @study.command()

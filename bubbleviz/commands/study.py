@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.tables import out_folder, to_json, write_csv, write_json
+from bubbleviz.frames.sensor_matching import checked_sensor
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.synthetic_source import Model
 from bubbleviz.study.accuracy import accuracy_report, detection_limit, invariance, regularisation
@@ -39,7 +40,13 @@ from bubbleviz.study.pose.screw_motion import SEEDS, run_screws, screw_source
 from bubbleviz.study.presses import presses
 from bubbleviz.study.report_files import check_free
 from bubbleviz.study.speed import speed_report
-from bubbleviz.study.speed.speed_study import full_runs, quick_runs, read_ms, run_speed
+from bubbleviz.study.speed.speed_study import (
+    contact_runs,
+    full_runs,
+    quick_runs,
+    read_ms,
+    run_speed,
+)
 from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
 from bubbleviz.study.stability.stability_study import run_stability, summary
 
@@ -148,12 +155,25 @@ def study_accuracy(
     return Findings(numbers, text, written)
 
 
-def study_speed(sensor_name: str, out: Path | None, *, quick: bool) -> Findings:
-    """Time by stage, growth with nodes and pixels, memory; as `study_accuracy`."""
+def study_speed(
+    sensor_name: str, out: Path | None, *, quick: bool, recording: Path | None = None
+) -> Findings:
+    """Time by stage, growth with nodes and pixels, memory; as `study_accuracy`.
+
+    Parameters
+    ----------
+    sensor_name, out, quick
+        As of `study_accuracy`.
+    recording : Path, optional
+        A real press to measure the solvers on, too.
+    """
     sensor = load_sensor(sensor_name)
+    if recording is not None:
+        checked_sensor(recording, None)
     if out is not None:
         check_free(out_folder(out), speed_report.FILES)
     runs = quick_runs() if quick else full_runs()
+    runs += contact_runs(recording, frames=6 if quick else 40)
     with _progress(len(runs), "run") as bar:
         rows = run_speed(sensor, runs, lambda _: bar.update())
     found = speed_report.Speed(rows, read_ms(sensor))

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from bubbleviz.sensor import load_sensor
-from bubbleviz.study.accuracy.accuracy_study import Setup
+from bubbleviz.study.accuracy.accuracy_study import Setup, with_nodes
 from bubbleviz.study.speed import speed_report
 from bubbleviz.study.speed.speed_study import (
     Run,
     SpeedRow,
+    contact_runs,
     measure,
     read_ms,
     run_speed,
@@ -40,6 +41,24 @@ def test_stages_add_up_to_the_total(measured):
     assert measured.frames == 3
     assert measured.memory_peak_bytes >= 0  # here it may all fit into memory freed before
     assert 0.0 < measured.iou_mean <= 1.0
+
+
+def test_both_membranes_are_measured_in_contact(sensor):
+    """On the exact membrane: the linear one is off by more than noise."""
+    small = with_nodes(sensor, 300)
+    exact, linear = (measure(small, run) for run in contact_runs(None, frames=2))
+    assert (exact.solver, linear.solver) == ("rubber", "linear")
+    assert exact.total_ms > exact.solve_ms > 0.0
+    assert exact.force_error_relative_median < 0.03 < linear.force_error_relative_median
+    text = speed_report.to_text(speed_report.Speed([exact, linear], 0.1))
+    assert "contact, exact membrane" in text
+
+
+def test_the_real_press_is_measured_where_it_is(sensor, punyo_press):
+    run = contact_runs(punyo_press, frames=2)[-1]
+    row = measure(sensor, run)
+    assert row.sweep == "recording" and row.pixels == 640 * 480
+    assert 5 < row.frames < 40
 
 
 def test_a_run_that_breaks_says_why(sensor):

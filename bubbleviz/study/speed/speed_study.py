@@ -14,10 +14,21 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.frames.sensor_matching import fitting_sensor
+from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
 from bubbleviz.processes.worker_process import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.result import Result
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import (
+    FINER,
+    SyntheticSource,
+    default_path,
+    default_press,
+    dome_size,
+)
 from bubbleviz.study.accuracy.accuracy_study import PRODUCTS, Setup, with_nodes
 from bubbleviz.study.error_metrics import iou
 from bubbleviz.study.speed.stopwatch import PeakMemory, Stopwatch
@@ -27,6 +38,8 @@ SOURCE_NODES = 1_000
 ROUND = 150
 """Frames of the moving press."""
 BASELINE_FRAMES = 12  # the slow solvers take seconds for each
+TYPICAL_PRESTRETCH = 1.2
+"""λ where the sensor file has none: by the areas of a bulged dome and the plane in its rim."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +48,15 @@ class Run:
 
     Attributes
     ----------
-    sweep : {"stream", "baseline", "nodes", "pixels"}
+    sweep : {"stream", "baseline", "nodes", "pixels", "contact", "recording"}
+        "contact" is a ball on the exact membrane, "recording" the frames with contact of a file.
     setup : Setup
     pixels : int or None
         Number of pixels of a scaled camera; None for the sensor's own.
     frames : int
         Of the moving press; from its start, or from full depth where they are few.
     limit_s : float
+    recording : Path or None
     """
 
     sweep: str
@@ -49,6 +64,7 @@ class Run:
     pixels: int | None = None
     frames: int = 10
     limit_s: float = 120.0
+    recording: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +122,16 @@ def baseline_runs(frames: int, tolerances: tuple[float, ...]) -> list[Run]:
     return [Run("baseline", setup, frames=frames) for setup in (Setup(), *cold, *recast)]
 
 
+def contact_runs(recording: Path | None, frames: int) -> list[Run]:
+    """The exact membrane and the linear one in contact, simulated and, where there is one, real."""
+    setups = [Setup(RUBBER), Setup(LINEAR)]
+    runs = [Run("contact", setup, frames=frames, limit_s=300.0) for setup in setups]
+    if recording is not None:
+        real = [Run("recording", s, limit_s=300.0, recording=recording) for s in setups]
+        runs += real
+    return runs
+
+
 def quick_runs() -> list[Run]:
     """A subset that runs in less than a minute."""
     return [
@@ -133,32 +159,69 @@ def run_speed(
 
 
 def measure(sensor: Sensor, run: Run) -> SpeedRow:
-    """Stream the moving press through one pipeline."""
+    """Stream a press through one pipeline."""
+    if run.recording is not None:
+        with Recording(run.recording) as recording:
+            _, sensor = fitting_sensor(recording, None)
+            frames = [recording[k] for k in range(len(recording))]
+            model = SensorModel.of(_stretched(sensor), recording.intrinsics)
+            return _measured(run, model, frames, None, [])
     scaled = scaled_camera(sensor, run.pixels)
-    source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
+    if run.sweep == "contact":
+        scaled = _stretched(scaled)
+        source = _ball_on_rubber(scaled)
+    else:
+        source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
     order = _frames_of(run, source)
     frames = [replace(source[k], gas_pressure_pa=None) for k in order]
+    return _measured(run, SensorModel.of(scaled), frames, source, order)
+
+
+def _stretched(sensor: Sensor) -> Sensor:
+    """The sensor with a pre-stretch."""
+    stretch = sensor.membrane.prestretch or TYPICAL_PRESTRETCH
+    membrane = sensor.membrane.model_copy(update={"prestretch": stretch})
+    return sensor.model_copy(update={"membrane": membrane})
+
+
+def _ball_on_rubber(sensor: Sensor) -> SyntheticSource:
+    """A ball along the path of the moving press, on the exact membrane."""
+    poses = default_path(*dome_size(sensor), ROUND)
+    noise = DepthNoise(relative=sensor.camera.noise_relative)
+    return SyntheticSource(sensor, load_object("sphere"), poses, noise, nodes=FINER * SOURCE_NODES)
+
+
+def _measured(
+    run: Run,
+    model: SensorModel,
+    frames: list[Frame],
+    source: SyntheticSource | None,
+    order: list[int],
+) -> SpeedRow:
     results, laps = [], []
     with PeakMemory() as memory:
         start = time.perf_counter()
-        pipeline = run.setup.pipeline(scaled)
+        pipeline = run.setup.pipeline_of(model)
         watch = Stopwatch(pipeline.estimator)
         built = 1e3 * (time.perf_counter() - start)
         for frame in frames:
             results.append(pipeline.process(frame, PRODUCTS))
             laps.append(_stages(results[-1], watch))
     warm = laps[1:] or laps
+    if run.sweep == "recording":
+        touching = [r.estimate is not None and r.estimate.status == "ok" for r in results]
+        warm = [lap for lap, ok in zip(laps, touching, strict=True) if ok] or warm
     total = np.array([lap["total_ms"] for lap in warm])
     stages: dict[str, Any] = {k: float(np.median([lap[k] for lap in warm])) for k in warm[0]}
     return SpeedRow(
         **stages,
-        **_quality(results, source, order),
+        **(_quality(results, source, order) if source is not None else {}),
         sweep=run.sweep,
         setup=run.setup.label,
         solver=pipeline.estimator.solver_name,
         nodes=len(pipeline.mesh.nodes),
-        pixels=scaled.camera.width * scaled.camera.height,
-        frames=len(frames),
+        pixels=model.sensor.camera.width * model.sensor.camera.height,
+        frames=len(warm) if run.sweep == "recording" else len(frames),
         build_ms=built,
         cold_ms=laps[0]["total_ms"],
         total_p95_ms=float(np.percentile(total, 95)),
@@ -212,7 +275,7 @@ def _frames_of(run: Run, source: SyntheticSource) -> list[int]:
     if run.frames >= len(source):
         return list(range(len(source)))
     deepest = round(0.4 * len(source))
-    if run.sweep in ("stream", "baseline"):
+    if run.sweep in ("stream", "baseline", "contact"):
         start = max(0, deepest - run.frames // 2)
         return list(range(start, min(start + run.frames, len(source))))
     return list(range(deepest, deepest + run.frames))
@@ -221,7 +284,8 @@ def _frames_of(run: Run, source: SyntheticSource) -> list[int]:
 def _stages(result: Result, watch: Stopwatch) -> dict[str, float]:
     lap, times = watch.lap(), result.times_ms
     stages = {f"{name}_ms": lap.get(name, 0.0) for name in ("observe", "linearise", "assemble")}
-    stages["solve_ms"] = lap.get("solve", 0.0)
+    own = 0.0 if result.estimate is None else result.estimate.solve_ms
+    stages["solve_ms"] = lap.get("solve", own)
     stages["patch_ms"] = times.get("patch", 0.0) + times.get("pixel_mask", 0.0)
     rest = times["total"] - sum(stages.values())
     return {**stages, "other_ms": rest, "total_ms": times["total"]}
