@@ -242,8 +242,9 @@ def test_two_batches_do_not_write_into_one_folder(
     words = [recordings, "--sensor", sensor, "--out", out]
     running = start(*words)
     eventually(lambda: bool(hidden_in(out)))
+    os.killpg(running.pid, signal.SIGSTOP)  # it cannot end before the other one begins
     done = batch(*words, "--resume")
-    running.terminate()
+    os.killpg(running.pid, signal.SIGKILL)
     running.communicate()
     assert done.returncode == 2
     assert "another batch writes there" in done.stderr
