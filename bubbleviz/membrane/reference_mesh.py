@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.membrane.membrane_file import load_membrane
@@ -108,13 +110,16 @@ def varied_rubber(
     """The membrane with γ0, gauge pressure and λ in turn off by one standard deviation.
 
     Of those whose 95 % interval the sensor's calibration gives; parameters as of `build_rubber`.
-    γ0 follows the gauge pressure, from which Young–Laplace has it.
+    γ0 follows the gauge pressure, from which Young–Laplace has it: of its own deviation only that
+    counts which the gauge pressure does not explain.
     """
     known, pneumatics = sensor.calibration, sensor.pneumatics
     if known is None:
         return []
-    tension = _deviation(known.tension_interval_n_per_m)
     gauge = _deviation(known.gauge_interval_pa)
+    by_gauge = tension_n_per_m * gauge / pneumatics.gauge_pressure_pa
+    whole = _deviation(known.tension_interval_n_per_m)
+    tension = float(np.sqrt(max(whole**2 - by_gauge**2, 0.0)))
     stretch = _deviation(known.prestretch_interval)
     varied = []
     if tension:

@@ -8,7 +8,12 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
+from bubbleviz.membrane.reference_mesh import (
+    build_mesh,
+    build_rubber,
+    reference_tension,
+    varied_rubber,
+)
 from bubbleviz.membrane.refine import refine
 from bubbleviz.membrane.rubber_model.disc_map import disc_map, zernike
 from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
@@ -158,3 +163,15 @@ def test_zernike_polynomials_are_orthonormal_over_the_disc():
     values = zernike(at, 8)
     assert values.shape[1] == 45
     np.testing.assert_allclose(values.T @ (weight[:, None] * values), np.eye(45), atol=1e-12)
+
+
+def test_the_gauge_pressure_is_counted_once_in_what_is_not_known():
+    """γ0's interval holds what the gauge pressure's does: together the variants spread as it."""
+    sensor = load_sensor("punyo_oval_d405")
+    mesh, known = build_mesh(sensor), sensor.calibration
+    tension = reference_tension(sensor, mesh)
+    usual = build_rubber(sensor, mesh, tension).mean_tension
+    varied = varied_rubber(sensor, mesh, tension)
+    moved = [each.mean_tension - usual for each in varied[:2]]
+    low, high = known.tension_interval_n_per_m
+    assert np.hypot(*moved) == pytest.approx((high - low) / (2 * 1.96), rel=0.05)
