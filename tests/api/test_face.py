@@ -225,13 +225,12 @@ def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path: Path) -> None:
 
 def test_pictures(frames: Frames, sensor: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyvista", reason="the extra window is not installed")
-    from matplotlib import pyplot
+    from matplotlib.image import imread
 
     run = bv.estimate(frames[1:4], sensor)
     run[1].plot(tmp_path / "frame.png")
     figure = run.plot(tmp_path / "run.svg")
-    pyplot.close(figure)
-    image = pyplot.imread(tmp_path / "frame.png")[..., :3]
+    image = imread(tmp_path / "frame.png")[..., :3]
     red = (image[..., 0] > 0.3) & (image[..., 1:].max(axis=-1) < 0.1)
     assert red.sum() > 100  # the force's arrow
     assert (tmp_path / "run.svg").stat().st_size > 10_000
