@@ -129,15 +129,16 @@ class Run(Sequence[FrameResult]):
         InputError
             The file exists.
         """
+        # Matplotlib takes 0.4 s, and pyplot looks for a display.
         from bubbleviz.export.plot_files import SIZE_IN, draw_plots
 
         if path is None:
-            from matplotlib import pyplot  # 0.4 s; may open a window
+            from matplotlib import pyplot  # only where something is to be shown
 
             figure = pyplot.figure(figsize=SIZE_IN, layout="constrained")
             draw_plots(self._table(), figure)
             return figure
-        from matplotlib.figure import Figure  # 0.2 s, only where plots are drawn
+        from matplotlib.figure import Figure  # only where plots are drawn
 
         refuse_existing(path)
         figure = Figure(figsize=SIZE_IN, layout="constrained")
