@@ -34,7 +34,8 @@ class Estimate:
     contact_pressure_pa : (n,) array
         p_c ≥ 0, Pa.
     gas_pressure_change_pa : float
-        p_v, Pa; measured where the recording has the gas pressure.
+        p_v, Pa. Where the recording has the gas pressure it is that; of the exact membrane it is
+        what measurement and shape say together.
     residual_rms_m : float
         Root mean square of measured minus modelled range over the pixels used, m.
     kkt_residual : float
