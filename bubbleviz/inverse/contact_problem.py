@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -53,25 +54,6 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Ranges:
-    """What the camera says of a shape.
-
-    Attributes
-    ----------
-    jacobian : (k, 3n) sparse array
-        D.
-    error_m : (k,) array
-        e: measured less modelled ranges.
-    weight : (k,) array
-        1/σ².
-    """
-
-    jacobian: sparse.csr_array
-    error_m: np.ndarray
-    weight: np.ndarray
-
-
-@dataclass(frozen=True)
 class GasError:
     """What an error of the measured gas pressure does.
 
@@ -88,6 +70,48 @@ class GasError:
     bulge: np.ndarray
     ranges: np.ndarray
     sigma_pa: float
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What the camera says of a shape.
+
+    Attributes
+    ----------
+    jacobian : (k, 3n) sparse array
+        D.
+    error_m : (k,) array
+        e: measured less modelled ranges.
+    weight : (k,) array
+        1/σ².
+    gas : GasError or None
+        None where the gas pressure follows from the volume.
+    """
+
+    jacobian: sparse.csr_array
+    error_m: np.ndarray
+    weight: np.ndarray
+    gas: GasError | None = None
+
+    @cached_property
+    def bulge_weighed(self) -> np.ndarray:
+        """W D b of the bulge b, (k,)."""
+        return np.zeros_like(self.weight) if self.gas is None else self.weight * self.gas.ranges
+
+    @cached_property
+    def gas_variance(self) -> float:
+        """Variance of the gas pressure's error given everything else, Pa²."""
+        if self.gas is None:
+            return 0.0
+        return 1.0 / (1.0 / self.gas.sigma_pa**2 + float(self.bulge_weighed @ self.gas.ranges))
+
+    def gas_error_pa(self, left_m: np.ndarray) -> float:
+        """Most likely error of the gas pressure for ranges (k,) that nothing else explains, Pa."""
+        return self.gas_variance * float(self.bulge_weighed @ left_m)
+
+    def weighed(self, ranges_m: np.ndarray) -> np.ndarray:
+        """Ranges (k,) times the inverse of their covariance, the gas pressure's error in it."""
+        return self.weight * ranges_m - self.gas_error_pa(ranges_m) * self.bulge_weighed
 
 
 @dataclass(frozen=True)
@@ -162,8 +186,6 @@ class ContactProblem:
         p₀, Pa.
     relaxing : (n, 3) array
         δ, m.
-    gas : GasError, optional
-        None where the gas pressure follows from the volume.
     """
 
     def __init__(
@@ -173,15 +195,9 @@ class ContactProblem:
         prior: Prior,
         pressure: np.ndarray,
         relaxing: np.ndarray,
-        gas: GasError | None = None,
     ) -> None:
         self._rubber, self._ranges, self._prior = rubber, ranges, prior
-        self._before, self._relaxing, self._gas = pressure, relaxing, gas
-        self._bulge_weighed, self._bulge_share = np.zeros_like(ranges.error_m), 0.0
-        if gas is not None:
-            self._bulge_weighed = ranges.weight * gas.ranges
-            certainty = float(self._bulge_weighed @ gas.ranges)
-            self._bulge_share = 1.0 / (1.0 / gas.sigma_pa**2 + certainty)
+        self._before, self._relaxing = pressure, relaxing
         left = ranges.error_m - ranges.jacobian @ relaxing.ravel()
         self._at_before = self._pull(left)
         """Gradient of the misfit at p₀, (n,), 1/Pa."""
@@ -243,11 +259,10 @@ class ContactProblem:
             support = kept
         nodes = np.flatnonzero(pressure > 0.0)
         where = np.searchsorted(self._work, nodes)
-        motion, gas_error = self._motion(pressure), 0.0
-        if self._gas is not None:
-            left = self._ranges.error_m - self._ranges.jacobian @ motion.ravel()
-            gas_error = self._bulge_share * float(self._bulge_weighed @ left)
-            motion = motion + gas_error * self._gas.bulge
+        motion, gas_error, ranges = self._motion(pressure), 0.0, self._ranges
+        if ranges.gas is not None:
+            gas_error = ranges.gas_error_pa(ranges.error_m - ranges.jacobian @ motion.ravel())
+            motion = motion + gas_error * ranges.gas.bulge
         return ContactPressure(
             support,
             pressure,
@@ -277,11 +292,11 @@ class ContactProblem:
         """Form the Hessian of the nodes `work` (c,) and the linear term."""
         self._work = work
         J = self._ranges.jacobian @ self._rubber.responses(work)
-        by_gas = self._bulge_weighed @ J
+        by_gas = self._ranges.bulge_weighed @ J
         J *= np.sqrt(self._ranges.weight)[:, None]
         smooth = self._prior.smoothness[work][:, work]
         self._hessian = J.T @ J + smooth.toarray()
-        self._hessian -= self._bulge_share * np.outer(by_gas, by_gas)
+        self._hessian -= self._ranges.gas_variance * np.outer(by_gas, by_gas)
         before = self._before[work]
         gradient = self._gradient(self._before)[work]
         self._linear = gradient - self._hessian @ before
@@ -318,9 +333,7 @@ class ContactProblem:
         return self._relaxing - (self._rubber.responses(nodes) @ change[nodes]).reshape(-1, 3)
 
     def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
-        weighed = self._ranges.weight * ranges_m
-        weighed -= self._bulge_share * float(self._bulge_weighed @ ranges_m) * self._bulge_weighed
-        weighted = self._ranges.jacobian.T @ weighed
+        weighted = self._ranges.jacobian.T @ self._ranges.weighed(ranges_m)
         return self._rubber.pull(weighted.reshape(-1, 3))
 
     def _everywhere(self, x: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
@@ -55,6 +57,11 @@ class LinearisedRubber:
         self._beta, self.with_gas = gas_stiffness, gas_stiffness != 0.0
         self._known: dict[int, int] = {}
         self._columns = np.empty((3 * self._nodes, 0))
+
+    @cached_property
+    def bulge(self) -> np.ndarray:
+        """Motion under unit gas pressure, (n, 3), m/Pa."""
+        return self.motion(self.area_vectors)
 
     def motion(self, force: np.ndarray) -> np.ndarray:
         """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""

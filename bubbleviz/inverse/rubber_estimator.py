@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.camera.observer import Misfit, RangeObserver
+from bubbleviz.camera.observer import Misfit, RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
@@ -46,7 +46,7 @@ _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
 """Shares of a mesh edge. A frame alone is done when it moves the shape by less than the first, one
 of a stream by less than the last; a tangent serves while the shape is nearer than the second to
 where it was taken, for what it misses the exact residual puts right."""
-_STEPS, _WHOLE_STEPS = 16, 8
+_STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
 by then the shape stands, or model and data contradict each other."""
 _SELECTIONS, _ROUNDS = 2, 6
@@ -259,7 +259,7 @@ class RubberEstimator:
         state, warm = start.state or self._rest, start.state is not None
         rubber, solve_ms = start.rubber, 0.0
         selecting, standing, chosen = True, warm, 0
-        whole = 0
+        far_steps = 0
         for _ in range(_STEPS):
             view = self.observer.around(state.x)
             observation = self.observer.weigh(measured, view.model_m)
@@ -271,7 +271,8 @@ class RubberEstimator:
             if np.median(np.abs(error[seen])) > self.scales.length_m:
                 return "implausible"
             rubber = self._rubber_at(state, measured_gas, rubber)
-            ranges = Ranges(view.jacobian, error, weight)
+            gas_error = self._gas_error(rubber, view, measured_gas)
+            ranges = Ranges(view.jacobian, error, weight, gas_error)
             began = time.perf_counter()
             rounds = (_ROUNDS if standing else 1) if selecting else 0
             contact = self._contact(rubber, ranges, state, measured_gas, rounds)
@@ -282,14 +283,14 @@ class RubberEstimator:
             state, balanced = self._step(rubber, state, contact, measured_gas)
             moved = float(np.abs(state.x - before.x).max())
             far = moved > self._far_m
-            whole += selecting and far and moved < 0.9 * self._longest_m
+            far_steps += selecting and far and moved < 0.9 * self._longest_m
             lasting = warm and contact.pressure.any()
             if balanced and moved <= (self._far_m if lasting else self._near_m):
                 if (selecting and contact.complete) or chosen > _SELECTIONS:
                     break
                 selecting = standing = True
                 chosen += 1
-            elif whole == _WHOLE_STEPS:
+            elif far_steps == _FAR_STEPS:
                 return "not_converged"
             else:
                 selecting, standing = far, False
@@ -304,6 +305,13 @@ class RubberEstimator:
         sigma = self._sigma(rubber, ranges, state, contact)
         return _Answer(state, contact, misfit, contradicts, sigma, rubber, noise, solve_ms)
 
+    def _gas_error(
+        self, rubber: LinearisedRubber, view: ShapeRanges, gas: float | None
+    ) -> GasError | None:
+        if gas is None:
+            return None
+        return GasError(rubber.bulge, view.jacobian @ rubber.bulge.ravel(), self._gas_sigma(gas))
+
     def _contact(
         self,
         rubber: LinearisedRubber,
@@ -315,11 +323,7 @@ class RubberEstimator:
         tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
         prior = Prior(self._smoothness, tau, self._neighbours)
         relaxing = rubber.motion(-self._residual(state.x, state.pressure, gas))
-        error = None
-        if gas is not None:
-            bulge = rubber.motion(rubber.area_vectors)
-            error = GasError(bulge, ranges.jacobian @ bulge.ravel(), self._gas_sigma(gas))
-        problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing, error)
+        problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support, rounds)
@@ -468,7 +472,7 @@ class RubberEstimator:
             gauge = variant.gauge_pressure_pa - self.membrane.gauge_pressure_pa
             change = variant.residual(state.x, inside + gauge) - usual
             moved = ranges.jacobian @ rubber.motion(change).ravel()
-            pull = C.T @ (ranges.jacobian.T @ (ranges.weight * moved))
+            pull = C.T @ (ranges.jacobian.T @ ranges.weighed(moved))
             variance += (push.T @ (contact.covariance @ pull)) ** 2
         return np.sqrt(variance)
 
