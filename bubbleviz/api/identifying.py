@@ -55,7 +55,7 @@ class Identified:
 
     @property
     def prestretch(self) -> float | None:
-        """Pre-stretch λ of the rubber; None where no levels told of it."""
+        """Pre-stretch λ of the rubber; None where neither levels nor a press tell it."""
         return self.found.sensor.membrane.prestretch
 
     def save(self, out: str | Path, report: str | Path | None = None) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from bubbleviz.api.frame_result import FrameResult
 from bubbleviz.errors import InputError
 from bubbleviz.export.pose_columns import pose_columns
 from bubbleviz.export.table_export import Table, more_columns, table_of
-from bubbleviz.files.output_files import refuse_existing
+from bubbleviz.files.output_files import whole_file
 from bubbleviz.files.pose_writer import PoseRow
 from bubbleviz.files.result_writer import COLUMNS, NODAL_FIELDS, result_arrays, summary_row
 from bubbleviz.wording import how_to_install
@@ -130,7 +130,7 @@ class Run(Sequence[FrameResult]):
             The file exists.
         """
         # Matplotlib takes 0.4 s, and pyplot looks for a display.
-        from bubbleviz.export.plot_files import SIZE_IN, draw_plots
+        from bubbleviz.export.plot_files import SIZE_IN, draw_plots, write_plots
 
         if path is None:
             from matplotlib import pyplot  # only where something is to be shown
@@ -138,13 +138,8 @@ class Run(Sequence[FrameResult]):
             figure = pyplot.figure(figsize=SIZE_IN, layout="constrained")
             draw_plots(self._table(), figure)
             return figure
-        from matplotlib.figure import Figure  # only where plots are drawn
-
-        refuse_existing(path)
-        figure = Figure(figsize=SIZE_IN, layout="constrained")
-        draw_plots(self._table(), figure)
-        figure.savefig(path, dpi=130)
-        return figure
+        with whole_file(path) as temporary:
+            return write_plots(self._table(), temporary)
 
     def _table(self) -> Table:
         results = [each.result for each in self]

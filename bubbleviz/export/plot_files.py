@@ -36,13 +36,14 @@ SIZE_IN = (8.0, 11.0)
 """Width and height of the figure, inches."""
 
 
-def write_plots(table: Table, path: Path) -> None:
-    """Write plots as PNG, SVG or PDF by suffix; see `draw_plots`."""
+def write_plots(table: Table, path: Path) -> Figure:
+    """Plots as PNG, SVG or PDF by suffix; see `draw_plots`."""
     from matplotlib.figure import Figure  # 0.4 s, only where plots are written
 
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     draw_plots(table, figure)
     figure.savefig(path, dpi=130)
+    return figure
 
 
 def draw_plots(table: Table, figure: Figure) -> None:

@@ -15,10 +15,10 @@ from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
     GAS_LINEAR,
     GAS_NOISE,
-    WHY,
-    beyond_gas,
+    STATUS_REASONS,
     contradicts_gas,
-    unexplained,
+    reason_against_fit,
+    reason_against_gas,
 )
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
@@ -237,16 +237,16 @@ class Estimator:
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             change = gas_pressure_pa - self.gas.P0
-            if beyond := beyond_gas(change, self.gas):
+            if beyond := reason_against_gas(change, self.gas):
                 return self._nothing("implausible", beyond), WarmStart(start.model)
             gas = change / self.scales.pressure_pa
         observation, model, answer = self._solve(depth_m, gas, start)
         if answer is None or answer.status == "implausible":
             status: Status = "no_data" if answer is None else answer.status
-            return self._nothing(status, WHY[status]), WarmStart(model)
+            return self._nothing(status, STATUS_REASONS[status]), WarmStart(model)
         misfit = self.observer.misfit(observation, model.linear, answer.displacement_m)
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
-        if doubt := doubt or unexplained(misfit, self.observer.white):
+        if doubt := doubt or reason_against_fit(misfit, self.observer.white):
             return self._nothing("implausible", doubt, misfit.rms_m), WarmStart(model)
         touching = answer if answer.pressure.any() else None
         return self._report(misfit, answer), WarmStart(model, touching)
@@ -382,7 +382,7 @@ class Estimator:
             kkt_residual=answer.kkt_residual,
             iterations=answer.iterations,
             solve_ms=answer.solve_ms,
-            reason=WHY.get(answer.status, ""),
+            reason=STATUS_REASONS.get(answer.status, ""),
         )
 
     def _nothing(self, status: Status, reason: str, misfit_m: float = np.nan) -> Estimate:

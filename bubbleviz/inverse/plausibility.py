@@ -21,7 +21,7 @@ dome of 45 mm leave 0.01 of it, μh 0.01 to 0.02 where it was identified from le
 
 GAS_LAG = 0.05
 """Share of the gauge pressure, which contacts carry, by which a measured p_v may be off without
-being of another sensor or zero: depth filters lag behind it by some frames."""
+being of another sensor or zero. Chosen; on the one real press they lag by up to 0.02 of it."""
 
 IMPLAUSIBLE_MISFIT = 5.0
 """Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
@@ -34,7 +34,7 @@ GAS_LINEAR = 0.1
 """Compression p_v/P0 beyond which the linear gas law (Eq. 22) is off by a tenth of p_v."""
 
 
-WHY: Mapping[Status, str] = MappingProxyType(
+STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
         "no_data": "too few depth pixels lie on the membrane",
         "not_converged": "no equilibrium was found",
@@ -45,7 +45,7 @@ WHY: Mapping[Status, str] = MappingProxyType(
 GAS_CONTRADICTS = "the shape asks for another gas pressure than was measured"
 
 
-def beyond_gas(change_pa: float, gas: Gas) -> str:
+def reason_against_gas(change_pa: float, gas: Gas) -> str:
     """Why a measured p_v is none that this membrane can cause; empty where it is."""
     if gas.lowest_change_pa <= change_pa <= gas.highest_change_pa:
         return ""
@@ -55,7 +55,7 @@ def beyond_gas(change_pa: float, gas: Gas) -> str:
     )
 
 
-def unexplained(misfit: Misfit, white: bool) -> str:
+def reason_against_fit(misfit: Misfit, white: bool) -> str:
     """Why a misfit is not what the noise leaves; empty where it is.
 
     Parameters

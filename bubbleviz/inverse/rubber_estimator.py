@@ -29,9 +29,9 @@ from bubbleviz.inverse.plausibility import (
     GAS_MODEL_ERROR,
     GAS_NOISE,
     IMPLAUSIBLE_MISFIT,
-    WHY,
-    beyond_gas,
-    unexplained,
+    STATUS_REASONS,
+    reason_against_fit,
+    reason_against_gas,
 )
 from bubbleviz.inverse.resolution import resolution_m
 from bubbleviz.inverse.scales import Scales
@@ -230,16 +230,16 @@ class RubberEstimator:
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             gas = gas_pressure_pa - self.gas.P0
-            if beyond := beyond_gas(gas, self.gas):
+            if beyond := reason_against_gas(gas, self.gas):
                 return self._nothing("implausible", beyond), RubberStart()
         try:
             answer = self._solve(depth_m, gas, start)
         except RuntimeError:  # a singular tangent
             answer = "not_converged"
         if isinstance(answer, str):
-            return self._nothing(answer, WHY[answer]), RubberStart()
+            return self._nothing(answer, STATUS_REASONS[answer]), RubberStart()
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
-        if doubt := doubt or unexplained(answer.misfit, self.observer.white):
+        if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white):
             return self._nothing("implausible", doubt, answer.misfit.rms_m), RubberStart()
         touching = answer.state if answer.state.pressure.any() else None
         return self._report(answer), RubberStart(touching, answer.rubber, answer.noise)

@@ -3,7 +3,7 @@
 import pytest
 
 from bubbleviz.camera.observer import Misfit
-from bubbleviz.inverse.plausibility import unexplained
+from bubbleviz.inverse.plausibility import reason_against_fit
 
 
 @pytest.mark.parametrize(
@@ -20,4 +20,4 @@ from bubbleviz.inverse.plausibility import unexplained
     ],
 )
 def test_a_misfit_is_noise_up_to_a_size_and_a_shape(deviations, clumping, white, explained):
-    assert (unexplained(Misfit(1e-4, deviations, clumping), white) == "") is explained
+    assert (reason_against_fit(Misfit(1e-4, deviations, clumping), white) == "") is explained

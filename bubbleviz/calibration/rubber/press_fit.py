@@ -53,9 +53,9 @@ _START = 0.35
 _STEPS, _LONGEST, _NEAR = 100, 1.0, 0.25
 """Gauss–Newton steps; in mesh edges the longest, and the one from which on q and G move too."""
 _SLOW, _LEAST = 0.7, 0.25
-"""A step longer than this share of the one before goes to and fro: the next is
-halved, down to the second."""
-_BOLDEST = 0.2
+"""A step longer than this share of the one before oscillates: the next is halved,
+down to the second."""
+_LARGEST_STEP = 0.2
 """Largest step of q and of ln G."""
 _SMALL = 5e-4
 """Step of q and ln G that ends it: far below their intervals."""
@@ -246,7 +246,7 @@ class HeldPress:
     def _moved(self, state: _State, step: np.ndarray, motion: np.ndarray) -> _State:
         longest = max(float(np.abs(motion).max()), 1e-300)
         share = min(1.0, _LONGEST * self._mesh.edge_length / longest)
-        share = min(share, _BOLDEST / max(float(np.abs(step[-2:]).max()), 1e-300))
+        share = min(share, _LARGEST_STEP / max(float(np.abs(step[-2:]).max()), 1e-300))
         pressure = state.pressure.copy()
         pressure[self._zone] += share * step[:-2]
         q = float(np.clip(state.q + share * step[-2], SMALLEST_Q, LARGEST_Q))
