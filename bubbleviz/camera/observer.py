@@ -23,8 +23,9 @@ _HUBER = 1.345
 _MAD = 0.6745
 """Median of |z| of a standard normal z."""
 
-_SQUARE = 8
-"""Side in blocks of the squares in which correlated noise shows."""
+_SQUARES = 40
+"""Number of squares over the image in which correlated noise shows, the same for every mesh: what
+the model gets wrong is alike over much of one, and their median needs some tens."""
 
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
@@ -184,6 +185,7 @@ class RangeObserver:
         self._line = None if pixels is None or pixels.line is None else pixels.line.at(pixel)
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
+        self._side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
         self._neighbourhood = self._neighbourhoods(blocks)
         self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
         rows = max(500, 200_000 // block**2)
@@ -204,9 +206,9 @@ class RangeObserver:
         return (row // self.block) * self.columns + column // self.block
 
     def _neighbourhoods(self, blocks: np.ndarray) -> np.ndarray:
-        """Number of the square of `_SQUARE`² blocks that each block lies in, (B,)."""
+        """Number of the square that each block lies in, (B,)."""
         row, column = np.divmod(blocks, self.columns)
-        return (row // _SQUARE) * self.columns + column // _SQUARE
+        return (row // self._side) * self.columns + column // self._side
 
     def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
         """Positions of some thousand pixels in whole blocks, one block a row."""
@@ -362,7 +364,7 @@ class RangeObserver:
         z = error_m * np.sqrt(observation.weight[block] / observation.trusted)
         square = self._neighbourhood[block]
         sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
-        full = count >= 0.5 * _SQUARE**2
+        full = count >= 0.5 * self._side**2
         if not full.any():
             return 1.0
         return max(1.0, float(np.median(np.abs(sums[full]) / np.sqrt(count[full])) / _MAD))

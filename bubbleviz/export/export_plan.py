@@ -17,7 +17,7 @@ from bubbleviz.export.vtk_export import VtkExporter
 from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.pipeline import Pipeline
 
-_FILES: dict[str, tuple[str, Callable[..., object]]] = {
+_FILES: dict[str, tuple[str, Callable[..., Any]]] = {
     ".csv": ("table", write_csv),
     ".parquet": ("parquet", write_parquet),
     ".png": ("plots", write_plots),

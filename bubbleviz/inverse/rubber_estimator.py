@@ -54,6 +54,9 @@ _SELECTIONS, _ROUNDS = 2, 6
 are added to it each time."""
 _LONGEST = 1.0
 """Longest step in mesh edges."""
+_NOISE_ALIKE, _NOISES = 1.2, 4
+"""Factor between the noise that a frame was solved with and the one it leaves within which they are
+the same, and how many are tried."""
 _BALANCED = 1e-3
 """Force left at a node over the gas load on one of mean area."""
 _NEWTON, _FRESH = 10, 2
@@ -94,7 +97,7 @@ class RubberStart:
     rubber : LinearisedRubber or None
         Tangent that was used last.
     noise : float
-        By how much more than its noise the frame before was missed.
+        By how much more than its noise the frame before was missed, a first guess for the next.
     """
 
     state: State | None = None
@@ -253,17 +256,20 @@ class RubberEstimator:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
-        While the shape is far from the image only those nodes are looked at that pull most.
+        While the shape is far from the image only those nodes are looked at that pull most. How
+        much more than the noise is left decides how far the image is trusted, so that the frame is
+        solved until the two agree: it does not hang on the frames before.
         """
         measured = self.observer.measure(depth_m)
         state, warm = start.state or self._rest, start.state is not None
         rubber, solve_ms = start.rubber, 0.0
         selecting, standing, chosen = True, warm, 0
-        far_steps = 0
-        for _ in range(_STEPS):
+        far_steps, noise, noises, steps = 0, start.noise, 1, 0
+        while steps < _STEPS:
+            steps += 1
             view = self.observer.around(state.x)
             observation = self.observer.weigh(measured, view.model_m)
-            weight = observation.weight[view.block] / start.noise**2
+            weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
             seen = weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
@@ -287,7 +293,14 @@ class RubberEstimator:
             lasting = warm and contact.pressure.any()
             if balanced and moved <= (self._far_m if lasting else self._near_m):
                 if (selecting and contact.complete) or chosen > _SELECTIONS:
-                    break
+                    left = error - view.jacobian @ (state.x - before.x).ravel()
+                    found = noise
+                    # where contact was looked for in vain, what it would explain is left
+                    if not contact.pivots or contact.pressure.any():
+                        found = self.observer.noise_left(observation, view.block, left)
+                    if noises == _NOISES or _alike(found, noise, noises > 1):
+                        break
+                    noise, noises, chosen, steps = found, noises + 1, 0, 0
                 selecting = standing = True
                 chosen += 1
             elif far_steps == _FAR_STEPS:
@@ -296,10 +309,6 @@ class RubberEstimator:
                 selecting, standing = far, False
         else:
             return "not_converged"
-        left = error - view.jacobian @ (state.x - before.x).ravel()
-        noise = start.noise
-        if moved <= self._near_m and (contact.pivots == 0 or contact.pressure.any()):
-            noise = self.observer.noise_left(observation, view.block, left)
         misfit = self.observer.left(observation, view.block, left)
         contradicts = measured_gas is not None and self._contradicts(state.gas, measured_gas)
         sigma = self._sigma(rubber, ranges, state, contact)
@@ -511,3 +520,8 @@ class RubberEstimator:
             force_sigma_n=three,
             reason=reason,
         )
+
+
+def _alike(found: float, noise: float, lower: bool) -> bool:
+    """Whether the noise that is left is what a frame was solved with, or where it may be lower."""
+    return found <= _NOISE_ALIKE * noise and (lower or noise <= _NOISE_ALIKE * found)

@@ -23,9 +23,9 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
 class PatchFinder:
     """Finds the patch in an estimate.
 
-    By default the physics of contact draws it. On the exact membrane it is where p_c exceeds half
-    the gas pressure, midway between free and touching, for what lies on something flat or convex
-    carries at least that pressure. On the linear one each part must somewhere reach the gas
+    By default the physics of contact draws it. On the exact membrane its edge lies midway between
+    nodes that carry at least the gas pressure, as all do that lie on something flat or convex, and
+    free ones. On the linear one each part must somewhere reach the gas
     pressure and carry more than what noise or the linear model's own error could put there; its
     edge is that of `PatchEdge`. With a factor κ it is the paper's: wherever p_c exceeds κ times its
     mean over the membrane.
@@ -55,9 +55,11 @@ class PatchFinder:
         """
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
         if kappa is None and estimate.force_n is not None:
-            threshold = 0.5 * (self._held + np.nan_to_num(estimate.gas_pressure_change_pa))
+            gas = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
+            threshold = 0.5 * gas
             contact = np.where(pressure > threshold, pressure, 0.0)
-            level = (pressure - threshold) / self._held
+            # The line load at an edge makes its nodes no more touching than others.
+            level = (np.minimum(pressure, gas) - threshold) / self._held
         elif kappa is None:
             threshold = 0.5 * self._held
             contact, part = self._contacts(estimate, threshold)

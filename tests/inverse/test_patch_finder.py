@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -90,6 +92,17 @@ def test_what_stays_below_the_gas_pressure_is_no_patch():
     assert firm.center_of_pressure_m[:2] == pytest.approx([0, 0], abs=5e-4)
     force = 3.0 * GAUGE * (MESH.areas * bump) @ MESH.normals
     assert firm.force_n == pytest.approx(-force)
+
+
+@pytest.mark.parametrize("line_load", [1.0, 20.0])
+def test_a_line_load_at_the_edge_does_not_widen_the_patch(line_load):
+    """On the exact membrane, a flat disc of 18 mm radius: loaded nodes are all within it."""
+    r = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
+    at_edge = (r < 0.018) & (r > 0.018 - MESH.edge_length)
+    pressure = GAUGE * np.where(at_edge, line_load, 1.0) * (r < 0.018)
+    estimate = replace(made_up(pressure), force_n=np.array([0.0, 0.0, -1.0]))
+    patch = PatchFinder(MESH, GAUGE, 0.003).find(estimate)
+    assert np.sqrt(patch.area_m2 / np.pi) == pytest.approx(0.018, abs=0.3 * MESH.edge_length)
 
 
 def test_kappa_is_the_papers_threshold():

@@ -91,7 +91,7 @@ def test_against_the_equations_of_the_meridian(depth, ball):
     """Force, gas pressure, pressure under a plate and shape, on two meshes."""
     exact, surface = oracle(depth, ball)
     image = seen(surface, np.zeros(len(surface.nodes)), NOISE_M)
-    for nodes, most in ((250, 0.05), (800, 0.02)):
+    for nodes, most in ((400, 0.05), (800, 0.02)):
         solver = estimator(nodes)
         estimate, _ = solver.estimate(image)
         assert estimate.status == "ok"
@@ -226,24 +226,29 @@ def test_small_press_on_a_flat_membrane_is_the_linear_model():
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_sigma_is_what_another_material_makes_of_the_force(measured):
-    """Against a second solve with the other tension, and the scatter of noisy frames."""
+    """Against a second solve with the other tension, and the scatter of noisy frames.
+
+    With more noise than the mesh gets wrong, which counts in σ too and does not scatter.
+    """
     mesh, contact = pressed("sphere", 0.007)
-    usual, stiffer = estimator(), estimator(tension=1.02 * TENSION)
-    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    noise_m, nodes = 5.0 * NOISE_M, 800
+    usual = estimator(nodes, relative=noise_m / 0.065)
+    stiffer = estimator(nodes, relative=noise_m / 0.065, tension=1.02 * TENSION)
+    image = seen(mesh, contact.displacement_3d_m, noise_m)
     gas = usual.gas.P0 + contact.gas_pressure_change_pa if measured else None
     a, b = usual.estimate(image, gas)[0], stiffer.estimate(image, gas)[0]
     unsure = RubberEstimator(usual.observer, usual.membrane, usual.gas, None, [stiffer.membrane])
     both = unsure.estimate(image, gas)[0].force_sigma_n[2]
     by_material = np.sqrt(both**2 - a.force_sigma_n[2] ** 2)
     assert by_material == pytest.approx(abs(b.force_n[2] - a.force_n[2]), rel=0.15)
-    images = (seen(mesh, contact.displacement_3d_m, NOISE_M, seed=seed) for seed in range(12))
+    images = (seen(mesh, contact.displacement_3d_m, noise_m, seed=seed) for seed in range(12))
     forces = np.array([usual.estimate(image, gas)[0].force_n for image in images])
     assert np.all(forces.std(axis=0) < 2.0 * a.force_sigma_n)
     assert forces[:, 2].std() > 0.4 * a.force_sigma_n[2]
 
 
-@pytest.mark.parametrize("name", ["sphere", "cylinder"])
-def test_patch_is_where_half_the_gas_pressure_is_exceeded(name):
+@pytest.mark.parametrize(("name", "least"), [("sphere", 0.85), ("cylinder", 0.72)])
+def test_patch_reaches_midway_to_the_free_nodes(name, least):
     mesh, contact = pressed(name, 0.007, 0.0)
     solver = estimator(1000)
     estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
@@ -251,7 +256,7 @@ def test_patch_is_where_half_the_gas_pressure_is_exceeded(name):
     inside = MembraneView(CAMERA, solver.mesh).above(estimate.motion_m, patch.level, 0.0)
     touching = (contact.contact_pressure_pa > 0.0).astype(float)
     truth = MembraneView(CAMERA, mesh).above(contact.displacement_3d_m, touching, 0.5)
-    assert np.count_nonzero(inside & truth) > 0.7 * np.count_nonzero(inside | truth)
+    assert np.count_nonzero(inside & truth) > least * np.count_nonzero(inside | truth)
     gas = GAUGE + estimate.gas_pressure_change_pa
     assert patch.threshold_pa == pytest.approx(0.5 * gas)
     np.testing.assert_array_equal(patch.force_n, estimate.force_n)

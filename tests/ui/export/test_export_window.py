@@ -52,6 +52,7 @@ class Bench:
         self._patch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(out), chosen))
         assert self.dialog.export.isEnabled()
         self.driver.bot.mouseClick(self.dialog.export, LEFT)
+        assert self.driver.window.exporting.busy or self.dialog.said.text(), "nothing began"
 
     def export(self, title: str, out: Path, chosen: str = "") -> str:
         """Export, wait until it is over; what is said then."""
