@@ -12,6 +12,7 @@ import click
 
 import bubbleviz
 from bubbleviz.cli.batch_command import batch
+from bubbleviz.cli.convert_command import convert
 from bubbleviz.cli.export_command import export
 from bubbleviz.cli.identify_command import identify
 from bubbleviz.cli.live_commands import publish, record, watch
@@ -122,7 +123,7 @@ def main(context: click.Context, fresh: bool) -> Any:
 
 
 for command in (
-    *(batch, estimate, export, identify, info, pose),
+    *(batch, convert, estimate, export, identify, info, pose),
     *(publish, record, simulate, study, watch),
 ):
     main.add_command(command)

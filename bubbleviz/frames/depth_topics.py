@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Topic
 from bubbleviz.frames.bags.bag import damage
-from bubbleviz.frames.message_decoding import DEPTH_ENCODINGS, decode_intrinsics
+from bubbleviz.frames.message_decoding import (
+    DEPTH_ENCODINGS,
+    REALSENSE_ENCODING,
+    decode_intrinsics,
+)
 
 IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -22,6 +28,22 @@ MARKERS = f"{RESULTS}markers"
 STRING = "std_msgs/msg/String"
 
 
+_REALSENSE_DEPTH = re.compile(r"(/device_\d+/sensor_\d+)/Depth_\d+/image/data")
+"""Topic of depth images in a file of the RealSense library."""
+
+
+def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
+    """Unit of the depth images that the RealSense library recorded; None for those of others."""
+    found = _REALSENSE_DEPTH.fullmatch(depth.name)
+    if found is None:
+        return None
+    name = f"{found[1]}/option/Depth_Units/value"
+    for topic in bag.topics:
+        if topic.name == name and topic.count:
+            return float(bag.messages(topic).message(0).data)
+    return 1e-3  # what every model but the D405 begins with
+
+
 def find_depth(bag: Bag, name: str | None = None) -> Topic:
     """Topic of the depth images: `name`, or the first image topic with a depth encoding.
 
@@ -32,7 +54,9 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
     candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
     encodings = {topic.name: bag.messages(topic).message(0).encoding for topic in candidates}
     for topic in candidates:
-        if encodings[topic.name] in DEPTH_ENCODINGS:
+        encoding = encodings[topic.name]
+        realsense = encoding == REALSENSE_ENCODING and _REALSENSE_DEPTH.fullmatch(topic.name)
+        if encoding in DEPTH_ENCODINGS or realsense:
             return topic
     clouds = of_type(bag, POINT_CLOUD, name)
     if clouds:

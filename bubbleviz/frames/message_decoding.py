@@ -14,6 +14,8 @@ DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     "32FC1": np.dtype(np.float32),
 }
 """Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
+REALSENSE_ENCODING = "mono16"
+"""Of the depth images that the RealSense library records, in units of the device."""
 
 _MAX_SIDE = 10_000  # pixels; no depth camera has more
 
@@ -21,27 +23,37 @@ _MODELS: dict[str, DistortionModel] = {
     "": "none",
     "none": "none",
     "plumb_bob": "plumb_bob",
+    "brown_conrady": "plumb_bob",  # as the RealSense library calls it
     "rational_polynomial": "plumb_bob",  # with k4 … k6 = 0, which is checked
     "inverse_brown_conrady": "inverse_brown_conrady",
 }
 
 
-def decode_depth(message: Any) -> np.ndarray:
+def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarray:
     """z-depth of a `sensor_msgs/Image`, shape (H, W), float32, m; NaN where no return.
 
     0, NaN, inf and negative values all mean no return.
+
+    Parameters
+    ----------
+    message : sensor_msgs/Image
+    metres_per_unit : float, optional
+        Of an image in `REALSENSE_ENCODING`.
 
     Raises
     ------
     ValueError
         Encoding, size and data of the image do not fit together; says how.
     """
-    if message.encoding not in DEPTH_ENCODINGS:
+    encoding, unit = message.encoding, 1e-3
+    if metres_per_unit is not None and encoding == REALSENSE_ENCODING:
+        encoding, unit = "16UC1", metres_per_unit
+    if encoding not in DEPTH_ENCODINGS:
         raise ValueError(
             f"encoding is {message.encoding[:40]!r}, not a depth image's 16UC1 or 32FC1"
         )
     height, width, step = int(message.height), int(message.width), int(message.step)
-    dtype = DEPTH_ENCODINGS[message.encoding]
+    dtype = DEPTH_ENCODINGS[encoding]
     if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
         raise ValueError(f"image size {width}×{height} is not plausible")
     if step < width * dtype.itemsize or height * step > len(message.data):
@@ -52,7 +64,7 @@ def decode_depth(message: Any) -> np.ndarray:
     rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
     raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
     if dtype.kind == "u":
-        depth = raw * np.float32(1e-3)
+        depth = raw * np.float32(unit)
         depth[raw == 0] = np.nan
         return depth
     depth = raw.astype(np.float32)

@@ -22,6 +22,7 @@ from bubbleviz.frames.depth_topics import (
     find_depth,
     find_intrinsics,
     first_of_type,
+    metres_per_unit,
 )
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_of
@@ -36,7 +37,7 @@ _GARBAGE_NS = 3_600_000_000_000  # one hour: a stamp further off is from an unse
 
 
 class Recording:
-    """Frames of a rosbag2 (folder, `.mcap`, `.db3`) or a ROS 1 `.bag`.
+    """Frames of a rosbag2 (folder, `.mcap`, `.db3`), a ROS 1 `.bag` or one of a RealSense.
 
     Frames are ordered by the header stamps of the depth images. When any of them is unset, or they
     begin again as a looped replay's do, the log times take their place for all frames. Any thread
@@ -92,6 +93,7 @@ class Recording:
         self.name = self.path.name or str(self.path)
         try:
             self.depth_topic = find_depth(self.bag, depth_topic)
+            self._unit_m = metres_per_unit(self.bag, self.depth_topic)
             self._open_images(info_topic)
             self.intrinsics: Intrinsics | None = find_intrinsics(
                 self.bag, self.depth_topic, self.size, info_topic
@@ -173,7 +175,7 @@ class Recording:
     def _decoded(self, message: Any) -> np.ndarray:
         if self.depth_topic.type == POINT_CLOUD:
             return decode_cloud(message, self.intrinsics)
-        return decode_depth(message)
+        return decode_depth(message, self._unit_m)
 
     def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
         """Width and height of the images; those of a cloud without rows are its camera's."""

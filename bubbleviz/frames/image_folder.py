@@ -1,0 +1,299 @@
+"""Depth images of a folder as frames: arrays, 16-bit PNG and TIFF, with their times beside them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+from pydantic import BaseModel, PositiveFloat, PositiveInt, ValidationError
+
+from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.time_series import NEAREST_NS
+
+SUFFIXES = (".npy", ".png", ".tif", ".tiff")
+NEAREST_M, FARTHEST_M = 1e-3, 10.0
+"""Median depth that a camera inside a bubble can have, with ample room: else the unit is wrong."""
+LEAST_PA, MOST_PA = 20e3, 1e6
+"""Absolute gas pressure that a bubble can have: else it is of another unit, or a gauge pressure."""
+_MILLIMETRE = 1e-3
+_NANOSECONDS = 1e17
+"""Stamps beyond it are in ns since 1970, below it in s."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Values over time that were measured beside the images.
+
+    Attributes
+    ----------
+    times_s : (n,) array
+        Rising, on the clock of the images.
+    values : (n, k) array
+    """
+
+    times_s: np.ndarray
+    values: np.ndarray
+
+    def at(self, time_s: float) -> np.ndarray | None:
+        """Values (k,), interpolated; of the nearest end within 0.1 s, None further off."""
+        off = max(self.times_s[0] - time_s, time_s - self.times_s[-1])
+        if off > 1e-9 * NEAREST_NS:
+            return None
+        return np.array([np.interp(time_s, self.times_s, column) for column in self.values.T])
+
+
+class ImageFolder:
+    """Frames of the images in a folder, in the order of the numbers in their names.
+
+    Parameters
+    ----------
+    folder : path-like
+    intrinsics : Intrinsics, optional
+        None: the sensor file's will count.
+    times_s : (F,) array, optional
+        On the clock of what else was measured.
+    rate_hz : float, optional
+        In place of times. Without either the names are stamps, in s or ns.
+    metres_per_unit : float, optional
+        Of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given.
+    gas_pressure, wrench : Measured, optional
+        Absolute gas pressure in Pa, (n, 1); force in N and torque in N·m, (n, 6).
+
+    Attributes
+    ----------
+    whole_millimetres : bool
+        Whether whole numbers of mm hold the depths.
+
+    Raises
+    ------
+    InputError
+        No images, or images and times do not fit together.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        intrinsics: Intrinsics | None = None,
+        times_s: np.ndarray | None = None,
+        rate_hz: float | None = None,
+        metres_per_unit: float | None = None,
+        gas_pressure: Measured | None = None,
+        wrench: Measured | None = None,
+    ) -> None:
+        self.path = Path(folder)
+        self.name = self.path.name
+        self._intrinsics, self._scale = intrinsics, metres_per_unit
+        self._gas_pressure, self._wrench = gas_pressure, wrench
+        found = [path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES]
+        if not found:
+            raise InputError(f"{folder}: no images; put {', '.join(SUFFIXES)} files there")
+        self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
+        if times_s is not None:
+            stamps = times_s
+        elif rate_hz is not None:
+            stamps = np.arange(len(found)) / rate_hz
+        else:
+            stamps = self._stamps()
+        if len(stamps) != len(self._files):
+            raise InputError(f"{folder}: {len(self._files)} images but {len(stamps)} times")
+        if np.any(np.diff(stamps) <= 0.0):
+            late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
+            raise InputError(f"{folder}: the time of image {late} is not after the one before")
+        self._clock_s = np.asarray(stamps, dtype=np.float64)
+        self.times_s = self._clock_s - self._clock_s[0]
+        first = _pixels(self._files[0])
+        self._shape = first.shape
+        self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
+        self._check()
+
+    def __len__(self) -> int:
+        """Count the images."""
+        return len(self._files)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
+        time_s = float(self._clock_s[index])
+        pressure = self._gas_pressure.at(time_s) if self._gas_pressure else None
+        return Frame(
+            index=index,
+            time_s=float(self.times_s[index]),
+            depth_m=self._depth(self._files[index]),
+            intrinsics=self._intrinsics,
+            gas_pressure_pa=None if pressure is None else float(pressure[0]),
+            wrench=self._wrench.at(time_s) if self._wrench else None,
+            stamp_ns=round(time_s * 1e9),
+        )
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+    def _depth(self, path: Path) -> np.ndarray:
+        pixels = _pixels(path)
+        if pixels.shape != self._shape:
+            raise InputError(
+                f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}"
+            )
+        usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
+        depth = (pixels * (self._scale or usual)).astype(np.float32)
+        depth[~((depth > 0) & (depth < np.inf))] = np.nan
+        return depth
+
+    def _check(self) -> None:
+        camera = self._intrinsics
+        if camera is not None and (camera.height, camera.width) != self._shape:
+            raise InputError(
+                f"{self._files[0]}: {_size(self._shape)} pixels, the intrinsics are of "
+                f"{camera.width}×{camera.height}"
+            )
+        depth = self._depth(self._files[0])
+        returns = depth[np.isfinite(depth)]
+        middle = float(np.median(returns)) if returns.size else NEAREST_M
+        if not NEAREST_M <= middle <= FARTHEST_M:
+            raise InputError(
+                f"{self._files[0]}: a median depth of {middle:.4g} m is no bubble's; "
+                "give --metres-per-unit"
+            )
+
+    def _stamps(self) -> np.ndarray:
+        """Times from the names, s."""
+        numbers = [_numbers(path.stem) for path in self._files]
+        last = np.array([each[-1] if each else np.nan for each in numbers])
+        if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
+            raise InputError(
+                f"{self.path}: the names of the images are no times; give --rate or --times"
+            )
+        if last[0] < _NANOSECONDS:
+            return last
+        # whole ns do not fit a float: from the first on they do
+        exact = [int(re.findall(r"\d+", path.stem)[-1]) for path in self._files]
+        return 1e-9 * exact[0] + 1e-9 * np.array([value - exact[0] for value in exact])
+
+
+def read_intrinsics(path: str | Path) -> Intrinsics:
+    """Intrinsics from TOML or JSON, in a table `camera` or not, with the keys of a sensor file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or lacks a number; says which.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        camera = _Camera.model_validate(table.get("camera", table))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    except (ValueError, AttributeError) as error:
+        reason = str(error)
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        raise InputError(f"{path}: no intrinsics: {reason}") from error
+    return Intrinsics(**camera.model_dump())
+
+
+def read_times(path: str | Path) -> np.ndarray:
+    """Times of the images, (F,), s: the first column of a CSV."""
+    return _columns(path, 1)[:, 0]
+
+
+def read_gas_pressure(path: str | Path) -> Measured:
+    """Absolute gas pressure over time: a CSV of time in s and pressure in Pa.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or its numbers are no absolute pressure in Pa.
+    """
+    table = _columns(path, 2)
+    usual = float(np.median(table[:, 1]))
+    if not LEAST_PA <= usual <= MOST_PA:
+        raise InputError(
+            f"{path}: {usual:.5g} Pa is no absolute gas pressure of a bubble; convert it to "
+            "absolute Pa"
+        )
+    return _measured(path, table)
+
+
+def read_wrench(path: str | Path) -> Measured:
+    """Force and torque over time: a CSV of time in s, three forces in N, three torques in N·m."""
+    return _measured(path, _columns(path, 7))
+
+
+class _Camera(BaseModel):
+    width: PositiveInt
+    height: PositiveInt
+    fx: PositiveFloat
+    fy: PositiveFloat
+    cx: float
+    cy: float
+    distortion_model: DistortionModel = "none"
+    distortion: tuple[float, ...] = ()
+
+
+def _measured(path: str | Path, table: np.ndarray) -> Measured:
+    if np.any(np.diff(table[:, 0]) <= 0.0):
+        raise InputError(f"{path}: the times do not rise")
+    return Measured(table[:, 0], table[:, 1:])
+
+
+def _columns(path: str | Path, count: int) -> np.ndarray:
+    """First columns of a CSV with or without a header, (n, count)."""
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+        if rows and not _is_number(rows[0][0]):
+            rows = rows[1:]
+        table = np.array([[float(value) for value in row[:count]] for row in rows])
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as a CSV of numbers: {error}") from error
+    if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
+        raise InputError(f"{path}: wants rows of {count} finite numbers, separated by commas")
+    return table
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(stem: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in re.findall(r"\d+(?:\.\d+)?", stem))
+
+
+def _size(shape: Sequence[int]) -> str:
+    return f"{shape[1]}×{shape[0]}"
+
+
+def _pixels(path: Path) -> np.ndarray:
+    """Pixels of an image file, (H, W)."""
+    try:
+        if path.suffix.lower() == ".npy":
+            pixels = np.load(path, allow_pickle=False)
+        else:
+            with Image.open(path) as image:
+                pixels = np.asarray(image)
+    except (OSError, ValueError, EOFError, UnidentifiedImageError) as error:
+        raise InputError(f"{path}: cannot be read as an image: {error}") from error
+    if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
+        raise InputError(
+            f"{path}: {pixels.shape} of {pixels.dtype} is no depth image; wants one channel of "
+            "16-bit or floating-point numbers"
+        )
+    return pixels

@@ -1,0 +1,127 @@
+"""Folders of images and other bags become recordings that say the same."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+from bubbleviz.cli.command_line import main
+from bubbleviz.commands.estimate import estimate_recording
+from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.frames.recording import Recording
+from tests.frames.bagmaker import BagMaker, fill
+from tests.small_press import HEIGHTS, small_source, write_small_sensor
+
+CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
+
+
+def converted(*arguments: object) -> str:
+    """What the command says; its one line of an error where it fails."""
+    done = CliRunner().invoke(main, ["convert", *map(str, arguments)])
+    assert done.exit_code in (0, 2), done.output
+    assert done.exit_code == 0 or done.stderr.count("\n") == 1
+    return done.stdout if done.exit_code == 0 else done.stderr
+
+
+def depths(count: int = 3) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    images = [np.rint(rng.uniform(80.0, 120.0, (24, 32))) * 1e-3 for _ in range(count)]
+    images[1][3, 4] = 0.0
+    return images
+
+
+def folder_of(path: Path, kind: str, names: list[str]) -> Path:
+    path.mkdir()
+    for name, depth in zip(names, depths(len(names)), strict=True):
+        file = path / f"{name}{kind}"
+        if kind == ".npy":
+            np.save(file, depth)
+        elif kind == ".png":
+            Image.fromarray(np.rint(1e3 * depth).astype(np.uint16)).save(file)
+        else:
+            Image.fromarray(depth.astype(np.float32)).save(file)
+    return path
+
+
+@pytest.mark.parametrize("kind", [".npy", ".png", ".tif"])
+def test_a_folder_with_what_was_measured(kind: str, tmp_path: Path) -> None:
+    images = folder_of(tmp_path / "images", kind, ["d1", "d2", "d10"])
+    (images / "intrinsics.json").write_text(json.dumps(CAMERA))
+    (tmp_path / "gas.csv").write_text("time_s,pa\n0,100000\n0.1,101000\n")
+    (tmp_path / "wrench.csv").write_text("0,1,2,3,4,5,6\n0.2,3,2,3,4,5,6\n")
+    out = tmp_path / "out.mcap"
+    beside = ("--pressure", tmp_path / "gas.csv", "--wrench", tmp_path / "wrench.csv")
+    assert "3 frames" in converted(images, out, "--rate", 10, *beside)
+    with Recording(out) as recording:
+        assert recording.times_s == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
+        assert recording.intrinsics is not None
+        assert recording.intrinsics.fy == CAMERA["fy"]
+        for frame, depth in zip(recording, depths(), strict=False):
+            expected = np.where(depth > 0.0, depth, np.nan)
+            np.testing.assert_allclose(frame.depth_m, expected, rtol=1e-6)
+        assert recording[1].gas_pressure_pa == pytest.approx(101_000.0, abs=1.0)
+        assert recording[1].wrench == pytest.approx([2, 2, 3, 4, 5, 6], abs=1e-3)
+
+
+def test_names_that_are_times(tmp_path: Path) -> None:
+    names = [f"depth_{1_700_000_000_000_000_000 + k * 33_000_000}" for k in range(3)]
+    out = tmp_path / "out.mcap"
+    converted(folder_of(tmp_path / "images", ".png", names), out)
+    with Recording(out) as recording:
+        assert recording.times_s == pytest.approx([0.0, 0.033, 0.066], abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["db3 folder", "bag lz4"])
+def test_other_bags_say_the_same(kind: str, tmp_path: Path) -> None:
+    path = fill(BagMaker(kind)).write(tmp_path)
+    out = tmp_path / "out.mcap"
+    found = json.loads(converted(path, out, "--json"))
+    assert found["frames"] == 6 and found["has_gas_pressure"] and found["has_wrench"]
+    with Recording(path) as before, Recording(out) as after:
+        assert after.times_s == pytest.approx(before.times_s)
+        for a, b in zip(before, after, strict=False):
+            np.testing.assert_array_equal(a.depth_m, b.depth_m)
+            assert a.gas_pressure_pa == pytest.approx(b.gas_pressure_pa)
+            assert a.intrinsics == b.intrinsics
+            assert a.wrench == pytest.approx(b.wrench)
+
+
+def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
+    sensor = write_small_sensor(tmp_path / "small.toml")
+    write_simulation(small_source(sensor, HEIGHTS[1:2]), tmp_path / "press.mcap")
+    (tmp_path / "images").mkdir()
+    with Recording(tmp_path / "press.mcap") as recording:
+        np.save(tmp_path / "images" / "1.npy", recording[0].depth_m)
+        (tmp_path / "gas.csv").write_text(f"0,{recording[0].gas_pressure_pa}\n")
+    beside = ("--rate", 30, "--intrinsics", sensor, "--pressure", tmp_path / "gas.csv")
+    converted(tmp_path / "images", tmp_path / "out.mcap", *beside)
+    for name in ("press", "out"):
+        estimate_recording(tmp_path / f"{name}.mcap", sensor, tmp_path / f"{name}.npz")
+    before, after = (np.load(tmp_path / f"{name}.npz")["force_n"] for name in ("press", "out"))
+    assert np.linalg.norm(before) > 0.5
+    np.testing.assert_allclose(after, before, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda p: None, "no times; give --rate"),
+        (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "cannot be read as an image"),
+        (lambda p: np.save(p / "9.npy", np.ones((3, 3))), "3×3 pixels, the first image has 32×24"),
+        (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give --metres-per-unit"),
+        (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: Field required"),
+        (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(spoil, words: str, tmp_path: Path) -> None:
+    images = folder_of(tmp_path / "images", ".npy", ["1", "2", "3"])
+    spoil(images)
+    rate = () if "time" in words else ("--rate", 30)
+    assert words in converted(images, tmp_path / "out.mcap", *rate)
+    assert not (tmp_path / "out.mcap").exists()
+    assert not list(tmp_path.glob(".out*"))
