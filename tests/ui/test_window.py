@@ -10,9 +10,10 @@ import pytest
 from fakes import DentSource, small_sensor
 from PySide6.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
 from window_driver import Driver
 
+import bubbleviz
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -306,3 +307,16 @@ def test_numbers_follow_when_playback_stops(drive: Drive) -> None:
     shown = driver.window.controller.result.frame.index
     assert driver.window.status.labels["frame"].text().startswith(f"frame {shown} of ")
     assert f"frame {shown} of" in driver.window.playback.readout.text()
+
+
+def test_full_screen_and_about_say_what_runs(drive: Drive) -> None:
+    driver = drive()
+    actions = driver.window.shortcuts.actions
+    actions["View › Full screen"].trigger()
+    assert driver.window.isFullScreen()
+    actions["View › Full screen"].trigger()
+    assert not driver.window.isFullScreen()
+    actions["Help › About bubbleviz"].trigger()
+    (about,) = driver.window.findChildren(QMessageBox)
+    assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
+    about.accept()

@@ -74,7 +74,8 @@ def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> N
     state = bench.driver.state
     state.choose_range((3, 8))
     state.choose(kappa=2.0)
-    bench.dialog.step.setValue(2)
+    bench.driver.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
+    assert bench.dialog.step.text() == "every 2nd frame"
     out = tmp_path / "mine.csv"
     assert "3 frames" in bench.export("Table", out)
     with out.open() as file:

@@ -10,6 +10,7 @@ import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QInputDialog
 from window_driver import Driver
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
@@ -255,3 +256,25 @@ def test_the_clock_makes_up_for_small_delays_only() -> None:
     clock.start(9, 6.0, 1.0)
     assert clock.following(6.2, loop=False) == (9, True)
     assert clock.following(6.2, loop=True) == (0, False)
+
+
+def test_contacts_the_largest_force_and_a_frame_by_number_are_one_key_away(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = drive(DentSource, frame=0)
+    key(driver, Qt.Key.Key_PageDown, CTRL)
+    assert driver.state.frame == 0 and "No such contact" in driver.window.message.label.text()
+    for frame in range(FIRST_CONTACT - 1, FRAMES):
+        driver.seek(frame)
+    force = driver.state.history.values["force_n"]
+    key(driver, Qt.Key.Key_Home, CTRL)
+    assert driver.state.frame == np.nanargmax(force)
+    key(driver, Qt.Key.Key_PageUp, CTRL)
+    first = driver.state.frame
+    assert driver.state.history.contact[first] == CONTACT != driver.state.history.contact[first - 1]
+    driver.seek(0)
+    key(driver, Qt.Key.Key_PageDown, CTRL)
+    assert driver.state.frame == first
+    monkeypatch.setattr(QInputDialog, "getInt", lambda *_: (7, True))
+    key(driver, Qt.Key.Key_G, CTRL)
+    assert driver.state.frame == 7

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
@@ -27,6 +28,25 @@ MOST_STEP = 1000  # frames
 WIDTH = 460  # px: a path of usual length
 
 
+class StepBox(QSpinBox):
+    """Shows 2 as 2nd; reads it with its ending or without."""
+
+    def textFromValue(self, value: int) -> str:
+        """2 as 2nd."""
+        usual = {1: "st", 2: "nd", 3: "rd"}.get(value % 10, "th")
+        return f"{value}{'th' if value % 100 in (11, 12, 13) else usual}"
+
+    def valueFromText(self, text: str) -> int:
+        """2nd as 2."""
+        return int(_digits(text) or 1)
+
+    def validate(self, text: str, position: int) -> tuple[QValidator.State, str, int]:
+        """Anything with a number in range may be typed."""
+        inside = 1 <= int(_digits(text) or 0) <= MOST_STEP
+        state = QValidator.State.Acceptable if inside else QValidator.State.Intermediate
+        return state, text, position
+
+
 class ExportDialog(QDialog):
     """Stays open beside the window, which can be used meanwhile."""
 
@@ -43,9 +63,9 @@ class ExportDialog(QDialog):
         self.kind.setToolTip("What to make of the frames")
         self.frames = QComboBox()
         self.frames.setToolTip("The range is set on the timeline, [ and ]")
-        self.step = QSpinBox(minimum=1, maximum=MOST_STEP, prefix="every ", suffix=". frame")
+        self.step = StepBox(minimum=1, maximum=MOST_STEP, prefix="every ", suffix=" frame")
         self.step.setSpecialValueText("every frame")
-        self.step.setToolTip("Leave frames out: every 2., every 3. …")
+        self.step.setToolTip("Leave frames out: every 2nd, every 3rd …")
         self.about = QLabel(wordWrap=True)
         self.about.setObjectName("dim")
         self.said = QLabel(wordWrap=True)
@@ -154,3 +174,7 @@ class ExportDialog(QDialog):
 
     def _say(self, text: str, _: str) -> None:
         self.said.setText(text)
+
+
+def _digits(text: str) -> str:
+    return "".join(letter for letter in text if letter.isdigit())

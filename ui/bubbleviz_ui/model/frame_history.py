@@ -99,6 +99,21 @@ class History:
             return measured_force(self._wrench, self._untouched)
         return self.values[name]
 
+    def next_contact(self, frame: int, direction: int) -> int | None:
+        """Frame in which the next contact begins, or the last before (`direction` −1).
+
+        As far as frames were computed; None where there is none.
+        """
+        touching = self.contact == CONTACT
+        begins = np.flatnonzero(touching & ~np.concatenate([[False], touching[:-1]]))
+        found = begins[begins > frame][:1] if direction > 0 else begins[begins < frame][-1:]
+        return int(found[0]) if found.size else None
+
+    def largest_force(self) -> int | None:
+        """Frame of the largest force of those computed; None where there is no contact."""
+        force = np.where(self.contact == CONTACT, self.values["force_n"], np.nan)
+        return None if np.isnan(force).all() else int(np.nanargmax(force))
+
     def missing(self, products: frozenset[Product]) -> np.ndarray:
         """Frames of which not all was computed that these products would tell, (k,) int."""
         wanted = _FRAME

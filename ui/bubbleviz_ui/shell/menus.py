@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from PySide6.QtCore import Qt, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QDockWidget, QFileDialog, QInputDialog, QMenu, QMenuBar
+from PySide6.QtWidgets import (
+    QDockWidget,
+    QFileDialog,
+    QInputDialog,
+    QMenu,
+    QMenuBar,
+    QMessageBox,
+)
+from vtkmodules.vtkCommonCore import vtkVersion
 
+import bubbleviz
 from bubbleviz.files.defaults import SESSION_SUFFIX
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz_ui.engine.source_openers import RECORDINGS
@@ -23,6 +34,7 @@ from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
 
+NO_CONTACT = "No such contact in the frames computed so far; Analyse all frames (Plots) finds all"
 SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
 
 
@@ -72,6 +84,19 @@ class Menus:
         self._add(menu, "&What runs and what it costs", self._window.show_costs, "Ctrl+I")
         self._add(menu, "&First steps", self._window.hint.show)
         self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
+        self._add(menu, "&About bubbleviz…", self._show_about)
+
+    def _show_about(self) -> None:
+        about = QMessageBox(self._bar)
+        about.setWindowTitle("About bubbleviz")
+        about.setText(
+            f"bubbleviz {bubbleviz.__version__}\nCalibrate, watch and debug Soft-bubble tactile "
+            "sensors.\nMIT licence."
+        )
+        about.setInformativeText(
+            f"Python {platform.python_version()}, Qt {qVersion()}, VTK {vtkVersion.GetVTKVersion()}"
+        )
+        about.open()
 
     def _edit(self, menu: QMenu) -> None:
         stack = self._window.undo_stack
@@ -94,6 +119,10 @@ class Menus:
             self._add(menu, title, partial(state.jump, seconds), keys)
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
         self._add(menu, "&Last frame", self._last_frame, "End")
+        self._add(menu, "&Go to frame…", self._go_to_frame, "Ctrl+G")
+        self._add(menu, "Next contact", lambda: self._seek_contact(1), "Ctrl+PgDown")
+        self._add(menu, "Contact before", lambda: self._seek_contact(-1), "Ctrl+PgUp")
+        self._add(menu, "Largest force", self._seek_largest_force, "Ctrl+Home")
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
             self._add(menu, title, partial(self._change_speed, direction), keys)
@@ -136,6 +165,7 @@ class Menus:
         for name in preset_names("scenes"):
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
+        self._add(menu, "&Full screen", self._toggle_full_screen, "F11")
         self._theme(menu.addMenu("&Theme"))
         self._units(menu.addMenu("&Units"))
         menu.addSeparator()
@@ -147,6 +177,10 @@ class Menus:
         )
         status.setCheckable(True)
         menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
+
+    def _toggle_full_screen(self) -> None:
+        window = self._bar.window()
+        window.setWindowState(window.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _units(self, menu: QMenu) -> None:
         """A choice of each kind of unit, with a line between kinds."""
@@ -201,6 +235,30 @@ class Menus:
         facts = self._window.state.facts
         if facts is not None:
             self._window.state.seek(facts.frames - 1)
+
+    def _go_to_frame(self) -> None:
+        state = self._window.state
+        if state.facts is None:
+            return
+        last = state.facts.frames - 1
+        frame, chosen = QInputDialog.getInt(
+            self._bar, "Go to frame", f"Frame, 0 to {last}", state.frame, 0, last
+        )
+        if chosen:
+            state.seek(frame)
+
+    def _seek_contact(self, direction: int) -> None:
+        state = self._window.state
+        self._seek_found(state.history.next_contact(state.frame, direction))
+
+    def _seek_largest_force(self) -> None:
+        self._seek_found(self._window.state.history.largest_force())
+
+    def _seek_found(self, frame: int | None) -> None:
+        if frame is None:
+            self._window.message.say(NO_CONTACT)
+        else:
+            self._window.state.seek(frame)
 
     def _publish_at(self) -> None:
         state = self._window.state
