@@ -320,3 +320,18 @@ def test_full_screen_and_about_say_what_runs(drive: Drive) -> None:
     (about,) = driver.window.findChildren(QMessageBox)
     assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
     about.accept()
+
+
+def test_a_small_screen_holds_the_window_and_the_force(drive: Drive) -> None:
+    driver = drive(DentSource, frame=6)
+    labels = driver.window.status.labels
+    driver.window.resize(1016, 660)
+    driver.wait(lambda: driver.window.width() == 1016)
+    driver.wait(lambda: not labels["dropped"].isVisible())
+    shown = [label for label in labels.values() if label.isVisible()]
+    assert labels["force"] in shown and labels["frame"] in shown
+    for label in shown:
+        assert label.geometry().right() <= driver.window.status.width()
+        assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
+    driver.window.resize(1500, 800)
+    driver.wait(lambda: labels["dropped"].isVisible())

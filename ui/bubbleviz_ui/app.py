@@ -77,7 +77,7 @@ def run_window(
             session.window.show()
             return session.run()
     with (
-        private_display(1280, 800),
+        private_display(1300, 860),  # the window at first and its frame
         window_session(sensor, recording, frame, scene, None, live, saved, truth) as session,
     ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)

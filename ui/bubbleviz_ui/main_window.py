@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
@@ -66,6 +66,8 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
 
+SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
+"""Pixels: of the window at first, and what a window manager puts around it at most."""
 RATES_EVERY_MS = 500
 STEPS = 200
 """That can be undone; some hold collected frames."""
@@ -95,7 +97,7 @@ class MainWindow(QMainWindow):
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("bubbleviz")
         self.setAcceptDrops(True)
-        self.resize(1280, 800)
+        self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
         self.state = state
         self.controller = controller
         self.message = MessageBar(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QStatusBar
 
@@ -32,6 +32,10 @@ TIPS = {
 
 MEASURED = ("solve", "render", "dropped")
 """What the window measures about itself; a click tells more."""
+
+SPACING = 12  # px between labels, as QStatusBar has it at most
+LEAVING = ("dropped", "render", "camera", "solve", "residual", "gas", "latency", "area", "sensor")
+"""What a narrow window leaves out, in this order; the panels have it, too."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,8 @@ def widest(units: Units) -> dict[str, str]:
 class StatusBar(QStatusBar):
     """One label a fact, each as wide as its widest text, so nothing jumps.
 
+    A narrow window has the more important ones.
+
     Attributes
     ----------
     asked : Signal
@@ -77,16 +83,17 @@ class StatusBar(QStatusBar):
         self.setSizeGripEnabled(False)
         self.setContentsMargins(10, 2, 10, 2)
         self.labels = {name: self._label(name) for name in TIPS}
-        self.labels["latency"].hide()
-        self.fit_units()
         for name, label in self.labels.items():
             self.addWidget(label, 1 if name == "sensor" else 0)
+        self._there = set(TIPS) - {"latency"}
+        self.fit_units()
 
     def fit_units(self) -> None:
         """Make each label as wide as its widest text in the operator's units."""
         for name, text in widest(self._units).items():
             label = self.labels[name]
             label.setMinimumWidth(label.fontMetrics().horizontalAdvance(text) + 6)
+        self._fit()
 
     def show_source(self, facts: SourceFacts) -> None:
         """Write what does not change from frame to frame."""
@@ -94,9 +101,9 @@ class StatusBar(QStatusBar):
         self._show_sensor()
         self.labels["sensor"].setToolTip(f"Sensor: {facts.sensor_name}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
-        for name in ("camera", "dropped"):  # the live bar has them of a stream
-            self.labels[name].setVisible(not facts.grows)
-        self.labels["latency"].setVisible(facts.grows)
+        # the live bar has some of a stream
+        self._there = set(TIPS) - ({"camera", "dropped"} if facts.grows else {"latency"})
+        self._fit()
         self.show_latency(None)
 
     def show_result(self, result: Result, facts: SourceFacts) -> None:
@@ -146,7 +153,24 @@ class StatusBar(QStatusBar):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """The sensor's name takes what is left."""
         super().resizeEvent(event)
+        self._fit()
         self._show_sensor()
+
+    def minimumSizeHint(self) -> QSize:
+        """Any width will do."""
+        return QSize(0, super().minimumSizeHint().height())
+
+    def _fit(self) -> None:
+        """Show what there is room for."""
+        margins = self.contentsMargins()
+        room = self.width() - margins.left() - margins.right()
+        shown = set(self._there)
+        for name in LEAVING:
+            if sum(self.labels[each].minimumWidth() + SPACING for each in shown) <= room:
+                break
+            shown.discard(name)
+        for name, label in self.labels.items():
+            label.setVisible(name in shown)
 
     def _show_sensor(self) -> None:
         label = self.labels["sensor"]
