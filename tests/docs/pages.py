@@ -12,7 +12,22 @@ REPOSITORY = Path(__file__).parents[2]
 PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted((REPOSITORY / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 KINDS = {"python", "sh", "console", "toml", "text"}
-"""`python` and `sh` run; commands of `console`, for a robot, a camera or a screen, are parsed."""
+NEEDS = {
+    "needs a robot": "nobody publishes its ROS 2 messages here",
+    "needs a screen": "opens the window, which tests/ui does",
+    "needs the network": "installs packages",
+    "takes minutes": "only make pages waits for it",
+}
+"""What a comment says of its line, or of all lines below in the block, and why they are not run."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a page: its words, and what of `NEEDS` its page says of it."""
+
+    place: str
+    words: list[str]
+    needs: str | None
 
 
 @dataclass(frozen=True)
@@ -24,27 +39,33 @@ class Block:
     kind: str
     text: str
 
+    def commands(self) -> Iterator[Command]:
+        """Commands of a block of `sh`, or of `console`, where they begin with `$`."""
+        of_all = None
+        for number, line in enumerate(self.text.replace("\\\n", " ").splitlines(), self.line + 1):
+            words = shlex.split(line, comments=True)
+            needs = next((each for each in NEEDS if each in line.partition("#")[2]), of_all)
+            if not words:
+                of_all = needs
+                continue
+            if self.kind == "console":
+                assert words.pop(0) == "$", f"{name_of(self.page)}:{number}: begin with $"
+            yield Command(f"{name_of(self.page)}:{number}", words, needs)
 
-def blocks(page: Path) -> list[Block]:
-    """Fenced blocks of a page in their order."""
+
+def name_of(page: Path) -> str:
+    """Path of a page in the repository."""
+    return page.relative_to(REPOSITORY).as_posix()
+
+
+def blocks(page: Path, *kinds: str) -> list[Block]:
+    """Fenced blocks of a page in their order, of these kinds where some are named."""
     text = page.read_text(encoding="utf-8")
     return [
         Block(page, text[: match.start()].count("\n") + 1, match[1], match[2])
         for match in FENCE.finditer(text)
+        if not kinds or match[1] in kinds
     ]
-
-
-def commands(page: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and words of every `bubbleviz …` of a page that stands in a block or is indented."""
-    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    fenced = False
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.startswith("```"):
-            fenced = not fenced
-        code = re.match(r"(?:    |\$ |)\s*(?:\$ )?(?:\.venv/bin/)?bubbleviz\b(.*)", line)
-        if code and (fenced or line.startswith("    ")):
-            words = re.split(r"  +(?![-\s])|(?:^|\s)#|\s*[|;&]", code[1].strip())[0]
-            yield number, shlex.split(words)
 
 
 def local_links(page: Path) -> Iterator[str]:
