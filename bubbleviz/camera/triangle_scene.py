@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +54,8 @@ class TriangleScene:
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        # In a notebook Open3D would ask for its viewer while it is loaded, and fail without
+        os.environ["OPEN3D_DISABLE_WEB_VISUALIZER"] = "true"
         import_without("open3d", "visualization")
         from open3d import core  # half a second, which the window and most commands start without
         from open3d.t.geometry import RaycastingScene

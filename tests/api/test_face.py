@@ -63,6 +63,16 @@ def test_estimating_loads_no_window_and_draws_nothing(recording: Path, sensor: P
     assert python(code) == "[]"
 
 
+def test_a_notebook_kernel_estimates(recording: Path, sensor: Path) -> None:
+    """Open3D knows a kernel by the class of its shell, and then loads more."""
+    code = (
+        "import builtins; builtins.get_ipython = type('ZMQInteractiveShell', (), {})\n"
+        "import bubbleviz as bv\n"
+        f"print(bv.estimate(bv.open({str(recording)!r})[2:3], {str(sensor)!r}).status[0])"
+    )
+    assert python(code) == "ok"
+
+
 def test_ten_names_at_most_and_each_is_there() -> None:
     assert len(bv.__all__) <= 10
     assert set(bv.__all__) <= set(dir(bv))
