@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import overload
+from typing import Self, overload
 
 import numpy as np
 
@@ -47,8 +47,8 @@ class Frames(Sequence[Frame]):
     @overload
     def __getitem__(self, index: int) -> Frame: ...
     @overload
-    def __getitem__(self, index: slice) -> Frames: ...
-    def __getitem__(self, index: int | slice) -> Frame | Frames:
+    def __getitem__(self, index: slice) -> Self: ...
+    def __getitem__(self, index: int | slice) -> Frame | Self:
         """One frame, or some of them.
 
         Raises
@@ -59,7 +59,7 @@ class Frames(Sequence[Frame]):
             It cannot be read.
         """
         if isinstance(index, slice):
-            return Frames(self.source, self.chosen[index])
+            return type(self)(self.source, self.chosen[index])
         try:
             chosen = self.chosen[index]
         except IndexError:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self, overload
 
 import numpy as np
 
+from bubbleviz.api.blas_threads import OneBlasThread
 from bubbleviz.api.chosen_frames import Frames
 from bubbleviz.commands.simulate import simulated_press, write_simulation
+from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -21,16 +23,28 @@ class Simulation(Frames):
     Parameters
     ----------
     source : SyntheticSource
+    chosen : range, optional
+        Indices of the frames in the source; all by default.
     """
 
     source: SyntheticSource
 
-    def __init__(self, source: SyntheticSource) -> None:
-        super().__init__(source)
+    def __init__(self, source: SyntheticSource, chosen: range | None = None) -> None:
+        super().__init__(source, chosen)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+    def __getitem__(self, index: int | slice) -> Frame | Self:
+        """One frame, or some of them; SolveError where there is no equilibrium."""
+        with OneBlasThread():
+            return super().__getitem__(index)
 
     def truth(self, index: int) -> Truth:
         """What is true of a frame: displacement, contact pressure, force, patch; SI units."""
-        return self.source.truth(self.chosen[index])
+        with OneBlasThread():
+            return self.source.truth(self.chosen[index])
 
     def save(self, recording: str | Path, truth: str | Path | None = None) -> None:
         """Write all frames as a recording, and TRUTH.npz where it is asked for.
@@ -40,7 +54,8 @@ class Simulation(Frames):
         InputError
             A file exists or cannot be written; nothing is written then.
         """
-        write_simulation(self.source, Path(recording), None if truth is None else Path(truth))
+        with OneBlasThread():
+            write_simulation(self.source, Path(recording), None if truth is None else Path(truth))
 
 
 def simulate(
@@ -106,7 +121,8 @@ def simulate(
         holes=holes,
         outliers=outliers,
     )
-    source = simulated_press(
-        sensor, object, pose, noise, frames=frames, rate_hz=rate_hz, seed=seed, model=model
-    )
+    with OneBlasThread():
+        source = simulated_press(
+            sensor, object, pose, noise, frames=frames, rate_hz=rate_hz, seed=seed, model=model
+        )
     return Simulation(source)

@@ -122,8 +122,8 @@ def estimate(
         )
         return _watched(watcher)
     chosen = _as_frames(frames)
-    pipeline = _pipeline(chosen, sensor, solver)
     with OneBlasThread():
+        pipeline = _pipeline(chosen, sensor, solver)
         zero = recorded_zero(chosen.source, pipeline) if zero_gas else None
         results = solved(chosen.source, chosen.chosen, pipeline, PRODUCTS, options, zero)
         return _found(frames, results, pipeline)
@@ -221,9 +221,9 @@ def track(
         watcher = Watcher.on(frames.live, frames.uri, own, solver=solver, obj=obj, start=start)
         return _watched(watcher)
     chosen = _as_frames(frames)
-    pipeline = _pipeline(chosen, sensor, solver)
-    pipeline.follow(obj, start)
     with OneBlasThread():
+        pipeline = _pipeline(chosen, sensor, solver)
+        pipeline.follow(obj, start)
         found = _found(frames, followed(chosen.source, chosen.chosen, pipeline), pipeline)
     assert isinstance(found, Run)
     return found

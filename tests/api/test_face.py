@@ -14,9 +14,13 @@ from small_press import HEIGHTS, write_press, write_small_sensor
 
 import bubbleviz as bv
 from bubbleviz.api.chosen_frames import Frames
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.cli.command_line import main
 from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.frames.recording import Recording
+from bubbleviz.membrane.forward_model import Contact
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
 
@@ -269,13 +273,46 @@ def test_without_pandas_one_sentence_says_what_to_install(
         bv.estimate(frames[2:3], sensor).table()
 
 
-def test_blas_has_its_threads_back(frames: Frames, sensor: Path) -> None:
-    from threadpoolctl import threadpool_info, threadpool_limits
+def blas_threads() -> set[int]:
+    from threadpoolctl import threadpool_info
 
+    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+
+class ThreadsSeen(SyntheticSource):
+    """A simulation that notes how many threads BLAS has while a frame is made."""
+
+    seen: set[int]
+
+    def contact(self, index: int) -> Contact:
+        self.seen |= blas_threads()
+        return super().contact(index)
+
+
+@pytest.mark.parametrize("call", ["frame", "frame of a slice", "truth", "save", "estimate"])
+def test_blas_has_one_thread_in_a_call_and_its_own_after(
+    call: str, sensor: Path, tmp_path: Path
+) -> None:
+    from threadpoolctl import threadpool_limits
+
+    source = ThreadsSeen(
+        bv.load_sensor(sensor), load_object("cylinder"), parse_pose("0 0 0.05 0 0 0 1")[None]
+    )
+    source.seen = set()
+    press = Simulation(source)
     with threadpool_limits(2, user_api="blas"):
-        bv.estimate(frames[2:3], sensor)
-        threads = {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
-    assert threads == {2}
+        if call == "frame":
+            press[0]
+        elif call == "frame of a slice":
+            press[0:][0]
+        elif call == "truth":
+            press.truth(0)
+        elif call == "save":
+            press.save(tmp_path / "press.mcap")
+        else:
+            bv.estimate(press, sensor)
+        after = blas_threads()
+    assert source.seen == {1} and after == {2}
 
 
 def test_three_lines_to_the_force_of_the_real_press(punyo_press: Path) -> None:
