@@ -23,12 +23,10 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
 class PatchFinder:
     """Finds the patch in an estimate.
 
-    By default the physics of contact draws it. On the exact membrane its edge lies midway between
-    nodes that carry at least the gas pressure, as all do that lie on something flat or convex, and
-    free ones. On the linear one each part must somewhere reach the gas
-    pressure and carry more than what noise or the linear model's own error could put there; its
-    edge is that of `PatchEdge`. With a factor κ it is the paper's: wherever p_c exceeds κ times its
-    mean over the membrane.
+    By default the physics of contact draws it: each part must somewhere reach the gas pressure, as
+    what lies on something flat or convex does, and `PatchEdge` finds its edge. On the linear
+    membrane a part must also carry more than what noise or the model's own error could put there.
+    With a factor κ it is the paper's: wherever p_c exceeds κ times its mean over the membrane.
 
     Parameters
     ----------
@@ -48,26 +46,21 @@ class PatchFinder:
         self._pairs = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))
 
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
-        """Patch of an estimate: above half the held pressure, or at the paper's threshold κ.
+        """Patch of an estimate: what carries the gas pressure, or by the paper's threshold κ.
 
         The force is that of the whole contact pressure; the centre of pressure is that of the
         parts in contact, so that what noise puts elsewhere does not pull it aside.
         """
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
-        if kappa is None and estimate.force_n is not None:
-            gas = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
+        gas = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
+        if kappa is None:
             threshold = 0.5 * gas
-            contact = np.where(pressure > threshold, pressure, 0.0)
-            # The line load at an edge makes its nodes no more touching than others.
-            level = (np.minimum(pressure, gas) - threshold) / self._held
-        elif kappa is None:
-            threshold = 0.5 * self._held
-            contact, part = self._contacts(estimate, threshold)
-            level = self._level(contact, part, threshold)
+            contact, part = self._contacts(estimate, gas)
+            level = self._level(contact, part, gas)
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
-            level = (pressure - threshold) / self._held
+            level = (pressure - threshold) / gas
         force, center = estimate.force_n, np.full(3, np.nan)
         if force is None:
             force = -(mesh.areas * pressure) @ mesh.normals
@@ -82,35 +75,36 @@ class PatchFinder:
             area_m2=area_above(mesh, level, 0.0),
         )
 
-    def _contacts(self, estimate: Estimate, floor_pa: float) -> tuple[np.ndarray, np.ndarray]:
+    def _contacts(self, estimate: Estimate, gas_pa: float) -> tuple[np.ndarray, np.ndarray]:
         """Contact pressure (n,) of the connected parts that are contact, and part of each node.
 
-        Elsewhere the pressure is 0 Pa, and below the floor the part is −1.
+        Elsewhere the pressure is 0 Pa; what is too low to be in one has part −1: on the linear
+        membrane, where noise leaves some pressure everywhere, below half the gas pressure.
         """
-        pressure = estimate.contact_pressure_pa
-        least_peak = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
-        above = np.flatnonzero(pressure > floor_pa)
+        pressure, linear = estimate.contact_pressure_pa, estimate.force_n is None
+        above = np.flatnonzero(pressure > (0.5 * gas_pa if linear else 0.0))
         part = np.full(len(pressure), -1)
         if not above.size:
             return np.zeros(len(pressure)), part
         parts, part[above] = connected_components(self._pairs[above][:, above], directed=False)
         highest = np.zeros(parts)
         np.maximum.at(highest, part[above], pressure[above])
-        load = self._mesh.areas * pressure
-        loads = np.bincount(part[above], load[above], minlength=parts)
-        least_load = max(least_peak * self._cell_m2, MODEL_ERROR * float(load.sum()))
-        touches = (highest >= least_peak) & (loads >= least_load)
+        touches = highest >= gas_pa
+        if linear:
+            load = self._mesh.areas * pressure
+            loads = np.bincount(part[above], load[above], minlength=parts)
+            touches &= loads >= max(gas_pa * self._cell_m2, MODEL_ERROR * float(load.sum()))
         contact = np.zeros(len(pressure))
         contact[above] = np.where(touches[part[above]], pressure[above], 0.0)
         return contact, part
 
-    def _level(self, contact: np.ndarray, part: np.ndarray, floor_pa: float) -> np.ndarray:
-        level = self._edge.level_set(contact, self._held) / self._mesh.edge_length
+    def _level(self, contact: np.ndarray, part: np.ndarray, gas_pa: float) -> np.ndarray:
+        level = self._edge.level_set(contact, gas_pa) / self._mesh.edge_length
         drawn = np.zeros(part.max(initial=-1) + 2, bool)
         drawn[part[level > 0.0]] = True
         # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
         small = np.flatnonzero((contact > 0.0) & ~drawn[part])
-        level[small] = (contact[small] - floor_pa) / self._held
+        level[small] = contact[small] / gas_pa - 0.5
         return level
 
 

@@ -71,9 +71,9 @@ def oracle(depth, ball):
 
 
 @cache
-def pressed(name, depth, x=0.008, prestretch=1.2):
+def pressed(name, depth, x=0.008, prestretch=1.2, nodes=1500):
     """A press by the forward model on another, finer mesh."""
-    mesh = mesh_cap(spherical_cap(A, H), 1500)
+    mesh = mesh_cap(spherical_cap(A, H), nodes)
     model = RubberForward(RubberMembrane.uniform(mesh, GAUGE, TENSION, prestretch), gas_of(mesh))
     T = np.eye(4)
     T[:3, 3] = x, 0.002, H - depth
@@ -247,9 +247,9 @@ def test_sigma_is_what_another_material_makes_of_the_force(measured):
     assert forces[:, 2].std() > 0.4 * a.force_sigma_n[2]
 
 
-@pytest.mark.parametrize(("name", "least"), [("sphere", 0.85), ("cylinder", 0.72)])
-def test_patch_reaches_midway_to_the_free_nodes(name, least):
-    mesh, contact = pressed(name, 0.007, 0.0)
+@pytest.mark.parametrize(("name", "least"), [("sphere", 0.88), ("cylinder", 0.84)])
+def test_the_patch_overlaps_the_true_contact(name, least):
+    mesh, contact = pressed(name, 0.007, 0.0, nodes=4000)
     solver = estimator(1000)
     estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
     patch = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m).find(estimate)
