@@ -98,13 +98,20 @@ class Patch:
     threshold_pa : float
         Contact pressure below which no point belongs to the patch, Pa.
     level : (n,) array
-        Positive inside; its zero line, interpolated linearly, is the edge of the patch.
+        Positive inside; its zero line, interpolated linearly, is the edge of the patch. By default
+        it is the signed distance to the edge, m.
     force_n : (3,) array
         Resultant of p_c on the membrane in B, N (points into the sensor).
     center_of_pressure_m : (3,) array
         Pressure-weighted centre of the patch in B, m; NaN without contact.
     area_m2 : float
         Area of the patch on the reference surface, m²; 0 without contact.
+    edge_half_width_m : float
+        How far off the edge may be, m: the band between the lines at this level and at minus this
+        level holds some 95 % of a true edge. NaN under the paper's rule, which knows of none.
+    area_interval_m2 : (float, float)
+        Areas within the band's inner and outer line, m². An inner one near 0: the patch is hardly
+        wider than its edge is uncertain.
     pixel_mask : (H, W) bool array or None
         Pixels of the patch; None when `pixel_mask` was not requested.
     """
@@ -114,6 +121,8 @@ class Patch:
     force_n: np.ndarray
     center_of_pressure_m: np.ndarray
     area_m2: float
+    edge_half_width_m: float = np.nan
+    area_interval_m2: tuple[float, float] = (np.nan, np.nan)
     pixel_mask: np.ndarray | None = None
 
     @property

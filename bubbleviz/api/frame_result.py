@@ -69,6 +69,12 @@ class FrameResult:
         return float(summary_row(self.result)["patch_area_m2"])
 
     @property
+    def patch_area_interval_m2(self) -> np.ndarray:
+        """Areas within the inner and outer line of the band that holds the true edge, (2,), m²."""
+        interval: np.ndarray = summary_row(self.result)["patch_area_interval_m2"]
+        return interval
+
+    @property
     def contact_pressure_pa(self) -> np.ndarray:
         """Contact pressure p_c ≥ 0 of the nodes (Eq. 23), (n,), Pa."""
         return nodal_fields(self.result, self.model.mesh)["contact_pressure_pa"]

@@ -93,7 +93,9 @@ class Run(Sequence[FrameResult]):
         return pandas.DataFrame(self.columns()).set_index("frame")
 
     def dataset(self) -> xarray.Dataset:
-        """Fields of all frames with named dimensions `frame`, `node`, `axis`, `triangle`, `corner`.
+        """Fields of all frames with named dimensions.
+
+        They are `frame`, `node`, `axis`, `bound` of an interval, `triangle` and `corner`.
 
         Raises
         ------
@@ -159,7 +161,8 @@ class Run(Sequence[FrameResult]):
 
 def _dimensions() -> dict[str, tuple[str, ...]]:
     """Dimensions of the arrays of RESULT.npz by name."""
-    frames = {key: ("frame", "axis") if names else ("frame",) for key, names in COLUMNS.items()}
+    second: dict[int, tuple[str, ...]] = {0: (), 2: ("bound",), 3: ("axis",)}
+    frames = {key: ("frame", *second[len(names)]) for key, names in COLUMNS.items()}
     nodal = {
         key: ("frame", "node", "axis") if more else ("frame", "node")
         for key, more in NODAL_FIELDS.items()

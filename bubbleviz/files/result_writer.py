@@ -32,6 +32,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         "center_of_pressure_z_m",
     ),
     "patch_area_m2": (),
+    "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
     "residual_rms_m": (),
     "kkt_residual": (),
     "solve_ms": (),
@@ -59,6 +60,7 @@ _NO_NUMBER_WITHOUT_DATA = (
     "force_sigma_n",
     "center_of_pressure_m",
     "patch_area_m2",
+    "patch_area_interval_m2",
     "residual_rms_m",
     "kkt_residual",
 )
@@ -85,6 +87,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "wrench_n": force_of(result.frame.wrench),
         "center_of_pressure_m": patch.center_of_pressure_m,
         "patch_area_m2": patch.area_m2,
+        "patch_area_interval_m2": np.array(patch.area_interval_m2),
         "residual_rms_m": estimate.residual_rms_m,
         "kkt_residual": estimate.kkt_residual,
         "solve_ms": estimate.solve_ms,

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.patch.patch_finder import area_above, area_interval
 from bubbleviz.result import Estimate, Patch
 
 
@@ -63,13 +63,29 @@ def without_small(
     for part in parts:
         if part.area_m2 < least_area_m2:
             level[part.nodes] = -np.abs(level[part.nodes])
+    band = patch.edge_half_width_m
+    if band > 0.0:
+        _leave_out(mesh, level, band)
     center = np.full(3, np.nan)
     if kept:
         here = np.concatenate([part.nodes for part in kept])
         load = mesh.areas[here] * estimate.contact_pressure_pa[here]
         center = load @ mesh.deformed(estimate.motion_m)[here] / load.sum()
-    area = area_above(mesh, level, 0.0)
-    return replace(patch, level=level, area_m2=area, center_of_pressure_m=center)
+    return replace(
+        patch,
+        level=level,
+        area_m2=area_above(mesh, level, 0.0),
+        area_interval_m2=area_interval(mesh, level, band),
+        center_of_pressure_m=center,
+    )
+
+
+def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
+    """Take the bands that have no patch within them out of a level."""
+    near = np.flatnonzero(level > -band)
+    count, label = connected_components(_edges(mesh)[near][:, near], directed=False)
+    empty = np.bincount(label, level[near] > 0.0, minlength=count) == 0.0
+    level[near[empty[label]]] = -band
 
 
 def _component(

@@ -49,6 +49,7 @@ class PatchEdge:
         self._ring.data[:] = 1.0
         self._degree = np.diff(self._ring.indptr) - 1
         self._rings = ceil(_HOLE * self.resolution / self._edge) + 2
+        self._far = _HOLE * self.resolution + self._edge
         # One-ring maximum beside a blurred straight step, as a fraction of the step.
         edge = self._edge / self.resolution
         self._beside = 0.5 * (1.0 + erf(edge / sqrt(2.0)))
@@ -57,7 +58,7 @@ class PatchEdge:
 
     def level_set(self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float) -> np.ndarray:
         """Signed distance ψ (n,) to the edge in m, positive inside, to be interpolated linearly."""
-        psi = np.full(len(self.mesh.nodes), -self._edge)
+        psi = np.full(len(self.mesh.nodes), -self._far)
         floor = _FLOOR * gauge_pressure_pa
         if not np.any(contact_pressure_pa > floor):
             return psi
@@ -125,7 +126,7 @@ class PatchEdge:
         """Signed distance to the zero contour of a nodal field, m."""
         points = contour_points(region, field)
         if len(points) == 0:
-            return np.where(field > 0.0, self._edge, -self._edge)
+            return np.where(field > 0.0, self._far, -self._far)
         distance, _ = cKDTree(points).query(region.points)
         return np.where(field > 0.0, distance, -distance)
 

@@ -56,11 +56,11 @@ class PatchFinder:
         if kappa is None:
             threshold = 0.5 * gas
             contact, part = self._contacts(estimate, gas)
-            level = self._level(contact, part, gas)
+            level, band = self._level(contact, part, gas), self._edge.resolution
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
-            level = (pressure - threshold) / gas
+            level, band = (pressure - threshold) / gas, np.nan
         force, center = estimate.force_n, np.full(3, np.nan)
         if force is None:
             force = -(mesh.areas * pressure) @ mesh.normals
@@ -73,6 +73,8 @@ class PatchFinder:
             force_n=force,
             center_of_pressure_m=center,
             area_m2=area_above(mesh, level, 0.0),
+            edge_half_width_m=band,
+            area_interval_m2=area_interval(mesh, level, band),
         )
 
     def _contacts(self, estimate: Estimate, gas_pa: float) -> tuple[np.ndarray, np.ndarray]:
@@ -99,13 +101,25 @@ class PatchFinder:
         return contact, part
 
     def _level(self, contact: np.ndarray, part: np.ndarray, gas_pa: float) -> np.ndarray:
-        level = self._edge.level_set(contact, gas_pa) / self._mesh.edge_length
+        level = self._edge.level_set(contact, gas_pa)
         drawn = np.zeros(part.max(initial=-1) + 2, bool)
         drawn[part[level > 0.0]] = True
         # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
         small = np.flatnonzero((contact > 0.0) & ~drawn[part])
-        level[small] = contact[small] / gas_pa - 0.5
+        if len(small):
+            edge = self._mesh.edge_length
+            beside = self._pairs[small].indices
+            level[beside] = np.where(level[beside] > 0.0, level[beside], -edge)
+            inside = (contact[small] / gas_pa - 0.5) * edge
+            level[small] = np.minimum(inside, self._edge.resolution)
         return level
+
+
+def area_interval(mesh: MembraneMesh, level: np.ndarray, band: float) -> tuple[float, float]:
+    """Areas in m² within the inner and the outer line of an edge's band; NaN without a band."""
+    if np.isnan(band):
+        return np.nan, np.nan
+    return area_above(mesh, level, band), area_above(mesh, level, -band)
 
 
 def area_above(mesh: MembraneMesh, field: np.ndarray, level: float) -> float:

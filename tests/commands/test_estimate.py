@@ -94,6 +94,7 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
         "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
         "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
+        "patch_area_interval_m2": (frames, 2),
         "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
@@ -289,7 +290,7 @@ def fake_results(frames: int, nodes: int, shape: tuple[int, int]) -> Iterator[Re
         mask = np.zeros(shape, bool)
         mask[k % shape[0]] = True
         estimate = Estimate("ok", np.full(nodes, -1e-3 * k), np.full(nodes, 2.0 * k), 1.0, 0.0, 0.0)
-        patch = Patch(5.0, np.ones(nodes, bool), np.ones(3), np.zeros(3), 1e-4, mask)
+        patch = Patch(5.0, np.ones(nodes, bool), np.ones(3), np.zeros(3), 1e-4, pixel_mask=mask)
         yield Result(Frame(k, k / 30.0, np.ones(shape)), estimate, patch, times_ms={"total": 1.0})
 
 

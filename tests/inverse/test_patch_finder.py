@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.patch.components import without_small
 from bubbleviz.patch.patch_finder import PatchFinder, area_above, mean_pressure
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
@@ -93,6 +94,41 @@ def test_the_edge_of_a_blurred_disc_is_found_with_and_without_a_ridge(ridge, for
     plain = abs(np.sqrt(area_above(MESH, field, 0.5 * GAUGE) / np.pi) - 0.018)
     assert ours < resolution
     assert not ridge or ours < 0.7 * plain
+
+
+@pytest.mark.parametrize("force_n", [None, np.array([0.0, 0.0, -10.0])])
+def test_the_band_around_the_edge(force_n):
+    """As wide as the response; of a dot no wider than that, nothing is sure to touch."""
+    resolution = 0.003
+    finder = PatchFinder(MESH, GAUGE, resolution)
+    for radius, sure in ((0.018, True), (0.002, False)):
+        field = blurred(lambda r, radius=radius: 20.0 * GAUGE * (r < radius), resolution)
+        patch = finder.find(replace(made_up(field), force_n=force_n))
+        inner, outer = patch.area_interval_m2
+        assert inner < patch.area_m2 < outer
+        assert (inner > 0.1 * patch.area_m2) is sure
+        assert patch.edge_half_width_m == resolution
+        if sure:
+            widths = np.diff(np.sqrt(np.array([inner, patch.area_m2, outer]) / np.pi))
+            assert widths == pytest.approx(resolution, rel=0.25)
+    paper = finder.find(replace(made_up(field), force_n=force_n), kappa=2.0)
+    assert np.isnan([*paper.area_interval_m2, paper.edge_half_width_m]).all()
+
+
+def test_what_is_too_small_takes_its_band_along():
+    resolution = 0.003
+    pressure = np.zeros(len(MESH.nodes))
+    for x, radius in ((-0.02, 0.012), (0.03, 0.004)):
+        pressure += 5.0 * GAUGE * (np.hypot(MESH.nodes[:, 0] - x, MESH.nodes[:, 1]) < radius)
+    estimate = replace(made_up(pressure), force_n=np.array([0.0, 0.0, -10.0]))
+    both = PatchFinder(MESH, GAUGE, resolution).find(estimate)
+    one = without_small(MESH, estimate, both, 2e-4)
+    alone = np.where(MESH.nodes[:, 0] < 0.01, pressure, 0.0)
+    expected = PatchFinder(MESH, GAUGE, resolution).find(
+        replace(estimate, contact_pressure_pa=alone)
+    )
+    assert one.area_m2 == pytest.approx(expected.area_m2, rel=0.02) != both.area_m2
+    assert one.area_interval_m2 == pytest.approx(expected.area_interval_m2, rel=0.02)
 
 
 def test_kappa_is_the_papers_threshold():

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
@@ -247,8 +248,10 @@ def test_sigma_is_what_another_material_makes_of_the_force(measured):
     assert forces[:, 2].std() > 0.4 * a.force_sigma_n[2]
 
 
-@pytest.mark.parametrize(("name", "least"), [("sphere", 0.88), ("cylinder", 0.84)])
-def test_the_patch_overlaps_the_true_contact(name, least):
+@pytest.mark.parametrize(
+    ("name", "least", "held"), [("sphere", 0.88, 0.95), ("cylinder", 0.84, 0.75)]
+)
+def test_the_patch_overlaps_the_true_contact_and_its_band_holds_the_edge(name, least, held):
     mesh, contact = pressed(name, 0.007, 0.0, nodes=4000)
     solver = estimator(1000)
     estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
@@ -257,6 +260,10 @@ def test_the_patch_overlaps_the_true_contact(name, least):
     touching = (contact.contact_pressure_pa > 0.0).astype(float)
     truth = MembraneView(CAMERA, mesh).above(contact.displacement_3d_m, touching, 0.5)
     assert np.count_nonzero(inside & truth) > least * np.count_nonzero(inside | truth)
+    view, band = MembraneView(CAMERA, solver.mesh), patch.edge_half_width_m
+    surely, maybe = (view.above(estimate.motion_m, patch.level, each) for each in (band, -band))
+    edge = (truth ^ binary_erosion(truth)) | (truth ^ binary_dilation(truth))
+    assert np.count_nonzero(edge & maybe & ~surely) > held * np.count_nonzero(edge)
     gas = GAUGE + estimate.gas_pressure_change_pa
     assert patch.threshold_pa == pytest.approx(0.5 * gas)
     np.testing.assert_array_equal(patch.force_n, estimate.force_n)

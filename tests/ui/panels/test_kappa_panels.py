@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtWidgets import QApplication, QLabel
-from window_driver import Driver, canvas, hover
+from window_driver import Driver, canvas, hover, texts
 
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
@@ -95,6 +95,9 @@ def test_one_rule_is_shown_at_a_time(drive: Drive) -> None:
     assert not kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text() == "automatic"
     assert not panel.curve.line.isVisible() and not panel.histogram.line.isVisible()
     assert panel.curve.frame.text.startswith(f"auto {1e6 * patch.area_m2:.0f} mm²")
+    low, high = (1e6 * area for area in patch.area_interval_m2)
+    shown = f"{1e6 * patch.area_m2:.0f} ({low:.0f}…{high:.0f}) mm²"
+    assert kappa.area.text() == shown and any(text.endswith(shown) for text in texts(driver))
     driver.state.choose(kappa=15.0)
     parts = lambda: driver.window.controller.inspection.components  # noqa: E731
     driver.wait(lambda: driver.thresholded() and len(parts()) > 1)
@@ -104,6 +107,7 @@ def test_one_rule_is_shown_at_a_time(drive: Drive) -> None:
     area = lambda: driver.window.controller.result.patch.area_m2  # noqa: E731
     driver.wait(lambda: 0.0 < area() < 0.98 * whole)
     assert kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text().endswith("kPa")
+    assert kappa.area.text() == f"{1e6 * area():.0f} mm²"  # the paper's rule knows of no band
     shown = f"{1e6 * area():.0f} of {1e6 * whole:.0f} mm²"
     driver.wait(lambda: panel.curve.frame.text.startswith(shown))
 

@@ -51,6 +51,13 @@ class Unit:
             f"{self.of(si):.{self.digits}f} ± {self.of(half_width):.{self.digits}f} {self.symbol}"
         )
 
+    def with_range(self, si: float, low: float, high: float) -> str:
+        """Number, the range it may be in, and unit."""
+        if not math.isfinite(si + low + high):
+            return self.text(si)
+        value, least, most = (f"{self.of(each):.{self.digits}f}" for each in (si, low, high))
+        return f"{value} ({least}…{most}) {self.symbol}"
+
 
 PSI = 6894.757293168
 """Pascals in a pound-force per square inch (NIST SP 811)."""

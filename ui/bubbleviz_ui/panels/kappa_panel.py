@@ -113,7 +113,8 @@ class KappaPanel(QWidget):
         threshold_pa = patch.threshold_pa if patch else None
         automatic = self._state.choices.kappa is None
         self.threshold.setText("automatic" if automatic else units.pressure.text(threshold_pa))
-        self.area.setText(units.area.text(patch.area_m2 if patch else None))
+        area = (patch.area_m2, *patch.area_interval_m2) if patch else (math.nan,) * 3
+        self.area.setText(units.area.with_range(*area))
         self.force.setText(units.force.text(None) if result is None else force_text(result, units))
         self.doubt.setText("" if result is None else doubt_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))

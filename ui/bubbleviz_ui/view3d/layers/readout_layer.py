@@ -46,7 +46,7 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
     if estimate.status == "no_contact" or patch.area_m2 <= 0:
         return "no contact", ""
     peak = units.pressure.text(float(estimate.contact_pressure_pa.max()))
-    area = units.area.text(patch.area_m2)
+    area = units.area.with_range(patch.area_m2, *patch.area_interval_m2)
     return f"contact  {force_text(result, units)}", f"peak {peak}   patch {area}"
 
 
