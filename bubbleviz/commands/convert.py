@@ -10,8 +10,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.image_folder import (
-    SUFFIXES,
     ImageFolder,
+    is_image_folder,
     read_gas_pressure,
     read_intrinsics,
     read_times,
@@ -124,7 +124,8 @@ def convert(
     """
     refuse_existing(out)
     source, beside = Path(source), beside or Beside()
-    if _is_image_folder(source):
+    progress("opening", 0.0)
+    if is_image_folder(source):
         images = beside.images_of(source)
         return _written(images, out, progress, whole_millimetres=images.whole_millimetres)
     if beside.anything:
@@ -153,10 +154,6 @@ def _written(
     return ConvertSummary(
         str(out), len(source), duration, width, height, has_camera, pressure, wrench
     )
-
-
-def _is_image_folder(path: Path) -> bool:
-    return path.is_dir() and any(each.suffix.lower() in SUFFIXES for each in path.iterdir())
 
 
 def _there(folder: Path, *names: str) -> Path | None:

@@ -56,6 +56,14 @@ def refuse_existing(path: str | Path) -> None:
         raise InputError(f"{path}: folder {path.parent} is not writable; choose another")
 
 
+def free_name(path: Path) -> Path:
+    """Path itself, or with the first number after its name that is not taken: `a-2.mcap`."""
+    free, number = path, 2
+    while os.path.lexists(free):
+        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
+    return free
+
+
 def _publish(temporary: Path, path: Path) -> None:
     """Move into place; a file that appeared at `path` meanwhile is refused, not replaced."""
     if temporary.is_dir():

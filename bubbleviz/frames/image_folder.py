@@ -181,6 +181,15 @@ class ImageFolder:
         return 1e-9 * exact[0] + 1e-9 * np.array([value - exact[0] for value in exact])
 
 
+def is_image_folder(path: str | Path) -> bool:
+    """Whether a path is a folder with images in it, which can be listed."""
+    path = Path(path)
+    try:
+        return path.is_dir() and any(each.suffix.lower() in SUFFIXES for each in path.iterdir())
+    except OSError:
+        return False
+
+
 def read_intrinsics(path: str | Path) -> Intrinsics:
     """Intrinsics from TOML or JSON, in a table `camera` or not, with the keys of a sensor file.
 

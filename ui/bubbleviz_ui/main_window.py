@@ -18,10 +18,12 @@ from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.engine.memory_release import MemoryRelease
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.export.export_dialog import ExportDialog
-from bubbleviz_ui.export.exporting import Exporting
+from bubbleviz_ui.export.exporting import PATIENCE_S, Exporting
+from bubbleviz_ui.importing.import_dialog import ImportDialog
 from bubbleviz_ui.live.connect_dialog import ConnectDialog
 from bubbleviz_ui.live.live_bar import LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
@@ -132,6 +134,8 @@ class MainWindow(QMainWindow):
         self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._export: ExportDialog | None = None
+        self.importing = Jobs("import")
+        self._import: ImportDialog | None = None
         self._memory = MemoryRelease(state)
         self._lay_out()
         self.menus = Menus(self.menuBar(), self, self.session_saver)
@@ -179,6 +183,14 @@ class MainWindow(QMainWindow):
         self._export.show()
         self._export.raise_()
 
+    def show_import(self) -> None:
+        """Make a recording of images or of another kind of recording."""
+        if self._import is None:
+            self._import = ImportDialog(self, self.importing, self.controller.opening.recording)
+            self._import.said.connect(self.message.say)
+        self._import.show()
+        self._import.raise_()
+
     def show_shortcuts(self) -> None:
         """Show the keys of every action."""
         ShortcutsDialog(self, self.shortcuts).open()
@@ -211,6 +223,8 @@ class MainWindow(QMainWindow):
             host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
+        self.importing.cancel()
+        self.importing.close(PATIENCE_S)
         self._memory.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()

@@ -63,6 +63,9 @@ class WindowParts(Protocol):
     def show_export(self) -> None:
         """Export frames as files."""
 
+    def show_import(self) -> None:
+        """Make a recording of images or of another kind of recording."""
+
     def show_palette(self) -> None:
         """Show the command palette."""
 

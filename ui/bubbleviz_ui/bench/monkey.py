@@ -47,7 +47,17 @@ MOST_GROWTH_MIB = 100.0  # of resident memory; chosen
 POP_UP_MS = 100  # until a menu that was opened is closed
 PATIENCE_S = 150.0
 """After so long without an end, all threads are written out and the process ends."""
-FORBIDDEN = ("Quit", "Open", "Save", "Screenshot", "screenshot", "Export", "Record", "Turntable")
+FORBIDDEN = (
+    "Quit",
+    "Open",
+    "Save",
+    "Screenshot",
+    "screenshot",
+    "Export",
+    "Import",
+    "Record",
+    "Turntable",
+)
 """Words of actions that would end the run or ask for a file."""
 KEYS = "Left Right Up Down Space Home End Tab Backtab PageUp PageDown Escape Return Plus Minus 1 5"
 

@@ -61,6 +61,7 @@ class Menus:
         self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
         self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
         menu.addSeparator()
+        self._add(menu, "I&mport…", self._window.show_import, "Ctrl+Shift+I")
         self._add(menu, "&Export…", self._window.show_export, "Ctrl+Shift+E")
         self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
         menu.addSeparator()

@@ -1,0 +1,187 @@
+"""Imports from the window: by clicks and keys, read back from the recording."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFileDialog
+from window_driver import Driver
+
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.image_folder import ImageFolder
+from bubbleviz.frames.recording import Recording
+from bubbleviz_ui.importing.file_field import FileField
+from bubbleviz_ui.importing.image_fields import RATE, TABLE
+from bubbleviz_ui.importing.import_dialog import ImportDialog
+from tests.frames.bagmaker import BagMaker, fill
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+SMALL = (1024, 700)
+
+
+class Bench:
+    """The window with its import dialog open, and what a person does with it."""
+
+    def __init__(self, driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.driver, self._patch = driver, monkeypatch
+        driver.window.shortcuts.actions["File › Import"].trigger()
+        assert self.dialog.isVisible()
+
+    @property
+    def dialog(self) -> ImportDialog:
+        dialog = self.driver.window.findChild(ImportDialog)
+        assert isinstance(dialog, ImportDialog)
+        return dialog
+
+    def choose_folder(self, path: Path) -> None:
+        self._patch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(path))
+        self.driver.bot.mouseClick(self.dialog.folder, LEFT)
+
+    def choose_file(self, field: FileField, path: Path) -> None:
+        self._patch.setattr(QFileDialog, "getOpenFileName", lambda *_, **__: (str(path), ""))
+        self.driver.bot.mouseClick(field.browse, LEFT)
+
+    def choose_times(self, title: str) -> None:
+        box = self.dialog.images.timing
+        box.setFocus()
+        self.driver.bot.keyClick(box, Qt.Key.Key_Home)
+        for _ in range(box.findText(title)):
+            self.driver.bot.keyClick(box, Qt.Key.Key_Down)
+        assert box.currentText() == title
+
+    def begin(self) -> None:
+        assert self.dialog.begin.isEnabled()
+        self.driver.bot.mouseClick(self.dialog.begin, LEFT)
+
+    def run(self) -> str:
+        """Import, wait until it is over; what is said then."""
+        self.begin()
+        self.driver.wait(lambda: self.dialog.begin.isEnabled())
+        said = self.dialog.problem.text() or self.dialog.made.text()
+        assert said == self.driver.window.message.label.text()
+        return said
+
+
+@pytest.fixture
+def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    made = Bench(drive(frame=3), monkeypatch)
+    yield made
+    del made.driver  # pytest keeps the fixture's value longer than the window lives
+
+
+@pytest.fixture
+def images(press: FrameSource, tmp_path: Path) -> Path:
+    """The press as a folder of 16-bit images of 0.1 mm, with its camera."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for k in range(3):
+        depth = np.rint(1e4 * np.nan_to_num(press[k].depth_m)).astype(np.uint16)
+        Image.fromarray(depth).save(folder / f"{k}.png")
+    camera = press[0].intrinsics
+    assert camera is not None
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    (folder / "intrinsics.json").write_text(
+        json.dumps({name: getattr(camera, name) for name in names})
+    )
+    return folder
+
+
+def test_a_folder_becomes_a_recording_that_opens(
+    bench: Bench, images: Path, press: FrameSource
+) -> None:
+    dialog, driver = bench.dialog, bench.driver
+    bench.choose_folder(images)
+    (images.parent / "gas.csv").write_text("time_s,pa\n0,103000\n1,104000\n")
+    (images.parent / "wrench.csv").write_text("0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n")
+    bench.choose_file(dialog.images.gas_pressure, images.parent / "gas.csv")
+    bench.choose_file(dialog.images.wrench, images.parent / "wrench.csv")
+    bench.choose_times(RATE)
+    dialog.images.rate.selectAll()
+    driver.bot.keyClicks(dialog.images.rate, "10")
+    dialog.images.unit.setCurrentText("0.1 mm")
+    assert "3 frames" in bench.run()
+    out = images.parent / "images.mcap"
+    with Recording(out) as recording:
+        assert recording.times_s == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
+        np.testing.assert_allclose(recording[2].depth_m, press[2].depth_m, atol=6e-5)
+        assert recording[1].gas_pressure_pa == pytest.approx(103_100.0, abs=1.0)
+        assert recording[1].wrench == pytest.approx([1, 2, 3, 4, 5, 6], abs=1e-3)
+    driver.bot.mouseClick(dialog.open_made, LEFT)
+    driver.wait(lambda: driver.state.facts.title == "images.mcap")
+    assert not dialog.isVisible()
+
+
+def test_only_what_applies_is_shown(bench: Bench, images: Path, tmp_path: Path) -> None:
+    dialog = bench.dialog
+    fields = dialog.images
+    assert not fields.unit.isVisible() and not dialog.begin.isEnabled()
+    bench.choose_folder(images)
+    assert fields.unit.isVisible() and not fields.rate.isVisible()
+    bench.choose_times(TABLE)
+    assert fields.times.isVisible() and not fields.rate.isVisible()
+    bench.choose_times(RATE)
+    assert fields.rate.isVisible() and not fields.times.isVisible()
+    assert dialog.sizeHint().width() <= SMALL[0] and dialog.sizeHint().height() <= SMALL[1]
+    bag = fill(BagMaker("bag lz4")).write(tmp_path)
+    bench.choose_file(dialog.source, bag)
+    assert not any(w.isVisible() for w in (fields.unit, fields.rate, fields.times, fields.wrench))
+    assert dialog.out.text() == str(bag.with_suffix(".mcap"))
+    assert "6 frames" in bench.run()
+    with Recording(bag) as before, Recording(bag.with_suffix(".mcap")) as after:
+        np.testing.assert_array_equal(after[5].depth_m, before[5].depth_m)
+
+
+def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(
+    bench: Bench, images: Path
+) -> None:
+    before = sorted(images.parent.rglob("*"))
+    bench.choose_folder(images)
+    assert "give --rate or --times" in bench.run()
+    bench.choose_times(RATE)
+    bench.choose_file(bench.dialog.images.wrench, images / "intrinsics.json")
+    assert "intrinsics.json: wants rows of 7 finite numbers" in bench.run()
+    assert not bench.dialog.open_made.isVisible()
+    assert sorted(images.parent.rglob("*")) == before
+    bench.dialog.images.wrench.line.clear()
+    assert "3 frames" in bench.run()
+    assert "exists already" in bench.run()
+
+
+def test_typing_a_name_that_is_not_there(bench: Bench) -> None:
+    bench.driver.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
+    assert bench.dialog.out.text() == "/no/such.mcap"
+    assert "folder /no does not exist" in bench.run()
+
+
+def test_a_cancelled_import_leaves_nothing(
+    bench: Bench, images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reading, go_on = threading.Event(), threading.Event()
+    read = ImageFolder.__getitem__
+
+    def slow(folder: ImageFolder, index: int) -> object:
+        reading.set()
+        go_on.wait()
+        return read(folder, index)
+
+    monkeypatch.setattr(ImageFolder, "__getitem__", slow)
+    dialog, before = bench.dialog, sorted(images.parent.rglob("*"))
+    bench.choose_folder(images)
+    bench.choose_times(RATE)
+    bench.begin()
+    bench.driver.wait(reading.is_set)
+    assert dialog.cancel.isVisible() and not dialog.images.unit.isEnabled()
+    bench.driver.bot.mouseClick(dialog.cancel, LEFT)
+    assert not dialog.cancel.isVisible() and dialog.begin.isEnabled()
+    go_on.set()
+    bench.driver.window.importing.close()
+    assert sorted(images.parent.rglob("*")) == before
+    assert not dialog.made.text() and not dialog.problem.text()

@@ -1,0 +1,1 @@
+"""What is no recording yet is made one."""

@@ -1,0 +1,89 @@
+"""What belongs to a folder of depth images: camera, times, unit, and what was measured beside."""
+
+from __future__ import annotations
+
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout
+
+from bubbleviz.commands.convert import Beside
+from bubbleviz_ui.importing.file_field import FileField
+
+UNITS = {
+    "whole numbers mm, others m": None,
+    "m": 1.0,
+    "mm": 1e-3,
+    "0.25 mm": 2.5e-4,
+    "0.1 mm": 1e-4,
+    "µm": 1e-6,
+}
+"""Metres that a pixel's value of 1 stands for; None: by its kind."""
+BY_ITSELF, RATE, TABLE = "times.csv in the folder, else the names", "a rate", "a table"
+TABLES = "Tables (*.csv);;All files (*)"
+
+
+class ImageFields:
+    """The options of `bubbleviz convert` for a folder of images.
+
+    Parameters
+    ----------
+    form : QFormLayout
+        Gets a row for each.
+    """
+
+    def __init__(self, form: QFormLayout) -> None:
+        self.intrinsics = FileField(
+            "Intrinsics: a TOML or JSON file, or a sensor file",
+            "Intrinsics (*.toml *.json);;All files (*)",
+            "intrinsics.toml or .json in the folder, else the sensor file's",
+        )
+        self.unit = QComboBox()
+        self.unit.setToolTip("What a pixel's value of 1 stands for")
+        for title, metres in UNITS.items():
+            self.unit.addItem(title, metres)
+        self.timing = QComboBox()
+        self.timing.addItems([BY_ITSELF, RATE, TABLE])
+        self.timing.setToolTip("Where the times of the images come from")
+        self.rate = QDoubleSpinBox(minimum=0.01, maximum=1e4, value=30.0, suffix=" Hz")
+        self.rate.setToolTip("Images a second")
+        self.times = FileField("A time in s for each image", TABLES)
+        self.gas_pressure = FileField(
+            "Gas pressure: time in s, absolute pressure in Pa", TABLES, "not measured"
+        )
+        self.wrench = FileField(
+            "Wrench: time in s, forces x y z in N, torques in N·m", TABLES, "not measured"
+        )
+        self._form, self._shown = form, False
+        self._rows = {
+            "Intrinsics": self.intrinsics,
+            "Unit": self.unit,
+            "Times": self.timing,
+            "Rate": self.rate,
+            "Table of times": self.times,
+            "Gas pressure": self.gas_pressure,
+            "Wrench": self.wrench,
+        }
+        for title, field in self._rows.items():
+            form.addRow(title, field)
+        self.timing.currentIndexChanged.connect(lambda _: self.show(self._shown))
+
+    @property
+    def beside(self) -> Beside:
+        """What is chosen."""
+        timing = self.timing.currentText()
+        return Beside(
+            intrinsics=self.intrinsics.path,
+            times=self.times.path if timing == TABLE else None,
+            gas_pressure=self.gas_pressure.path,
+            wrench=self.wrench.path,
+            rate_hz=self.rate.value() if timing == RATE else None,
+            metres_per_unit=self.unit.currentData(),
+        )
+
+    def show(self, shown: bool, *, enabled: bool = True) -> None:
+        """Show the rows that apply, or none."""
+        self._shown, timing = shown, self.timing.currentText()
+        for field in self._rows.values():
+            apart = (field is self.rate and timing != RATE) or (
+                field is self.times and timing != TABLE
+            )
+            self._form.setRowVisible(field, shown and not apart)
+            field.setEnabled(enabled)

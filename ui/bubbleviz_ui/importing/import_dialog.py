@@ -1,0 +1,179 @@
+"""The dialog that imports: a folder of depth images, or another's recording, as MCAP."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import (
+    QDialog,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QProgressBar,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.commands.convert import Beside, ConvertSummary, convert
+from bubbleviz.files.output_files import free_name
+from bubbleviz.frames.image_folder import is_image_folder
+from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.importing.file_field import FileField
+from bubbleviz_ui.importing.image_fields import ImageFields
+from bubbleviz_ui.shell.layouts import fill
+
+SUFFIX = ".mcap"
+SUFFIXES = (".bag", ".db3", SUFFIX, ".yaml")
+OTHERS = f"Recordings (*{' *'.join(SUFFIXES)});;All files (*)"
+WIDTH = 560  # px: a path of usual length
+ABOUT = (
+    "Choose a folder of depth images (.npy, 16-bit .png, .tif) or a recording (.bag of ROS 1 or of "
+    "the RealSense library, .db3 of ROS 2)."
+)
+
+
+class ImportDialog(QDialog):
+    """Stays open beside the window, which can be used meanwhile.
+
+    Parameters
+    ----------
+    parent : QWidget
+    jobs : Jobs
+        Where it is done.
+    open_recording : callable
+        Opens what was made.
+
+    Attributes
+    ----------
+    said : Signal
+        What was done, or why not; and details of a bug.
+    """
+
+    said = Signal(str, str)
+
+    def __init__(self, parent: QWidget, jobs: Jobs, open_recording: Callable[[Path], None]) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Import")
+        self.setMinimumWidth(WIDTH)
+        self._jobs, self._open_recording = jobs, open_recording
+        self._proposed = ""
+        self.source = FileField("A recording", OTHERS)
+        self.source.browse.setText("Recording…")
+        self.folder = QPushButton("Folder…")
+        self.folder.setToolTip("A folder of depth images")
+        self.out = QLineEdit()
+        self.out.setToolTip("The new recording, .mcap; nothing is ever replaced")
+        self.about = QLabel(ABOUT, wordWrap=True)
+        self.about.setObjectName("dim")
+        self.problem, self.made = QLabel(wordWrap=True), QLabel(wordWrap=True)
+        self.problem.setObjectName("doubt")
+        self.progress = QProgressBar(minimum=0, maximum=100)
+        self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open it")
+        self.begin = QPushButton("Import")
+        self.cancel.setToolTip("Stop; nothing of it is left")
+        self.open_made.setToolTip("Open the new recording in the window")
+        self.begin.setToolTip("Make a recording of it")
+        self._summary: ConvertSummary | None = None
+        self._lay_out()
+        self._connect()
+        self._show()
+
+    @property
+    def out_path(self) -> Path:
+        """The recording to make."""
+        name = self.out.text().strip()
+        return Path(name if name.lower().endswith(SUFFIX) else name + SUFFIX)
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _lay_out(self) -> None:
+        form = QFormLayout()
+        form.addRow("From", fill(QHBoxLayout(), (self.source, 1), self.folder))
+        self.images = ImageFields(form)
+        form.addRow("To", self.out)
+        buttons = fill(
+            QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.open_made, self.begin
+        )
+        fill(QVBoxLayout(self), form, self.about, self.problem, self.made, 1, buttons)
+
+    def _connect(self) -> None:
+        self.source.changed.connect(self._on_source)
+        self.folder.clicked.connect(lambda: self._choose_folder())
+        self.out.textChanged.connect(lambda _: self._show())
+        self.begin.clicked.connect(lambda: self._begin())
+        self.cancel.clicked.connect(lambda: self._cancel())
+        self.open_made.clicked.connect(lambda: self._open())
+        self._jobs.progressed.connect(self._on_progress)
+
+    def _choose_folder(self) -> None:
+        name = QFileDialog.getExistingDirectory(self, "A folder of depth images")
+        if name:
+            self.source.line.setText(name)
+
+    def _on_source(self) -> None:
+        """Propose a name beside what was chosen, unless one was typed."""
+        path = self.source.path
+        if path is not None and self.out.text() in ("", self._proposed):
+            name = path.stem if path.suffix.lower() in SUFFIXES else path.name
+            self._proposed = str(free_name(path.parent / f"{name}{SUFFIX}"))
+            self.out.setText(self._proposed)
+        self._show()
+
+    def _show(self) -> None:
+        """Show what applies to what was chosen, and what can be done now."""
+        path, busy = self.source.path, self._jobs.busy
+        self.images.show(path is not None and is_image_folder(path), enabled=not busy)
+        self.about.setVisible(path is None)
+        for widget in (self.source, self.folder, self.out):
+            widget.setEnabled(not busy)
+        self.begin.setEnabled(not busy and path is not None and bool(self.out.text().strip()))
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.open_made.setVisible(not busy and self._summary is not None)
+        for label in (self.problem, self.made):
+            label.setVisible(bool(label.text()))
+
+    def _begin(self) -> None:
+        path = self.source.path
+        if path is None:
+            return
+        self._tell(None, "")
+        beside = self.images.beside if is_image_folder(path) else Beside()
+        self._jobs.run(partial(convert, path, self.out_path, beside), self._on_done, _discard)
+        self._on_progress("opening", 0.0)
+        self._show()
+
+    def _cancel(self) -> None:
+        self._jobs.cancel()
+        self._show()
+
+    def _on_progress(self, step: str, done: float) -> None:
+        self.progress.setFormat(f"{step} %p %")
+        self.progress.setValue(round(100.0 * done))
+
+    def _on_done(self, done: Done) -> None:
+        self._tell(done.answer, done.message)
+        self._show()
+        self.said.emit(self.made.text() or done.message, done.details)
+
+    def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
+        self._summary = summary
+        self.made.setText("" if summary is None else summary.to_text())
+        self.problem.setText(problem)
+
+    def _open(self) -> None:
+        if self._summary is not None:
+            self._open_recording(Path(self._summary.out))
+            self.accept()
+
+
+def _discard(summary: ConvertSummary | None) -> None:
+    """Remove what was finished in the moment it was cancelled."""
+    if summary is not None:
+        Path(summary.out).unlink(missing_ok=True)
