@@ -231,3 +231,52 @@ def test_thin_curves_keep_every_peak() -> None:
 def test_times_need_no_pixels(sensor: Sensor) -> None:
     x, y = thinned(np.zeros(1), np.ones(1), (0.0, 1.0))
     assert list(x) == [0.0] and list(y) == [1.0]
+
+
+def test_statistics_of_the_range_on_the_timeline(drive: Drive) -> None:
+    driver = drive(DentSource)
+    panel = opened(driver, "force", "gas", "residual")
+    assert not panel.statistics.isVisible()
+    for frame in (6, 7, 8):
+        driver.seek(frame)
+    driver.seek(6)
+    actions = driver.window.shortcuts.actions
+    actions["Playback › Range begins here"].trigger()
+    driver.seek(9)
+    actions["Playback › Range ends here"].trigger()
+    assert driver.state.play_range == (6, 9) and panel.statistics.isVisible()
+    force = driver.state.history.of("force_n")
+    driver.wait(lambda: np.isfinite(force[6:10]).all())
+    table = panel.statistics
+    driver.wait(lambda: table.item(4, 0).text() == "4")
+    driver.bot.mouseClick(panel.statistics.copy, LEFT)
+    rows = [line.split("\t") for line in copied().splitlines()]
+    assert rows[0][:3] == ["Frames 6 to 9", "Force (N)", "p_v, estimated (Pa)"]
+    assert [row[0] for row in rows[1:]] == [
+        "mean", "standard deviation", "minimum", "maximum", "frames"
+    ]  # fmt: skip
+    known = force[6:10]
+    expected = [known.mean(), known.std(ddof=1), known.min(), known.max(), 4]
+    assert [float(row[1]) for row in rows[1:]] == pytest.approx(expected, rel=1e-5)
+    assert table.item(0, 0).text() == f"{known.mean():.3f}"
+    driver.state.choose(force_unit="mN", plots=frozenset({"force"}))
+    driver.bot.mouseClick(panel.statistics.copy, LEFT)
+    assert copied().splitlines()[0] == "Frames 6 to 9\tForce (mN)"
+    assert float(copied().splitlines()[1].split("\t")[1]) == pytest.approx(1e3 * known.mean())
+    actions["Playback › Play all frames"].trigger()
+    driver.wait(lambda: not panel.statistics.isVisible())
+
+
+def test_statistics_say_how_many_frames_are_known(drive: Drive) -> None:
+    driver = drive(DentSource)
+    panel = opened(driver, "force")
+    driver.seek(3)
+    driver.state.choose_range((3, 8))
+    assert panel.statistics.isVisible()
+    table = panel.statistics
+    driver.wait(lambda: table.item(4, 0).text() == "1 of 6")
+    assert table.item(1, 0).text() == "–"
+
+
+def copied() -> str:
+    return QApplication.clipboard().text()

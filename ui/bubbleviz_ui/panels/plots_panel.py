@@ -23,6 +23,7 @@ from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
+from bubbleviz_ui.playback.range_table import Curve, RangeTable
 from bubbleviz_ui.shell.layouts import fill
 
 EVERY_MS = 200
@@ -54,6 +55,7 @@ class PlotsPanel(QWidget):
         self.cancel = QPushButton("Cancel")
         self.cancel.setToolTip("Stop; what was computed stays")
         self.progress = QProgressBar()
+        self.statistics = RangeTable()
         self.hint = QLabel("Click in a plot to go there")
         self.hint.setObjectName("dim")
         self._lay_out()
@@ -61,6 +63,7 @@ class PlotsPanel(QWidget):
         keep_keys(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._later)
+        state.range_changed.connect(self._show_statistics)
         state.source_changed.connect(self._on_source)
         state.choices_changed.connect(self._on_choices)
 
@@ -69,10 +72,18 @@ class PlotsPanel(QWidget):
         self._column.setContentsMargins(8, 4, 8, 4)
         self._column.setSpacing(4)
         row = fill(
-            QHBoxLayout(), self.choose, self.analyse, self.progress, self.cancel, 1, self.hint
+            QHBoxLayout(),
+            self.choose,
+            self.analyse,
+            self.progress,
+            self.cancel,
+            1,
+            self.hint,
+            self.statistics.copy,
         )
         self._column.addLayout(row)
         self._column.addWidget(self._host, 1)
+        self._column.addWidget(self.statistics)
         self.progress.setFixedWidth(160)
         self.progress.hide()
         self.cancel.hide()
@@ -173,6 +184,7 @@ class PlotsPanel(QWidget):
             if name in self._state.choices.plots:
                 plot.draw(facts.times_s, self._state.history, self._state.units)
         self._draw_cursor()
+        self._show_statistics()
 
     def _follow(self, now_s: float) -> None:
         """Keep the last seconds of a live source in sight."""
@@ -187,6 +199,19 @@ class PlotsPanel(QWidget):
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
+
+    def _show_statistics(self) -> None:
+        """Write the numbers of the range on the timeline, where there is one."""
+        state, curves = self._state, list[Curve]()
+        first, last = state.play_range or (0, -1)
+        if state.play_range is not None:
+            curves = [
+                Curve(title, trace.unit(state.units), state.history.of(name)[first : last + 1])
+                for plot, trace in TRACES.items()
+                if plot in state.choices.plots
+                for name, title in trace.titles.items()
+            ]
+        self.statistics.show_range(first, last, curves)
 
     def _show_kappa(self) -> None:
         if self.kappa is not None and self._host.ready and "kappa" in self._state.choices.plots:

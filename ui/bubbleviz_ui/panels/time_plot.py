@@ -41,6 +41,12 @@ class Trace:
     words: tuple[str, ...] = ("",)
     bands: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def titles(self) -> dict[str, str]:
+        """What each of its quantities is called apart from the plot."""
+        named = zip(self.curves, self.words, strict=True)
+        return {name: f"{self.title}, {word}" if word else self.title for name, word in named}
+
 
 TRACES = MappingProxyType(
     {
