@@ -61,6 +61,26 @@ def test_what_cannot_be_done_now_is_not_offered(drive: Drive) -> None:
     opened.close()
 
 
+@pytest.mark.parametrize(
+    ("typed", "first"),
+    [
+        ("play", "Playback › Play / pause"),
+        ("review", "View › Scene › Review"),
+        ("plots", "View › Plots"),
+        ("import", "File › Import"),
+        ("dark", "View › Theme › Dark"),
+        ("theme dark", "View › Theme › Dark"),
+        ("screen", "View › Full screen"),
+        ("nextm", "Playback › Next marker"),
+    ],
+)
+def test_own_words_come_before_the_path(drive: Drive, typed: str, first: str) -> None:
+    opened = palette(drive(frame=3), Qt.Key.Key_K, CTRL)
+    opened.search.setText(typed)
+    assert opened.list.item(0).text().split("    ")[0] == first
+    opened.close()
+
+
 def test_search() -> None:
     names = ["Playback › Play / pause", "Playback › Last frame", "View › Plots", "File › Quit"]
     assert ranked("pp", names)[0] == "Playback › Play / pause"

@@ -8,6 +8,8 @@ from PySide6.QtCore import QObject, Signal
 from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import QMenu, QMenuBar
 
+from bubbleviz_ui.shell.fuzzy_search import STEP
+
 UNLISTED = "unlisted"
 """Property of a menu whose actions come and go, such as recent files."""
 
@@ -104,6 +106,6 @@ def _named(menu: QMenuBar | QMenu, path: str) -> Iterator[tuple[str, QAction]]:
         inner = action.menu()
         if isinstance(inner, QMenu):
             if not inner.property(UNLISTED):
-                yield from _named(inner, f"{name} › ")
+                yield from _named(inner, name + STEP)
         elif not action.isSeparator():
             yield name, action
