@@ -55,11 +55,11 @@ from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.dock import Dock, scrolled
+from bubbleviz_ui.shell.file_dialogs import picture_format
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar
 from bubbleviz_ui.shell.open_panels import OpenPanels
-from bubbleviz_ui.shell.save_dialog import picture_format
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
 from bubbleviz_ui.view3d.layers_panel import LayersPanel

@@ -314,7 +314,7 @@ def test_saved_preset_loads_and_is_never_overwritten(
     bench.identify()
     panel, out = bench.panel, tmp_path / "mine.toml"
     bench.click(panel.steps.button(len(panel.pages) - 1))
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(out), ""))
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(out), ""))
     bench.click(panel.report.save_as)
     assert "Saved" in panel.message.text()
     sensor = load_sensor(out)

@@ -15,6 +15,7 @@ import pytest
 from fakes import DentSource
 from live_bench import IMAGE, STRING, Bench, contents, robot, robot_sensor, sensor_file
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFileDialog
 from rosbags.highlevel import AnyReader
 from window_driver import texts
 
@@ -124,6 +125,21 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
     assert live.state.markers
     with AnyReader([path]) as reader:
         assert {c.msgtype for c in reader.connections} == set(found)
+
+
+def test_recordings_have_a_folder_of_their_own(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = connected(open_bench)
+    live.window.live.record.button.click()
+    live.wait(lambda: live.status().messages > 5)
+    own = live.stop().parent
+    assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
+    assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
+    chosen = str(live.folder)
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
+    live.window.shortcuts.actions["Live › Recordings go to"].trigger()
+    assert live.state.choices.record_folder == chosen
 
 
 def test_closing_the_window_ends_the_recording_whole(open_bench: Open) -> None:

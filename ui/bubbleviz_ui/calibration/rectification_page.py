@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QPushButton
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton
 
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page
@@ -13,6 +13,7 @@ from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell.file_dialogs import file_to_open
 from bubbleviz_ui.shell.layouts import fill
 
 
@@ -109,11 +110,11 @@ class RectificationPage(Page):
         self.numbers.set("gauge pressure rests on", rubber.gauge_rests_on)
 
     def _choose_vented(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self, "Recording of the open chamber", "", RECORDINGS)
-        if name:
-            self.set_vented(Path(name))
+        path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")
+        if path is not None:
+            self.set_vented(path)
 
     def _choose_level(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self, "Add an inflation level", "", RECORDINGS)
-        if name:
-            self.add_level(Path(name))
+        path = file_to_open(self, "Add an inflation level", RECORDINGS, of="recording")
+        if path is not None:
+            self.add_level(path)

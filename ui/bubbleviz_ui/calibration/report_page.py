@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QFileDialog,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -22,6 +19,7 @@ from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.shell.file_dialogs import new_file
 from bubbleviz_ui.shell.layouts import fill
 
 
@@ -98,11 +96,10 @@ class ReportPage(Page):
         return by_kind[kind]
 
     def _choose_file(self) -> None:
-        name, _ = QFileDialog.getSaveFileName(
-            self, "Save as a preset", "sensor.toml", "Sensor files (*.toml)"
-        )
-        if name:
-            self.save.emit(Path(name))
+        kinds = "Sensor files (*.toml)"
+        path, _ = new_file(self, "Save as a preset", "sensor.toml", kinds, of="sensor")
+        if path is not None:
+            self.save.emit(path)
 
     def _lay_out(self) -> None:
         table = self.table

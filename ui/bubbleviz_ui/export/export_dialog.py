@@ -7,7 +7,6 @@ from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
-    QFileDialog,
     QFormLayout,
     QHBoxLayout,
     QLabel,
@@ -21,6 +20,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.export.export_kinds import KINDS, Kind
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.shell.file_dialogs import new_file
 from bubbleviz_ui.shell.layouts import fill
 
 RANGE, ALL = False, True
@@ -158,15 +158,10 @@ class ExportDialog(QDialog):
     def _choose_name(self) -> None:
         kind, frames = self.chosen, self.chosen_frames
         proposed = kind.title.lower().replace(" ", "_") + next(iter(kind.suffixes.values()), "")
-        name, chosen = QFileDialog.getSaveFileName(
-            self,
-            f"Export {kind.title.lower()}" if kind.suffixes else "Name of a new folder",
-            proposed,
-            kind.filters,
-            options=QFileDialog.Option.DontConfirmOverwrite,  # nothing is ever replaced
-        )
-        if name:
-            self._exporting.start(kind, frames, kind.named(name, chosen))
+        title = f"Export {kind.title.lower()}" if kind.suffixes else "Name of a new folder"
+        path, chosen = new_file(self, title, proposed, kind.filters, of="export")
+        if path is not None:
+            self._exporting.start(kind, frames, kind.named(path, chosen))
 
     def _on_progress(self, step: str, done: float) -> None:
         self.progress.setFormat(f"{step} %p %")

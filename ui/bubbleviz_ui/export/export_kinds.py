@@ -35,9 +35,8 @@ class Kind:
         """What a file dialog offers."""
         return ";;".join(f"{title} (*{suffix})" for title, suffix in self.suffixes.items())
 
-    def named(self, name: str, chosen_filter: str) -> Path:
-        """Path of a name; the filter's suffix where it has none of the kind's."""
-        path = Path(name)
+    def named(self, path: Path, chosen_filter: str) -> Path:
+        """Path with the filter's suffix where it has none of the kind's."""
         if not self.suffixes or path.suffix.lower() in self.suffixes.values():
             return path
         title = chosen_filter.split(" (")[0]

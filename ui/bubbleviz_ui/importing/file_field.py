@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLineEdit, QPushButton, QWidget
 
+from bubbleviz_ui.shell.file_dialogs import file_to_open
 from bubbleviz_ui.shell.layouts import fill
 
 
@@ -48,6 +49,6 @@ class FileField(QWidget):
         return Path(name) if name else None
 
     def _browse(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self, self._title, "", self._kinds)
-        if name:
-            self.line.setText(name)
+        path = file_to_open(self, self._title, self._kinds, of="import")
+        if path is not None:
+            self.line.setText(str(path))

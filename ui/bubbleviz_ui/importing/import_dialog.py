@@ -9,7 +9,6 @@ from pathlib import Path
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QDialog,
-    QFileDialog,
     QFormLayout,
     QHBoxLayout,
     QLabel,
@@ -26,6 +25,7 @@ from bubbleviz.frames.image_folder import is_image_folder
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.importing.file_field import FileField
 from bubbleviz_ui.importing.image_fields import ImageFields
+from bubbleviz_ui.shell.file_dialogs import folder_to_open
 from bubbleviz_ui.shell.layouts import fill
 
 SUFFIX = ".mcap"
@@ -112,9 +112,9 @@ class ImportDialog(QDialog):
         self._jobs.progressed.connect(self._on_progress)
 
     def _choose_folder(self) -> None:
-        name = QFileDialog.getExistingDirectory(self, "A folder of depth images")
-        if name:
-            self.source.line.setText(name)
+        path = folder_to_open(self, "A folder of depth images", of="import")
+        if path is not None:
+            self.source.line.setText(str(path))
 
     def _on_source(self) -> None:
         """Propose a name beside what was chosen, unless one was typed."""

@@ -9,7 +9,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
     QDialogButtonBox,
-    QFileDialog,
     QFormLayout,
     QHBoxLayout,
     QLabel,
@@ -30,6 +29,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.source_discovery import Discovery
+from bubbleviz_ui.shell.file_dialogs import file_to_open
 from bubbleviz_ui.shell.layouts import fill
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
@@ -207,9 +207,10 @@ class ConnectDialog(QDialog):
         self.source.setText(self.uri)
 
     def _browse(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self, KINDS[self.kind.currentData()])
-        if name:
-            self.place.setEditText(name)
+        kind = self.kind.currentData()
+        path = file_to_open(self, KINDS[kind], of="session" if kind == TOGETHER else "recording")
+        if path is not None:
+            self.place.setEditText(str(path))
             self._look()
 
 

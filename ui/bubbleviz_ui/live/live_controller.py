@@ -14,7 +14,7 @@ from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.live.publishing import Publishing
-from bubbleviz_ui.live.recording_control import Recording
+from bubbleviz_ui.live.recording_control import OWN_FOLDER, Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
@@ -225,7 +225,7 @@ class LiveController(QObject):
     def _use_choices(self) -> None:
         """Record and publish as the user chose."""
         choices = self.state.choices
-        self.recording.folder = Path(choices.record_folder or Path.cwd())
+        self.recording.folder = Path(choices.record_folder or OWN_FOLDER)
         self.publishing.endpoint = choices.publish_at
         if self.run is not None:
             self.run.session.recorder.pre_roll_s = choices.pre_roll_s

@@ -58,7 +58,7 @@ class RecordControls(QWidget):
         )
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(live.toggle_recording)
-        self.folder.clicked.connect(self._choose_folder)
+        self.folder.clicked.connect(self.choose_folder)
         self.note.returnPressed.connect(self._save_note)
         self.note.editingFinished.connect(self.note.hide)
         self._show_folder()
@@ -85,18 +85,19 @@ class RecordControls(QWidget):
             self.note.show()
             self.note.setFocus()
 
-    def _save_note(self) -> None:
-        text = self.note.text().strip()
-        if text:
-            self._live.recording.mark(text, self._noted_ns)
-        self.note.clearFocus()
-
-    def _choose_folder(self) -> None:
+    def choose_folder(self) -> None:
+        """Choose where recordings go."""
         present = str(self._live.recording.folder)
         name = QFileDialog.getExistingDirectory(self, "Record into", present)
         if name:
             self._live.choose_folder(name)
             self._show_folder()
+
+    def _save_note(self) -> None:
+        text = self.note.text().strip()
+        if text:
+            self._live.recording.mark(text, self._noted_ns)
+        self.note.clearFocus()
 
     def _show_folder(self) -> None:
         self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")

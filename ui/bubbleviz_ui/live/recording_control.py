@@ -12,6 +12,9 @@ from bubbleviz.files.output_files import free_name
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz_ui.engine.jobs import Done, Jobs
 
+OWN_FOLDER = Path.home() / "bubbleviz-recordings"
+"""Where recordings go unless another folder is chosen."""
+
 
 @dataclass(frozen=True)
 class RecordingState:
@@ -42,7 +45,7 @@ class Recording(QObject):
     said : Signal
         A sentence for the user.
     folder : Path
-        Where recordings go, each named by its time.
+        Where recordings go, each named by its time; `OWN_FOLDER` is made with the first.
     busy : bool
         A recording is on, or about to be.
     """
@@ -52,7 +55,7 @@ class Recording(QObject):
 
     def __init__(self, jobs: Jobs) -> None:
         super().__init__()
-        self.folder = Path.cwd()
+        self.folder = OWN_FOLDER
         self.busy = False
         self._recorder: Recorder | None = None
         self._began = 0.0
@@ -64,7 +67,7 @@ class Recording(QObject):
             return
         path = path or new_name(self.folder)
         self.busy, self._recorder, self._began = True, recorder, time.monotonic()
-        self._jobs.run(lambda _: recorder.start(path), self._on_started)
+        self._jobs.run(lambda _: _start(recorder, path), self._on_started)
         self.changed.emit()
 
     def stop(self) -> None:
@@ -113,6 +116,12 @@ class Recording(QObject):
 def new_name(folder: Path) -> Path:
     """Name of a new recording, by the time."""
     return free_name(folder / time.strftime("bubbleviz-%Y%m%d-%H%M%S.mcap"))
+
+
+def _start(recorder: Recorder, path: Path) -> None:
+    if path.parent == OWN_FOLDER:
+        OWN_FOLDER.mkdir(exist_ok=True)
+    recorder.start(path)
 
 
 def _stopped(recorder: Recorder) -> RecorderStatus | None:

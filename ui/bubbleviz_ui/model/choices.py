@@ -117,7 +117,7 @@ class Choices:
     pre_roll_s : float
         How much of what came before the record button is recorded, too.
     record_folder : str or None
-        Where recordings go; None: where the program was started.
+        Where recordings go; None: a folder of their own in the user's.
     publish_at : str
         Where results are published once that is asked for.
     length_unit, pressure_unit, force_unit, duration_unit : str

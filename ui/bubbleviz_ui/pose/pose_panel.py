@@ -11,7 +11,6 @@ from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QFileDialog,
     QFormLayout,
     QHBoxLayout,
     QLabel,
@@ -31,8 +30,8 @@ from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
+from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save
 from bubbleviz_ui.shell.layouts import fill
-from bubbleviz_ui.shell.save_dialog import file_to_save
 
 if TYPE_CHECKING:
     from bubbleviz_ui.pose.fit_curves import Curves
@@ -184,9 +183,9 @@ class PosePanel(QWidget):
         if name != FROM_FILE:
             self.session.choose(name)
             return
-        chosen, _ = QFileDialog.getOpenFileName(self, "Object", "", MESHES)
-        if chosen:
-            self.use_file(Path(chosen))
+        path = file_to_open(self, "Object", MESHES, of="object")
+        if path is not None:
+            self.use_file(path)
         else:
             self._show_object()
 
@@ -204,7 +203,7 @@ class PosePanel(QWidget):
             self.start.show_pose(start)  # angles that were typed stay as typed
 
     def _export(self, form: str) -> None:
-        path = file_to_save(self, "Export poses", f"poses.{form}")
+        path = file_to_save(self, "Export poses", f"poses.{form}", of="export")
         if path is None:
             return
         try:

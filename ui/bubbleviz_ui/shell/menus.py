@@ -11,7 +11,6 @@ from PySide6.QtCore import Qt, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import (
     QDockWidget,
-    QFileDialog,
     QInputDialog,
     QMenu,
     QMenuBar,
@@ -29,7 +28,7 @@ from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
-from bubbleviz_ui.shell.save_dialog import file_to_save
+from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save, folder_to_open
 from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
@@ -146,6 +145,7 @@ class Menus:
         self._add(menu, "&Disconnect", live.disconnect_all, "Ctrl+Shift+L")
         menu.addSeparator()
         self._add(menu, "&Record / stop recording", live.toggle_recording, "Ctrl+R")
+        self._add(menu, "Recordings go &to…", window.live.record.choose_folder)
         self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
         self._add(menu, "&Publish results / stop", live.toggle_publishing, "Ctrl+Shift+R")
         self._add(menu, "Publish &at…", self._publish_at)
@@ -273,40 +273,43 @@ class Menus:
             state.choose(publish_at=endpoint.strip() or LOOPBACK)
 
     def _open_recording(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self._bar, "Open recording", "", RECORDINGS)
-        if name:
-            self._window.controller.opening.recording(Path(name))
+        folder = self._window.live_controller.recording.folder
+        path = file_to_open(
+            self._bar, "Open recording", RECORDINGS, of="recording", at_first=folder
+        )
+        if path is not None:
+            self._window.controller.opening.recording(path)
 
     def _open_folder(self) -> None:
-        name = QFileDialog.getExistingDirectory(self._bar, "Open recording folder")
-        if name:
-            self._window.controller.opening.recording(Path(name))
+        path = folder_to_open(self._bar, "Open recording folder", of="recording")
+        if path is not None:
+            self._window.controller.opening.recording(path)
 
     def _open_sensor(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(
-            self._bar, "Open sensor", "", "Sensor files (*.toml);;All files (*)"
-        )
-        if name:
-            self._window.controller.opening.sensor_file(Path(name))
+        kinds = "Sensor files (*.toml);;All files (*)"
+        path = file_to_open(self._bar, "Open sensor", kinds, of="sensor")
+        if path is not None:
+            self._window.controller.opening.sensor_file(path)
 
     def _open_truth(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(
-            self._bar, "Open truth", "", "Truth of a simulation (*.npz);;All files (*)"
-        )
-        if name:
-            self._window.controller.opening.truth(Path(name))
+        kinds = "Truth of a simulation (*.npz);;All files (*)"
+        path = file_to_open(self._bar, "Open truth", kinds, of="recording")
+        if path is not None:
+            self._window.controller.opening.truth(path)
 
     def _open_session(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self._bar, "Open session", "", SESSIONS)
-        if name:
-            self._saver.open(Path(name))
+        path = file_to_open(self._bar, "Open session", SESSIONS, of="session")
+        if path is not None:
+            self._saver.open(path)
 
     def _save_session(self) -> None:
-        path = file_to_save(self._bar, "Save session as", f"session{SESSION_SUFFIX}", SESSIONS)
+        proposed = f"session{SESSION_SUFFIX}"
+        path = file_to_save(self._bar, "Save session as", proposed, SESSIONS, of="session")
         if path is not None:
             self._saver.save_as(path)
 
     def _screenshot(self) -> None:
-        path = file_to_save(self._bar, "Save screenshot", "bubbleviz.png", "PNG images (*.png)")
+        kinds = "PNG images (*.png)"
+        path = file_to_save(self._bar, "Save screenshot", "bubbleviz.png", kinds, of="picture")
         if path is not None:
             self._window.save_screenshot(path)

@@ -32,8 +32,8 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format
 from bubbleviz_ui.shell.layouts import fill
-from bubbleviz_ui.shell.save_dialog import file_to_save, picture_format
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -248,8 +248,8 @@ class ViewTools(QWidget):
             self.failed.emit(f"{path}: cannot be written; choose another place")
 
     def _choose_file(self) -> None:
-        title = "Save picture of the 3-D view"
-        path = file_to_save(self, title, "view.png", "PNG images (*.png)")
+        title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"
+        path = file_to_save(self, title, "view.png", kinds, of="picture")
         if path is not None:
             self.save_picture(path)
 

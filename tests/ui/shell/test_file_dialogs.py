@@ -1,4 +1,4 @@
-"""Saving by the dialogs, typed as a person would: nothing is replaced unasked."""
+"""Files by the dialogs, typed as a person would: nothing is replaced unasked."""
 
 from __future__ import annotations
 
@@ -84,3 +84,27 @@ def test_a_picture_named_without_suffix_is_a_png(drive: Drive, tmp_path: Path, n
     assert path.name in ("shot.png", "shot.v2")
     assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
     assert not driver.window.message.isVisible()
+
+
+def test_a_dialog_comes_back_to_the_last_folder_of_its_kind(
+    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = drive()
+    asked: list[tuple[str, str]] = []
+    answers = {"Open recording": "records/a.mcap", "Open sensor": "sensors/b.toml"}
+
+    def chosen(_: object, title: str, folder: str, *__: object) -> tuple[str, str]:
+        asked.append((title, folder))
+        return str(tmp_path / answers[title]), ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", chosen)
+    for name in answers.values():
+        (tmp_path / name).parent.mkdir()
+    for _ in range(2):
+        for title in answers:
+            driver.window.shortcuts.actions[f"File › {title}"].trigger()
+    assert asked[2:] == [(title, str((tmp_path / name).parent)) for title, name in answers.items()]
+    driver.wait(driver.window.message.isVisible)  # neither is there
+    (tmp_path / "records").rmdir()
+    driver.window.shortcuts.actions["File › Open recording"].trigger()
+    assert asked[-1] == ("Open recording", "")

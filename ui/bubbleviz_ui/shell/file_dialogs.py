@@ -1,0 +1,95 @@
+"""Asking for files: dialogs come back to the folder of the last file of the same kind.
+
+When saving, the suffix is there before it is asked whether a file may be replaced.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import QSettings
+from PySide6.QtGui import QImageWriter
+from PySide6.QtWidgets import QFileDialog, QWidget
+
+
+def file_to_open(
+    parent: QWidget, title: str, kinds: str = "", *, of: str, at_first: Path | None = None
+) -> Path | None:
+    """File to read; None to cancel.
+
+    Parameters
+    ----------
+    parent : QWidget
+    title : str
+    kinds : str
+        Filters of file names, as Qt writes them.
+    of : str
+        Kind of the file, whose last folder the dialog shows.
+    at_first : Path, optional
+        Folder to show before there is one.
+    """
+    name, _ = QFileDialog.getOpenFileName(parent, title, _folder(of, at_first), kinds)
+    return _remembered(of, name)
+
+
+def folder_to_open(parent: QWidget, title: str, *, of: str) -> Path | None:
+    """Folder to read; None to cancel."""
+    return _remembered(of, QFileDialog.getExistingDirectory(parent, title, _folder(of)))
+
+
+def file_to_save(
+    parent: QWidget, title: str, proposed: str, kinds: str = "", *, of: str
+) -> Path | None:
+    """File to write, with the suffix of the proposed name where it is given none; None to cancel.
+
+    One that is there may be replaced.
+    """
+    dialog = QFileDialog(parent, title, _folder(of), kinds)
+    dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+    dialog.setDefaultSuffix(Path(proposed).suffix)
+    dialog.selectFile(proposed)
+    chosen = dialog.selectedFiles() if dialog.exec() else [""]
+    dialog.deleteLater()
+    return _remembered(of, chosen[0])
+
+
+def new_file(
+    parent: QWidget, title: str, proposed: str, kinds: str = "", *, of: str
+) -> tuple[Path | None, str]:
+    """Name of a file or folder to make, None to cancel, and the filter that was chosen.
+
+    Nothing is asked about one that is there: whoever writes it refuses to replace it.
+    """
+    name, chosen = QFileDialog.getSaveFileName(
+        parent,
+        title,
+        str(Path(_folder(of)) / proposed),
+        kinds,
+        options=QFileDialog.Option.DontConfirmOverwrite,
+    )
+    return _remembered(of, name), chosen
+
+
+def _folder(of: str, at_first: Path | None = None) -> str:
+    """Where the last file of a kind was; empty for nowhere, or where that is gone."""
+    folder = str(_folders().value(of, at_first or ""))
+    return folder if folder and Path(folder).is_dir() else ""
+
+
+def _remembered(of: str, name: str) -> Path | None:
+    if not name:
+        return None
+    path = Path(name)
+    _folders().setValue(of, str(path.absolute().parent))
+    return path
+
+
+def _folders() -> QSettings:
+    return QSettings("bubbleviz", "folders")
+
+
+def picture_format(path: Path) -> str:
+    """Format of a picture by the suffix of its file; PNG where that names none."""
+    known = {bytes(name.data()).decode() for name in QImageWriter.supportedImageFormats()}
+    suffix = path.suffix.removeprefix(".").lower()
+    return suffix if suffix in known else "png"
