@@ -235,6 +235,32 @@ def test_cancel_leaves_everything_as_it_was(drive: Drive) -> None:
     assert bench.undone == index + 1  # and nothing was heard of that one
 
 
+def test_each_step_says_its_name_its_state_and_what_to_do(bench: Bench, tmp_path: Path) -> None:
+    panel = bench.panel
+    tips = lambda: [panel.steps.button(k).toolTip() for k in range(7)]  # noqa: E731
+    assert all(tip.endswith(": to do") for tip in tips())
+    assert panel.steps.button(1).text() == "2\nPixels"
+    assert "nothing touches" in panel.todo.text() and panel.todo.isVisible()
+    bench.click(panel.next)
+    bench.click(panel.next)
+    assert [tip.endswith(": done") for tip in tips()] == [True, True] + 5 * [False]
+    assert panel.steps.button(1).text() == "2 ✓\nPixels"
+    assert "which pixels" in panel.todo.text()
+    panel.frames.set_ranges(((0, 3),), "Too few")
+    bench.done()
+    assert "at least 5" in panel.message.text()
+    assert tips()[0] == "Contact-free frames: needs attention"
+    refused = panel.message.palette().windowText().color()
+    bench.undo()
+    assert tips()[0] == "Contact-free frames: done"
+    bench.click(panel.all)
+    assert not panel.all.isVisible() and tips()[3] == "γ0: done"
+    panel.save(tmp_path / "mine.toml")
+    bench.done()
+    assert "Saved" in panel.message.text() and tips()[6] == "Report: done"
+    assert panel.message.palette().windowText().color() != refused
+
+
 def test_what_cannot_be_done_is_said_and_changes_nothing(bench: Bench) -> None:
     bench.identify()
     before = bench.panel.calibration.answer

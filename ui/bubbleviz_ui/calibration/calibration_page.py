@@ -14,12 +14,20 @@ class Page(QWidget):
 
     Attributes
     ----------
-    title : str
+    name, title : str
+        On its button, and in full.
+    todo : str
+        What to do here, in one sentence.
+    sets : tuple of str
+        Settings that are changed here.
     next_title : str
         What the button that leads on to this page says.
     """
 
+    name = ""
     title = ""
+    todo = ""
+    sets: tuple[str, ...] = ()
     next_title = ""
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -31,6 +39,10 @@ class Page(QWidget):
 
     def enter(self) -> None:
         """The person goes on to this step: do what is not done yet."""
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether an answer has what this step is for."""
+        raise NotImplementedError
 
     def show_answer(self, answer: Answer) -> None:
         """Show what is known."""

@@ -8,14 +8,12 @@ from tempfile import TemporaryDirectory
 
 from PySide6.QtCore import QEvent, Signal
 from PySide6.QtWidgets import (
-    QButtonGroup,
     QHBoxLayout,
     QLabel,
     QProgressBar,
     QPushButton,
     QScrollArea,
     QStackedWidget,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -40,9 +38,9 @@ from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.step_buttons import StepButtons, StepState
 
 WIDTH = 400  # px: two columns of numbers with units
-STEP_WIDTH = 34  # px: a digit and its frame
 
 
 class Gamma0Panel(QWidget):
@@ -69,9 +67,10 @@ class Gamma0Panel(QWidget):
         self.calibration, self.units, self.strip = calibration, units, strip
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
-        self.steps = QButtonGroup(self)
-        self._said_of = calibration.work
-        self.title, self.verdict, self.message = QLabel(), QLabel(), QLabel()
+        self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
+        self._said_of, self._refused = calibration.work, False
+        self.title, self.todo = QLabel(), QLabel(wordWrap=True)
+        self.verdict, self.message = QLabel(), QLabel()
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
         self.progress = QProgressBar(minimum=0, maximum=100)
@@ -105,6 +104,7 @@ class Gamma0Panel(QWidget):
         self.stack.setCurrentIndex(number)
         self.steps.button(number).setChecked(True)
         self.title.setText(f"{number + 1} · {self.page.title}")
+        self.todo.setText(self.page.todo)
         self._show()
 
     def save(self, path: Path) -> None:
@@ -120,7 +120,11 @@ class Gamma0Panel(QWidget):
             save(found, benches.source(work), given.name, path, report, progress, validation)
             return path
 
-        self.calibration.start(job, lambda done: self._say(f"Saved {done} and {report.name}"))
+        def told(done: Path) -> None:
+            self.report.saved = work
+            self._say(f"Saved {done} and {report.name}")
+
+        self.calibration.start(job, told)
 
     def use_it(self) -> None:
         """Open the identified sensor on the present source; undo opens the one before."""
@@ -180,7 +184,7 @@ class Gamma0Panel(QWidget):
         self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
         calibration.progressed.connect(self._on_progress)
-        calibration.failed.connect(lambda message, _: self._say(message))
+        calibration.failed.connect(lambda message, _: self._say(message, refused=True))
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
@@ -197,8 +201,8 @@ class Gamma0Panel(QWidget):
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100 * done))
 
-    def _say(self, message: str) -> None:
-        self._said_of = self.calibration.work
+    def _say(self, message: str, *, refused: bool = False) -> None:
+        self._said_of, self._refused = self.calibration.work, refused
         self.message.setText(message)
         self.message.setVisible(bool(message))
 
@@ -216,7 +220,8 @@ class Gamma0Panel(QWidget):
         self.next.setText(following.next_title if started else self.frames.next_title)
         self.next.setEnabled(not waits_for_live)
         self.back.setEnabled(place > 0)
-        self.all.setEnabled(reached < Step.TENSION and not waits_for_live)
+        self.all.setVisible(reached < Step.TENSION)
+        self.all.setEnabled(not waits_for_live)
         if busy and not self.progress.isVisible():
             self._on_progress("starting", 0.0)
         self.progress.setVisible(busy)
@@ -224,14 +229,35 @@ class Gamma0Panel(QWidget):
         known = self._known()
         for number in range(len(self.pages)):
             self.steps.button(number).setEnabled(number == place or number < known)
+        self.steps.show_states([self._state(number) for number in range(len(self.pages))])
+        colours = theme.of(self)
+        colour = colours.doubtful if self._refused else colours.good
+        self.message.setStyleSheet(f"color: {colour}; font-weight: 600")
         verdict = answer.verdict
         self.verdict.setVisible(verdict is not None)
         if verdict is not None:
             self.verdict.setText(verdict.summary)
-            self.verdict.setStyleSheet(f"color: {getattr(theme.of(self), verdict.grade)}")
+            self.verdict.setStyleSheet(f"color: {getattr(colours, verdict.grade)}")
         recorded = calibration.work.collected is None and not calibration.live
         self.strip.set_ranges(answer.frames, answer.draft.ranges)
         self.strip.setVisible(recorded and bool(answer.draft.ranges))
+
+    def _state(self, number: int) -> StepState:
+        """How far a step is; what was refused, or is doubtful, needs attention."""
+        answer, page = self.calibration.answer, self.pages[number]
+        refused = self._refused and number == self._refused_step()
+        doubtful = answer.verdict is not None and answer.verdict.grade == "doubtful"
+        if refused or (doubtful and page is self.tension):
+            return StepState.NEEDS_ATTENTION
+        return StepState.DONE if page.is_done(answer) else StepState.TO_DO
+
+    def _refused_step(self) -> int:
+        """The step whose settings were refused; where none differ, the first that is not done."""
+        wanted, shown = self.calibration.settings, self.calibration.answer.work.settings
+        for number, page in enumerate(self.pages):
+            if any(getattr(wanted, name) != getattr(shown, name) for name in page.sets):
+                return number
+        return min(int(shown.reached), len(self.pages) - 1)
 
     def _known(self) -> int:
         """Pages there is something to see on."""
@@ -242,26 +268,17 @@ class Gamma0Panel(QWidget):
         self.setMinimumWidth(WIDTH)
         column = QVBoxLayout(self)
         column.setContentsMargins(12, 8, 12, 10)
-        row = QHBoxLayout()
-        row.setSpacing(4)
         self.stack = QStackedWidget()
-        for number, page in enumerate(self.pages):
-            button = QToolButton()
-            button.setText(str(number + 1))
-            button.setToolTip(page.title)
-            button.setCheckable(True)
-            button.setFixedWidth(STEP_WIDTH)
-            self.steps.addButton(button, number)
-            row.addWidget(button)
+        for page in self.pages:
             self.stack.addWidget(_scrolling(page))
         self.title.setObjectName("value")
-        row.addStretch(1)
-        fill(column, row, self.title, (self.stack, 1))
+        self.todo.setObjectName("dim")
+        self.next.setObjectName("main")
+        fill(column, self.steps.row, self.title, self.todo, (self.stack, 1))
         for label in (self.verdict, self.message):
             label.setWordWrap(True)
             label.hide()
             column.addWidget(label)
-        self.message.setObjectName("dim")
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
         column.addLayout(working)
         buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1))

@@ -38,7 +38,10 @@ ENDED_BY = {
 class FramesPage(Page):
     """Strip of ranges, plot of how far each frame is from rest, boxes for exact numbers."""
 
+    name = "Frames"
     title = "Contact-free frames"
+    todo = "Find the frames in which nothing touches the membrane; correct them on the timeline."
+    sets = ("ranges",)
     next_title = "Find contact-free frames"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -71,6 +74,10 @@ class FramesPage(Page):
     def set_ranges(self, ranges: Ranges, what: str) -> None:
         """Use these frames."""
         self.calibration.edit(what, ranges=ranges, reached=self._least())
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether there are contact-free frames."""
+        return answer.work.settings.reached >= Step.FRAMES
 
     def show_answer(self, answer: Answer) -> None:
         """Show the ranges and what they rest on."""

@@ -24,7 +24,10 @@ MOST_DEVIATIONS = 20.0  # σ, end of the scale
 class PixelsPage(Page):
     """Mask, noise and validity as images; thresholds on validity and σ."""
 
+    name = "Pixels"
     title = "Pixel mask"
+    todo = "Check which pixels are used; move the thresholds where good ones are left out."
+    sets = ("min_validity", "deviations")
     next_title = "Measure the pixels"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -54,6 +57,10 @@ class PixelsPage(Page):
     def enter(self) -> None:
         """Measure every pixel."""
         self.calibration.reach(Step.PIXELS, self.next_title)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether the pixels are measured."""
+        return answer.work.settings.reached >= Step.PIXELS
 
     def show_answer(self, answer: Answer) -> None:
         """Show the mask and its counts."""

@@ -20,7 +20,10 @@ from bubbleviz_ui.shell.layouts import fill
 class RectificationPage(Page):
     """Residual of the last frame before and after rectification; further inflation levels."""
 
+    name = "Levels"
     title = "Rectification"
+    todo = "Add recordings of the untouched sensor at other inflation levels, if you have any."
+    sets = ("levels", "vented")
     next_title = "Look at the rectification"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -49,6 +52,10 @@ class RectificationPage(Page):
     def set_vented(self, path: Path) -> None:
         """Take the atmospheric pressure from a recording of the open chamber."""
         self.calibration.edit(f"Take {path.name} as the open chamber", vented=path)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether other levels are used."""
+        return bool(answer.work.settings.levels or answer.work.settings.vented)
 
     def show_answer(self, answer: Answer) -> None:
         """Show both images, their rms and the levels."""

@@ -14,7 +14,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.calibration.sensor_comparison import Comparison, Kind
-from bubbleviz_ui.calibration.calibration_answer import Answer
+from bubbleviz_ui.calibration.calibration_answer import Answer, Work
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
@@ -32,9 +32,13 @@ class ReportPage(Page):
         Open the identified sensor on the present source.
     save : Signal
         Path of the sensor file to write.
+    saved : Work or None
+        Of which a sensor file was written last.
     """
 
+    name = "Report"
     title = "Report"
+    todo = "Compare with the sensor in use, then save the new one, or use it now."
     next_title = "Compare and save"
     use = Signal()
     save = Signal(object)
@@ -49,9 +53,15 @@ class ReportPage(Page):
         self.view = ImageView("around zero")
         self.use_it = QPushButton("Use it")
         self.save_as = QPushButton("Save as a preset…")
+        self.save_as.setObjectName("main")
+        self.saved: Work | None = None
         self._lay_out()
         self.use_it.clicked.connect(self.use)
         self.save_as.clicked.connect(self._choose_file)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether the sensor file of this answer was saved."""
+        return self.saved == answer.work
 
     def show_answer(self, answer: Answer) -> None:
         """Show verdict, table and difference."""

@@ -25,7 +25,10 @@ class SurfacePage(Page):
         Points (k, 3) in m and a number for each in m, to be painted in the 3-D view.
     """
 
+    name = "Surface"
     title = "Reference surface"
+    todo = "Check that what the surface leaves over looks like noise; else choose another."
+    sets = ("surface", "nodes")
     next_title = "Fit the surface"
     painted = Signal(object, object)
 
@@ -56,6 +59,10 @@ class SurfacePage(Page):
     def enter(self) -> None:
         """Fit the surfaces."""
         self.calibration.reach(Step.SURFACE, self.next_title)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether there is a surface."""
+        return answer.work.settings.reached >= Step.SURFACE
 
     def show_answer(self, answer: Answer) -> None:
         """Show the residual and the misfits."""

@@ -17,7 +17,9 @@ SPREAD = 0.2
 class TensionPage(Page):
     """γ0 ± its interval and what the interval is made of."""
 
+    name = "γ0"
     title = "γ0"
+    todo = "Read γ0 with its interval and the verdict below; the next two steps are optional."
     next_title = "Estimate γ0"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -29,6 +31,10 @@ class TensionPage(Page):
     def enter(self) -> None:
         """Estimate γ0."""
         self.calibration.reach(Step.TENSION, self.next_title)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether γ0 is estimated."""
+        return answer.work.settings.reached >= Step.TENSION
 
     def show_answer(self, answer: Answer) -> None:
         """Show γ0 and its parts."""

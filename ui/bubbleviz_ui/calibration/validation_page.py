@@ -34,7 +34,10 @@ class ValidationPage(Page):
         Points (k, 3) in m and their signed distances in m, for the 3-D view.
     """
 
+    name = "Press"
     title = "Validation"
+    todo = "Say which object was pressed where, and compare, if you know it."
+    sets = ("press",)
     next_title = "Validate by a known press"
     painted = Signal(object, object)
 
@@ -62,6 +65,10 @@ class ValidationPage(Page):
             lambda: calibration.edit("Leave the validation out", press=None)
         )
         self.paint.clicked.connect(self._paint)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether a press was compared."""
+        return answer.draft.validation is not None
 
     def show_answer(self, answer: Answer) -> None:
         """Show what was chosen and what came of it."""

@@ -186,6 +186,7 @@ QToolButton {{ padding: 4px 5px; }}
 QToolButton#slim {{ padding: 4px 2px; }}
 QPushButton:hover, QToolButton:hover {{ background: {c.hover}; }}
 QPushButton:checked, QToolButton:checked {{ background: {c.accent}; color: {c.on_accent}; }}
+QPushButton#main:enabled {{ background: {c.accent}; color: {c.on_accent}; }}
 QPushButton:focus, QToolButton:focus, QComboBox:focus, QDoubleSpinBox:focus
     {{ border: 1px solid {c.accent}; }}
 QAbstractSpinBox {{ min-height: 1.35em; }}
