@@ -40,7 +40,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.step_buttons import StepButtons, StepState
 
-WIDTH = 400  # px: two columns of numbers with units
+WIDTH = 380  # px: two columns of numbers with units
 
 
 class Gamma0Panel(QWidget):

@@ -11,7 +11,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
 SMALL = "font-size: 8pt;"
-"""Seven names have room in a panel of 400 pixels."""
+"""Seven names have room in a panel of 380 pixels."""
 
 
 class StepState(Enum):
