@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.result import Estimate, Result
+from bubbleviz.result import Estimate, Patch, Result
 
 if TYPE_CHECKING:
     from bubbleviz.study.truth_bank import Sighting  # the window compares masks without it
@@ -32,6 +33,8 @@ class Errors:
         |F| over the true one, less 1.
     area_error_relative : float
         Of the patch's area, which is counted on the reference surface.
+    edge_in_band : float
+        Share of the true edge that lies in the band around the patch's; NaN where it has none.
     cop_error_m : float
         Between centres of pressure; NaN where no contact was found.
     displacement_rms_m : float
@@ -45,6 +48,7 @@ class Errors:
     force_error_relative: float
     force_excess_relative: float
     area_error_relative: float
+    edge_in_band: float
     cop_error_m: float
     displacement_rms_m: float
     gas_error_pa: float
@@ -84,12 +88,24 @@ class Judge:
             force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n)) / force,
             force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
             area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
+            edge_in_band=self._edge_in_band(estimate, patch, seen),
             cop_error_m=float(
                 np.linalg.norm(patch.center_of_pressure_m - truth.center_of_pressure_m)
             ),
             displacement_rms_m=float(np.sqrt(np.mean(difference**2))),
             gas_error_pa=abs(estimate.gas_pressure_change_pa - truth.gas_pressure_change_pa),
         )
+
+    def _edge_in_band(self, estimate: Estimate, patch: Patch, seen: np.ndarray) -> float:
+        """Share of the pixels beside the edge of a mask that the band covers."""
+        edge = binary_dilation(seen) ^ binary_erosion(seen)
+        band = patch.edge_half_width_m
+        if np.isnan(band) or not edge.any():
+            return np.nan
+        inner, outer = (
+            self._view.above(estimate.motion_m, patch.level, level) for level in (band, -band)
+        )
+        return float(np.count_nonzero(edge & outer & ~inner) / np.count_nonzero(edge))
 
     def _best_iou(self, estimate: Estimate, seen: np.ndarray) -> float:
         """Largest IoU over all thresholds of the contact pressure."""

@@ -203,10 +203,11 @@ def test_frames_and_poses_of_a_stream(recording: Path, sensor: Path) -> None:
     slowly = f"replay:{recording}?speed=0.1"
     with bv.connect(slowly, sensor) as stream:
         assert [frame.index for frame in stream] == list(range(len(HEIGHTS)))
-    with bv.connect(slowly, sensor) as stream:
+    with bv.connect(f"replay:{recording}?speed=0.03", sensor) as stream:
         poses = bv.track(stream, "cylinder", init="0.005 0 0.044 0 0 0 1")
-        heights = [each.T_B_O[2, 3] for each in poses if each.status == "ok"]
-    assert heights[-1] == pytest.approx(0.042, abs=1e-3)
+        heights = {each.index: each.T_B_O[2, 3] for each in poses if each.status == "ok"}
+    assert heights  # of the newest frames: a slow machine leaves some out
+    assert heights == pytest.approx({k: HEIGHTS[k] for k in heights}, abs=1e-3)
 
 
 def test_errors_are_the_command_lines(frames: Frames, sensor: Path, tmp_path: Path) -> None:

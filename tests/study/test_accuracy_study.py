@@ -127,6 +127,7 @@ def test_the_truth_itself_has_no_errors(sensor, bank):
     assert errors.cop_error_m < 1e-3  # the reported centre is that of the patch alone
     assert errors.displacement_rms_m < 1e-7  # the closest point is found in single precision
     assert errors.iou_best_threshold > 0.85
+    assert errors.edge_in_band > 0.75
 
 
 def test_iou_of_masks():
@@ -284,7 +285,7 @@ def test_report_files(study, tmp_path):
 def row(setup, ms, overlap, force, **changed):
     known = Row(
         "sensor", False, "sphere", False, 0.015, 0.3, "1 %", setup, "x", 800, 1, 2, 0.01, 0.003,
-        5.0, "ok", 0, overlap, overlap, force, force, 0.0, 1e-3, 1e-4, 1.0, 0.0, 100.0, ms,
+        5.0, "ok", 0, overlap, overlap, force, force, 0.0, 1.0, 1e-3, 1e-4, 1.0, 0.0, 100.0, ms,
     )  # fmt: skip
     return replace(known, **changed)
 

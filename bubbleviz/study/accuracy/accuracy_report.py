@@ -48,6 +48,7 @@ class Curve:
     force_excess_relative_median: float
     iou_median: float
     area_error_relative_median: float
+    edge_in_band_mean: float
     warm_ms: float
 
 
@@ -104,6 +105,7 @@ def curves(accuracy: Accuracy) -> list[Curve]:
                         force_excess_relative_median=_over(rows, "force_excess_relative"),
                         iou_median=_over(rows, "iou"),
                         area_error_relative_median=_over(rows, "area_error_relative"),
+                        edge_in_band_mean=_over(rows, "edge_in_band", np.mean),
                         warm_ms=_over(rows, "warm_ms"),
                     )
                 )
@@ -260,7 +262,7 @@ def to_text(accuracy: Accuracy) -> str:
 def _curve_table(accuracy: Accuracy) -> str:
     header = (
         "material", "setup", "depth %", "presses", "failed", "median %", "worst %", "excess %",
-        "IoU", "area err %", "ms",
+        "IoU", "area err %", "edge in band %", "ms",
     )  # fmt: skip
     lines = [
         (
@@ -268,7 +270,8 @@ def _curve_table(accuracy: Accuracy) -> str:
             f"{100 * c.force_error_relative_median:.2f}",
             f"{100 * c.force_error_relative_worst:.1f}",
             f"{100 * c.force_excess_relative_median:+.1f}", f"{c.iou_median:.2f}",
-            f"{100 * c.area_error_relative_median:+.0f}", f"{c.warm_ms:.0f}",
+            f"{100 * c.area_error_relative_median:+.0f}",
+            f"{100 * c.edge_in_band_mean:.0f}", f"{c.warm_ms:.0f}",
         )
         for c in curves(accuracy)
     ]  # fmt: skip

@@ -172,6 +172,7 @@ class Row:
     force_error_relative: float = np.nan
     force_excess_relative: float = np.nan
     area_error_relative: float = np.nan
+    edge_in_band: float = np.nan
     cop_error_m: float = np.nan
     displacement_rms_m: float = np.nan
     gas_error_pa: float = np.nan
