@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.live.live_bar import LiveBar
     from bubbleviz_ui.live.live_controller import LiveController
+    from bubbleviz_ui.model.messages import Messages
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.model.session_state import SessionState
     from bubbleviz_ui.model.undo import SettingsHistory
     from bubbleviz_ui.panels.status_bar import StatusBar
     from bubbleviz_ui.pose.pose_panel import PosePanel
-    from bubbleviz_ui.shell.message_bars import HintBar, MessageBar
+    from bubbleviz_ui.shell.message_bars import HintBar
     from bubbleviz_ui.shell.shortcuts import Shortcuts
     from bubbleviz_ui.view3d.render_view import View
     from bubbleviz_ui.view3d.scene import Scene
@@ -42,7 +43,7 @@ class WindowParts(Protocol):
     tools: ViewTools
     live: LiveBar
     status: StatusBar
-    message: MessageBar
+    messages: Messages
     hint: HintBar
 
     def open_file(self, path: Path) -> None:
@@ -62,6 +63,9 @@ class WindowParts(Protocol):
 
     def show_export(self) -> None:
         """Export frames as files."""
+
+    def show_messages(self) -> None:
+        """Show all messages of this session."""
 
     def show_palette(self) -> None:
         """Show the command palette."""

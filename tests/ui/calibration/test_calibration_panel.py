@@ -60,7 +60,7 @@ class Bench:
     def identify(self) -> None:
         self.click(self.panel.next)
         self.click(self.panel.all)
-        assert self.panel.message.text() == ""
+        assert not self.driver.window.message.isVisible()
 
     def key(
         self, key: Qt.Key, modifier: Qt.KeyboardModifier, widget: QWidget | None = None
@@ -240,10 +240,11 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(bench: Bench) -> None:
     before = bench.panel.calibration.answer
     bench.panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
-    assert "at least 5" in bench.panel.message.text() and bench.panel.message.isVisible()
+    message = bench.driver.window.message
+    assert "at least 5" in message.label.text() and message.isVisible()
     assert bench.panel.calibration.answer is before
     bench.undo()
-    assert bench.panel.calibration.work == before.work and bench.panel.message.text() == ""
+    assert bench.panel.calibration.work == before.work
 
 
 def test_table_and_picture_compare_with_the_sensor_in_use(bench: Bench) -> None:
@@ -316,7 +317,8 @@ def test_saved_preset_loads_and_is_never_overwritten(
     bench.click(panel.steps.button(len(panel.pages) - 1))
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(out), ""))
     bench.click(panel.report.save_as)
-    assert "Saved" in panel.message.text()
+    window = bench.driver.window
+    assert f"Saved {out}" in window.notice.label.text() and not window.message.isVisible()
     sensor = load_sensor(out)
     found = panel.calibration.answer.draft.found
     assert sensor.pneumatics.tension_n_per_m == pytest.approx(found.tension_n_per_m, abs=1e-3)
@@ -324,7 +326,7 @@ def test_saved_preset_loads_and_is_never_overwritten(
     assert (tmp_path / "mine_report" / "report.html").exists()
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
     bench.click(panel.report.save_as)
-    assert "exists already" in panel.message.text()
+    assert "exists already" in window.message.label.text()
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
 
 
@@ -409,7 +411,7 @@ def test_a_known_press_is_predicted_and_painted(drive: Drive, sensor: Sensor) ->
     page.first.setValue(frame)
     page.last.setValue(frame)
     bench.click(page.predict)
-    assert panel.message.text() == ""
+    assert not bench.driver.window.message.isVisible()
     found = panel.calibration.answer.draft.validation
     assert found.rms_m < 0.3 * found.untouched_rms_m
     assert page.numbers.text("distance, rms") == f"{1e3 * found.rms_m:.3f} mm"

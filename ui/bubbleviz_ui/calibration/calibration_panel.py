@@ -34,6 +34,7 @@ from bubbleviz_ui.calibration.report_page import ReportPage
 from bubbleviz_ui.calibration.surface_page import SurfacePage
 from bubbleviz_ui.calibration.tension_page import TensionPage
 from bubbleviz_ui.calibration.validation_page import ValidationPage
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -70,8 +71,7 @@ class Gamma0Panel(QWidget):
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
         self.steps = QButtonGroup(self)
-        self._said_of = calibration.work
-        self.title, self.verdict, self.message = QLabel(), QLabel(), QLabel()
+        self.title, self.verdict = QLabel(), QLabel(wordWrap=True)
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
         self.progress = QProgressBar(minimum=0, maximum=100)
@@ -116,11 +116,11 @@ class Gamma0Panel(QWidget):
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
 
-        def job(progress: Progress) -> Path:
+        def job(progress: Progress) -> None:
             save(found, benches.source(work), given.name, path, report, progress, validation)
-            return path
 
-        self.calibration.start(job, lambda done: self._say(f"Saved {done} and {report.name}"))
+        notice = UserMessage("notice", f"Saved {path} and {report.name}", file=path)
+        self.calibration.start(job, lambda _: self.calibration.said.emit(notice))
 
     def use_it(self) -> None:
         """Open the identified sensor on the present source; undo opens the one before."""
@@ -180,7 +180,6 @@ class Gamma0Panel(QWidget):
         self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
         calibration.progressed.connect(self._on_progress)
-        calibration.failed.connect(lambda message, _: self._say(message))
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
@@ -197,16 +196,9 @@ class Gamma0Panel(QWidget):
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100 * done))
 
-    def _say(self, message: str) -> None:
-        self._said_of = self.calibration.work
-        self.message.setText(message)
-        self.message.setVisible(bool(message))
-
     def _show(self) -> None:
         calibration, page = self.calibration, self.page
         answer, busy = calibration.answer, calibration.busy
-        if busy or calibration.work != self._said_of:
-            self._say("")
         page.show_answer(answer)
         place, reached = self.stack.currentIndex(), calibration.settings.reached
         started = reached > Step.START
@@ -256,16 +248,10 @@ class Gamma0Panel(QWidget):
             self.stack.addWidget(_scrolling(page))
         self.title.setObjectName("value")
         row.addStretch(1)
-        fill(column, row, self.title, (self.stack, 1))
-        for label in (self.verdict, self.message):
-            label.setWordWrap(True)
-            label.hide()
-            column.addWidget(label)
-        self.message.setObjectName("dim")
+        self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
-        column.addLayout(working)
         buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1))
-        column.addLayout(buttons)
+        fill(column, row, self.title, (self.stack, 1), self.verdict, working, buttons)
         self.all.setToolTip("All steps at once")
 
 

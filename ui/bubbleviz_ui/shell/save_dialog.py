@@ -7,6 +7,8 @@ from pathlib import Path
 from PySide6.QtGui import QImageWriter
 from PySide6.QtWidgets import QFileDialog, QWidget
 
+from bubbleviz_ui.model.messages import UserMessage
+
 
 def file_to_save(parent: QWidget, title: str, proposed: str, kinds: str = "") -> Path | None:
     """File to write, with the suffix of the proposed name where it is given none; None to cancel.
@@ -25,6 +27,13 @@ def file_to_save(parent: QWidget, title: str, proposed: str, kinds: str = "") ->
     chosen = dialog.selectedFiles() if dialog.exec() else []
     dialog.deleteLater()
     return Path(chosen[0]) if chosen else None
+
+
+def picture_saved(path: Path, *, written: bool) -> UserMessage:
+    """What to tell of a picture that was written, or could not be."""
+    if written:
+        return UserMessage("notice", f"Saved {path}", file=path)
+    return UserMessage("error", f"{path}: cannot be written; choose another place")
 
 
 def picture_format(path: Path) -> str:
