@@ -55,6 +55,8 @@ from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.pose.pose_session import PoseSession
+from bubbleviz_ui.sensor.sensor_panel import SensorPanel
+from bubbleviz_ui.sensor.sensor_text import title_text
 from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
@@ -131,6 +133,7 @@ class MainWindow(QMainWindow):
         self.undo_stack = QUndoStack(self)
         self.undo_stack.setUndoLimit(STEPS)
         self.settings = SettingsHistory(state, self.undo_stack)
+        self.sensor = SensorPanel(state, controller)
         self.session_saver = SessionSaver(self, self)
         self.costs = Costs()
         self.gamma0 = Gamma0Panel(
@@ -269,6 +272,7 @@ class MainWindow(QMainWindow):
             "threshold": scrolled(self.threshold),
             "compare": scrolled(self.compare),
             "tools": scrolled(self.tools),
+            "sensor": scrolled(self.sensor),
             "pose": self.pose,
             "calibration": self.gamma0,
             "plots": self.plots,
@@ -327,6 +331,7 @@ class MainWindow(QMainWindow):
             self.exporting.said,
             self.tools.said,
             self.gamma0.calibration.said,
+            self.sensor.said,
         ):
             said.connect(self.messages.tell)
         self.messages.told.connect(self._say)
@@ -357,9 +362,10 @@ class MainWindow(QMainWindow):
             self.open_file(paths[0])
 
     def _on_source(self, facts: SourceFacts) -> None:
-        live = " (live)" if facts.live else ""
-        self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
-        self.status.show_source(facts)
+        live, sensor = " (live)" if facts.live else "", self.controller.sensor
+        sensor_title = facts.sensor_name if sensor is None else title_text(sensor)
+        self.setWindowTitle(f"{facts.title}{live} – {sensor_title} – bubbleviz")
+        self.status.show_source(facts, sensor_title)
 
     def _on_choices(self, names: frozenset[str]) -> None:
         if "theme" in names:

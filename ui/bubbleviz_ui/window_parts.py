@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from PySide6.QtGui import QUndoStack
     from PySide6.QtWidgets import QWidget
 
-    from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.live.live_bar import LiveBar
     from bubbleviz_ui.live.live_controller import LiveController
@@ -39,7 +38,6 @@ class WindowParts(Protocol):
     scene: Scene
     panels: dict[str, QWidget]
     pose: PosePanel
-    gamma0: Gamma0Panel
     tools: ViewTools
     live: LiveBar
     status: StatusBar

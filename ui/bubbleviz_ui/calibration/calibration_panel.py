@@ -131,13 +131,9 @@ class Gamma0Panel(QWidget):
         self._folders.append(folder)  # the sensor reads its files when it is opened again
         path = Path(folder.name) / "sensor.toml"
         write_sensor(found, path)
-        new = load_sensor(path)
+        new = load_sensor(path).model_copy(update={"file": ""})  # none that the user knows of
         open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
-
-    def holds(self, sensor: Sensor) -> bool:
-        """Whether a sensor was identified here and its files are gone when this closes."""
-        return any(sensor.folder == Path(folder.name) for folder in self._folders)
 
     def close_all(self) -> None:
         """Stop the threads, remove what was written for the time being."""

@@ -300,7 +300,7 @@ class SessionSaver(QObject):
     def _is_unsaved(self, sensor: Sensor) -> bool:
         """Whether a sensor is in no file that the user knows of."""
         beside = self._file is not None and is_beside(sensor, self._file)
-        return not sensor.file or beside or self._window.gamma0.holds(sensor)
+        return not sensor.file or beside
 
     def _live(self, sensor: str | None) -> SessionPreset | None:
         """Live sensors that are connected and shown, the chosen one with its present sensor."""

@@ -10,7 +10,9 @@ from PySide6.QtWidgets import QFileDialog, QWidget
 from bubbleviz_ui.model.messages import UserMessage
 
 
-def file_to_save(parent: QWidget, title: str, proposed: str, kinds: str = "") -> Path | None:
+def file_to_save(
+    parent: QWidget, title: str, proposed: str, kinds: str = "", *, replaces: bool = True
+) -> Path | None:
     """File to write, with the suffix of the proposed name where it is given none; None to cancel.
 
     Parameters
@@ -19,9 +21,12 @@ def file_to_save(parent: QWidget, title: str, proposed: str, kinds: str = "") ->
     title, proposed : str
     kinds : str
         Filters of file names, as Qt writes them.
+    replaces : bool
+        A file that is there may be replaced; else the writer refuses it, and nothing is asked.
     """
     dialog = QFileDialog(parent, title, "", kinds)
     dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+    dialog.setOption(QFileDialog.Option.DontConfirmOverwrite, not replaces)
     dialog.setDefaultSuffix(Path(proposed).suffix)
     dialog.selectFile(proposed)
     chosen = dialog.selectedFiles() if dialog.exec() else []
