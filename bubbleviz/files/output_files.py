@@ -56,6 +56,14 @@ def refuse_existing(path: str | Path) -> None:
         raise InputError(f"{path}: folder {path.parent} is not writable; choose another")
 
 
+def free_path(path: Path) -> Path:
+    """The path or, where it is taken, one whose name has a number behind it."""
+    free, number = path, 2
+    while free.exists():
+        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
+    return free
+
+
 def _publish(temporary: Path, path: Path) -> None:
     """Move into place; a file that appeared at `path` meanwhile is refused, not replaced."""
     if temporary.is_dir():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from fakes import small_sensor
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtWidgets import QFileDialog, QWidget
+from PySide6.QtWidgets import QWidget
 from resting import REST, TENSION, RestingSource
 from window_driver import Driver
 
@@ -18,6 +19,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.synthetic_source import default_press
+from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -273,6 +275,7 @@ def test_use_it_opens_the_new_sensor_and_undo_the_old_one(bench: Bench, sensor: 
     bench.click(panel.report.use_it)
     bench.driver.wait(lambda: controller.sensor is not sensor)
     assert controller.sensor.calibration is not None
+    assert f"{sensor.name}, identified (not saved)" in bench.driver.window.windowTitle()
     assert bench.driver.pipeline.model.pixels is not None
     assert panel.calibration.answer is answer  # the same source: nothing is lost
     bench.undo()
@@ -315,11 +318,16 @@ def test_saved_preset_loads_and_is_never_overwritten(
     bench.identify()
     panel, out = bench.panel, tmp_path / "mine.toml"
     bench.click(panel.steps.button(len(panel.pages) - 1))
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(out), ""))
+    proposed = []
+    monkeypatch.setattr(
+        report_page, "file_to_save", lambda *given, **_: proposed.append(given[2]) or out
+    )
     bench.click(panel.report.save_as)
     window = bench.driver.window
     assert f"Saved {out}" in window.notice.label.text() and not window.message.isVisible()
     sensor = load_sensor(out)
+    assert sensor.name == "mine"  # and not that of the sensor it started from
+    assert Path(proposed[0]).name == f"resting_{time.strftime('%Y-%m-%d')}.toml"
     found = panel.calibration.answer.draft.found
     assert sensor.pneumatics.tension_n_per_m == pytest.approx(found.tension_n_per_m, abs=1e-3)
     assert sensor.resolve(sensor.calibration.pixels_file).exists()

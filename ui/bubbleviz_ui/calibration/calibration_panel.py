@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -116,8 +117,10 @@ class Gamma0Panel(QWidget):
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
 
+        named = replace(found, sensor=found.sensor.model_copy(update={"name": path.stem}))
+
         def job(progress: Progress) -> None:
-            save(found, benches.source(work), given.name, path, report, progress, validation)
+            save(named, benches.source(work), given.name, path, report, progress, validation)
 
         notice = UserMessage("notice", f"Saved {path} and {report.name}", file=path)
         self.calibration.start(job, lambda _: self.calibration.said.emit(notice))
@@ -131,7 +134,9 @@ class Gamma0Panel(QWidget):
         self._folders.append(folder)  # the sensor reads its files when it is opened again
         path = Path(folder.name) / "sensor.toml"
         write_sensor(found, path)
-        new = load_sensor(path).model_copy(update={"file": ""})  # none that the user knows of
+        name = f"{found.sensor.name}, identified"
+        # the user knows of no file
+        new = load_sensor(path).model_copy(update={"name": name, "file": ""})
         open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
 

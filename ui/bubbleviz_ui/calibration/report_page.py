@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import time
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QFileDialog,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -17,12 +18,14 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.calibration.sensor_comparison import Comparison, Kind
+from bubbleviz.files.output_files import free_path
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.save_dialog import file_to_save
 
 
 class ReportPage(Page):
@@ -50,7 +53,7 @@ class ReportPage(Page):
         self.table.setHorizontalHeaderLabels(["", "in use", "new"])
         self.view = ImageView("around zero")
         self.use_it = QPushButton("Use it")
-        self.save_as = QPushButton("Save as a preset…")
+        self.save_as = QPushButton("Save sensor as…")
         self._lay_out()
         self.use_it.clicked.connect(self.use)
         self.save_as.clicked.connect(self._choose_file)
@@ -98,11 +101,11 @@ class ReportPage(Page):
         return by_kind[kind]
 
     def _choose_file(self) -> None:
-        name, _ = QFileDialog.getSaveFileName(
-            self, "Save as a preset", "sensor.toml", "Sensor files (*.toml)"
-        )
-        if name:
-            self.save.emit(Path(name))
+        proposed = own_name(Path.cwd(), self.calibration.name)
+        kinds = "Sensor files (*.toml)"
+        path = file_to_save(self, "Save sensor as", str(proposed), kinds, replaces=False)
+        if path is not None:
+            self.save.emit(path)
 
     def _lay_out(self) -> None:
         table = self.table
@@ -119,3 +122,10 @@ class ReportPage(Page):
         fill(self.column, self.compared, self.table, buttons, self.view, self.advice, 1)
         self.use_it.setToolTip("Open the new sensor on the present source; undo goes back")
         self.save_as.setToolTip("Sensor file, mesh, pixels and report, all or nothing")
+
+
+def own_name(folder: Path, source: str) -> Path:
+    """Name for an identified sensor, by what it was identified from and the day."""
+    stem = re.sub(r"[^\w-]+", "_", Path(source).stem).strip("_") or "sensor"
+    stem = f"{stem}_{time.strftime('%Y-%m-%d')}"
+    return free_path(folder / f"{stem}.toml")

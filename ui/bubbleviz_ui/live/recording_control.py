@@ -8,6 +8,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
 
+from bubbleviz.files.output_files import free_path
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.model.messages import MessageKind, UserMessage
@@ -116,11 +117,7 @@ class Recording(QObject):
 
 def new_name(folder: Path) -> Path:
     """Name of a new recording, by the time."""
-    name = time.strftime("bubbleviz-%Y%m%d-%H%M%S")
-    path, number = folder / f"{name}.mcap", 2
-    while path.exists():
-        path, number = folder / f"{name}-{number}.mcap", number + 1
-    return path
+    return free_path(folder / time.strftime("bubbleviz-%Y%m%d-%H%M%S.mcap"))
 
 
 def _stopped(recorder: Recorder) -> RecorderStatus | None:
