@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -176,8 +177,43 @@ def load_sensor(name: str | Path | Sensor) -> Sensor:
     return checked(Sensor, {**data, "folder": path.parent, "file": path.name}, path, "sensor")
 
 
+MEASURED = {
+    "pneumatics.tension_n_per_m": ("tension_interval_n_per_m",),
+    "pneumatics.gauge_pressure_pa": ("gauge_interval_pa", "gauge_from"),
+    "membrane.prestretch": ("prestretch_interval", "prestretch_from"),
+}
+"""What `Calibration` tells of a value, by the value's key."""
+
+
+def edited(sensor: Sensor, values: Mapping[str, Any]) -> Sensor:
+    """Sensor with other values; an interval of a value that is replaced is left out.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    values : mapping
+        By key, such as `pneumatics.gauge_pressure_pa`; None: absent from the file.
+
+    Raises
+    ------
+    InputError
+        One breaks the rules of sensor files; names the key and what to do.
+    """
+    data = sensor.model_dump(exclude_none=True)
+    for key, value in values.items():
+        *section, name = key.split(".")
+        table = data[section[0]] if section else data
+        if value == table.get(name):
+            continue
+        table[name] = value
+        for told in MEASURED.get(key, ()):
+            data.get("calibration", {}).pop(told, None)
+    there = Path(sensor.file or sensor.name)
+    return checked(Sensor, {**data, "folder": sensor.folder, "file": sensor.file}, there, "sensor")
+
+
 def save_sensor(sensor: Sensor, path: str | Path) -> None:
-    """Write a sensor file, and beside it copies of the mesh and the pixels that it names.
+    """Write a sensor file, and under its name copies of the mesh and the pixels that it names.
 
     Parameters
     ----------
@@ -200,8 +236,10 @@ def save_sensor(sensor: Sensor, path: str | Path) -> None:
         toml = files.enter_context(whole_file(path))
 
         def copied(name: str) -> str:
-            copy = path.with_name(Path(name).name)
-            shutil.copyfile(sensor.resolve(name), files.enter_context(whole_file(copy)))
+            there, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)
+            if not there.is_file():
+                raise InputError(f"{there}: is not there any more; put it back or identify anew")
+            shutil.copyfile(there, files.enter_context(whole_file(copy)))
             return copy.name
 
         if membrane.mesh_file is not None:

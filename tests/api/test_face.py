@@ -235,7 +235,13 @@ def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path: Path) -> None:
     assert saved.pneumatics == given.pneumatics and saved.camera == given.camera
     assert given.membrane.mesh_file and given.calibration
     for name in (given.membrane.mesh_file, given.calibration.pixels_file):
-        assert (tmp_path / name).read_bytes() == given.resolve(name).read_bytes()
+        copy = (tmp_path / "mine").with_suffix(Path(name).suffix)
+        assert copy.read_bytes() == given.resolve(name).read_bytes()
+    bv.save_sensor(saved, tmp_path / "second.toml")  # in the same folder
+    (tmp_path / "second.npz").unlink()
+    with pytest.raises(bv.InputError, match=r"second\.npz: is not there any more"):
+        bv.save_sensor(bv.load_sensor(tmp_path / "second.toml"), tmp_path / "third.toml")
+    assert not list(tmp_path.glob("third*"))
 
 
 def test_pictures(frames: Frames, sensor: Path, tmp_path: Path) -> None:

@@ -8,8 +8,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QSize, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QUndoStack
+from PySide6.QtCore import QSize, Qt, QTimer, QUrl
+from PySide6.QtGui import (
+    QCloseEvent,
+    QDesktopServices,
+    QDragEnterEvent,
+    QDropEvent,
+    QUndoStack,
+)
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.files.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
@@ -32,6 +38,7 @@ from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import PATCH_CHOICES, PLAYBACK_CHOICES
 from bubbleviz_ui.model.costs import Costs
 from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -50,15 +57,18 @@ from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.pose.pose_session import PoseSession
+from bubbleviz_ui.sensor.sensor_panel import SensorPanel
+from bubbleviz_ui.sensor.sensor_text import title_text
 from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.dock import Dock, scrolled
-from bubbleviz_ui.shell.file_dialogs import picture_format
+from bubbleviz_ui.shell.file_dialogs import picture_format, picture_saved
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.menus import Menus
-from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar
+from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
+from bubbleviz_ui.shell.messages_dialog import MessagesDialog
 from bubbleviz_ui.shell.open_panels import OpenPanels
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
@@ -77,6 +87,8 @@ NUMBERS_EVERY_MS = 100
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
 UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
 """Choices that draw nothing by themselves."""
+OPENED_HERE = (".mcap", ".toml", SESSION_SUFFIX)
+"""Written by the window, and opened by it."""
 SIDES = {
     "right": Qt.DockWidgetArea.RightDockWidgetArea,
     "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
@@ -102,7 +114,9 @@ class MainWindow(QMainWindow):
         self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
         self.state = state
         self.controller = controller
+        self.messages = Messages(self)
         self.message = MessageBar(self)
+        self.notice = NoticeBar(self)
         self.busy = BusyBar(self)
         self.hint = HintBar(self)
         self.view = View(self)
@@ -121,6 +135,7 @@ class MainWindow(QMainWindow):
         self.undo_stack = QUndoStack(self)
         self.undo_stack.setUndoLimit(STEPS)
         self.settings = SettingsHistory(state, self.undo_stack)
+        self.sensor = SensorPanel(state, controller)
         self.session_saver = SessionSaver(self, self)
         self.costs = Costs()
         self.gamma0 = Gamma0Panel(
@@ -164,6 +179,10 @@ class MainWindow(QMainWindow):
         popup = CostsPopup(self, self.state, self.controller, self.costs, self.view)
         popup.open_over(self.status)
 
+    def show_messages(self) -> None:
+        """Show all messages of this session."""
+        MessagesDialog(self, self.messages).show()
+
     def show_palette(self) -> None:
         """Show the command palette."""
         CommandPalette(self, self.shortcuts).open_over(self)
@@ -187,7 +206,7 @@ class MainWindow(QMainWindow):
         """Make a recording of images or of another kind of recording."""
         if self._import is None:
             self._import = ImportDialog(self, self.importing, self.controller.opening.recording)
-            self._import.said.connect(self.message.say)
+            self._import.said.connect(self.messages.tell)
         self._import.show()
         self._import.raise_()
 
@@ -204,8 +223,8 @@ class MainWindow(QMainWindow):
 
     def save_screenshot(self, path: Path) -> None:
         """Write the picture of the whole window."""
-        if not self.grab().save(str(path), picture_format(path)):
-            self.message.say(f"{path}: cannot be written; choose another place")
+        written = self.grab().save(str(path), picture_format(path))
+        self.messages.tell(picture_saved(path, written=written))
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:
         application = QApplication.instance()
@@ -246,6 +265,7 @@ class MainWindow(QMainWindow):
         fill(
             QVBoxLayout(centre),
             self.message,
+            self.notice,
             self.busy,
             self.hint,
             self.live,
@@ -266,6 +286,7 @@ class MainWindow(QMainWindow):
             "threshold": scrolled(self.threshold),
             "compare": scrolled(self.compare),
             "tools": scrolled(self.tools),
+            "sensor": scrolled(self.sensor),
             "pose": self.pose,
             "calibration": self.gamma0,
             "plots": self.plots,
@@ -294,7 +315,7 @@ class MainWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
-        self.controller.opening.said.connect(self.message.say)
+        self._connect_messages()
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.view.dropped_files.connect(self._open_dropped)
@@ -304,12 +325,8 @@ class MainWindow(QMainWindow):
         watch("keys", keys.edited, lambda: keys.changed, keys.use)
         for text, box in self.gamma0.boxes.items():
             self.settings.watch_box(text, box)
-        self.pose.said.connect(self.message.say)
-        self.live_controller.said.connect(self.message.say)
-        self.exporting.said.connect(self.message.say)
         self.gamma0.painted.connect(self._paint)
         self.status.asked.connect(self.show_costs)
-        self.tools.failed.connect(self.message.say)
         self._rates.timeout.connect(self.show_rates)
         self._rates.start()
         self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
@@ -319,6 +336,33 @@ class MainWindow(QMainWindow):
         self.state.playing_changed.connect(self._write_numbers)
         self.state.frozen_changed.connect(self._write_numbers)
         self.state.choices_changed.connect(self._on_choices)
+
+    def _connect_messages(self) -> None:
+        for said in (
+            self.controller.opening.said,
+            self.pose.said,
+            self.live_controller.said,
+            self.exporting.said,
+            self.tools.said,
+            self.gamma0.calibration.said,
+            self.sensor.said,
+        ):
+            said.connect(self.messages.tell)
+        self.messages.told.connect(self._say)
+        self.message.asked.connect(self.show_messages)
+        self.notice.asked.connect(self._open_written)
+
+    def _say(self, message: UserMessage) -> None:
+        quiet = message.kind == "notice"
+        (self.notice if quiet else self.message).say(message)
+
+    def _open_written(self, path: Path) -> None:
+        """Open here what the window opens, anything else with the desktop's program for it."""
+        if path.suffix.lower() in OPENED_HERE and path.exists():
+            self.open_file(path)
+        elif not (path.exists() and QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))):
+            why = "no program of this system opens it" if path.exists() else "it is gone"
+            self.messages.tell(UserMessage("error", f"{path}: cannot be opened; {why}"))
 
     def _open_dropped(self, paths: list[Path]) -> None:
         """Open the first of the files; a recording, with its sensor file and truth."""
@@ -332,9 +376,10 @@ class MainWindow(QMainWindow):
             self.open_file(paths[0])
 
     def _on_source(self, facts: SourceFacts) -> None:
-        live = " (live)" if facts.live else ""
-        self.setWindowTitle(f"{facts.title}{live} – {facts.sensor_name} – bubbleviz")
-        self.status.show_source(facts)
+        live, sensor = " (live)" if facts.live else "", self.controller.sensor
+        sensor_title = facts.sensor_name if sensor is None else title_text(sensor)
+        self.setWindowTitle(f"{facts.title}{live} – {sensor_title} – bubbleviz")
+        self.status.show_source(facts, sensor_title)
 
     def _on_choices(self, names: frozenset[str]) -> None:
         if "theme" in names:
@@ -352,9 +397,9 @@ class MainWindow(QMainWindow):
         self.gamma0.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
-        self.message.hide()
+        self.message.drop_warnings()
         if opened.facts.remark:
-            self.message.say(opened.facts.remark)
+            self.messages.tell(UserMessage("warning", opened.facts.remark))
         self.scene.depth_camera = opened.camera
         self.costs.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)
@@ -396,7 +441,7 @@ class MainWindow(QMainWindow):
             message = f"{message.rstrip('.')}. What was open stays."
         elif not (self.state.facts is not None and self.state.facts.grows):
             self.state.set_playing(False)
-        self.message.say(message, failed.details)
+        self.messages.tell(UserMessage("error", message, failed.details))
 
     def show_rates(self) -> None:
         """Write how fast the window is, now."""

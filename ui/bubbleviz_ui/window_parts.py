@@ -9,16 +9,16 @@ if TYPE_CHECKING:
     from PySide6.QtGui import QUndoStack
     from PySide6.QtWidgets import QWidget
 
-    from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.live.live_bar import LiveBar
     from bubbleviz_ui.live.live_controller import LiveController
+    from bubbleviz_ui.model.messages import Messages
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.model.session_state import SessionState
     from bubbleviz_ui.model.undo import SettingsHistory
     from bubbleviz_ui.panels.status_bar import StatusBar
     from bubbleviz_ui.pose.pose_panel import PosePanel
-    from bubbleviz_ui.shell.message_bars import HintBar, MessageBar
+    from bubbleviz_ui.shell.message_bars import HintBar
     from bubbleviz_ui.shell.shortcuts import Shortcuts
     from bubbleviz_ui.view3d.render_view import View
     from bubbleviz_ui.view3d.scene import Scene
@@ -38,11 +38,10 @@ class WindowParts(Protocol):
     scene: Scene
     panels: dict[str, QWidget]
     pose: PosePanel
-    gamma0: Gamma0Panel
     tools: ViewTools
     live: LiveBar
     status: StatusBar
-    message: MessageBar
+    messages: Messages
     hint: HintBar
 
     def open_file(self, path: Path) -> None:
@@ -65,6 +64,9 @@ class WindowParts(Protocol):
 
     def show_import(self) -> None:
         """Make a recording of images or of another kind of recording."""
+
+    def show_messages(self) -> None:
+        """Show all messages of this session."""
 
     def show_palette(self) -> None:
         """Show the command palette."""

@@ -120,7 +120,7 @@ class WindowSession:
         from bubbleviz_ui.engine.requests import Failed
 
         live_controller, problems = self.window.live_controller, list[str]()
-        live_controller.said.connect(lambda problem, _: problems.append(problem))
+        live_controller.said.connect(lambda said: problems.append(said.text))
         live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(

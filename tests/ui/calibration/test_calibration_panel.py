@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -60,7 +61,7 @@ class Bench:
     def identify(self) -> None:
         self.click(self.panel.next)
         self.click(self.panel.all)
-        assert self.panel.message.text() == ""
+        assert not self.driver.window.message.isVisible()
 
     def key(
         self, key: Qt.Key, modifier: Qt.KeyboardModifier, widget: QWidget | None = None
@@ -248,17 +249,15 @@ def test_each_step_says_its_name_its_state_and_what_to_do(bench: Bench, tmp_path
     assert "which pixels" in panel.todo.text()
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
-    assert "at least 5" in panel.message.text()
+    assert "at least 5" in bench.driver.window.message.label.text()
     assert tips()[0] == "Contact-free frames: needs attention"
-    refused = panel.message.palette().windowText().color()
     bench.undo()
     assert tips()[0] == "Contact-free frames: done"
     bench.click(panel.all)
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
     panel.save(tmp_path / "mine.toml")
     bench.done()
-    assert "Saved" in panel.message.text() and tips()[6] == "Report: done"
-    assert panel.message.palette().windowText().color() != refused
+    assert "Saved" in bench.driver.window.notice.label.text() and tips()[6] == "Report: done"
 
 
 def test_what_cannot_be_done_is_said_and_changes_nothing(bench: Bench) -> None:
@@ -266,10 +265,11 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(bench: Bench) -> None:
     before = bench.panel.calibration.answer
     bench.panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
-    assert "at least 5" in bench.panel.message.text() and bench.panel.message.isVisible()
+    message = bench.driver.window.message
+    assert "at least 5" in message.label.text() and message.isVisible()
     assert bench.panel.calibration.answer is before
     bench.undo()
-    assert bench.panel.calibration.work == before.work and bench.panel.message.text() == ""
+    assert bench.panel.calibration.work == before.work
 
 
 def test_table_and_picture_compare_with_the_sensor_in_use(bench: Bench) -> None:
@@ -298,6 +298,7 @@ def test_use_it_opens_the_new_sensor_and_undo_the_old_one(bench: Bench, sensor: 
     bench.click(panel.report.use_it)
     bench.driver.wait(lambda: controller.sensor is not sensor)
     assert controller.sensor.calibration is not None
+    assert f"{sensor.name}, identified (not saved)" in bench.driver.window.windowTitle()
     assert bench.driver.pipeline.model.pixels is not None
     assert panel.calibration.answer is answer  # the same source: nothing is lost
     bench.undo()
@@ -340,17 +341,25 @@ def test_saved_preset_loads_and_is_never_overwritten(
     bench.identify()
     panel, out = bench.panel, tmp_path / "mine.toml"
     bench.click(panel.steps.button(len(panel.pages) - 1))
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(out), ""))
+    proposed = []
+    monkeypatch.setattr(
+        QFileDialog,
+        "getSaveFileName",
+        lambda *given, **_: (proposed.append(given[2]) or str(out), ""),
+    )
     bench.click(panel.report.save_as)
-    assert "Saved" in panel.message.text()
+    window = bench.driver.window
+    assert f"Saved {out}" in window.notice.label.text() and not window.message.isVisible()
     sensor = load_sensor(out)
+    assert sensor.name == "mine"  # and not that of the sensor it started from
+    assert Path(proposed[0]).name == f"resting_{time.strftime('%Y-%m-%d')}.toml"
     found = panel.calibration.answer.draft.found
     assert sensor.pneumatics.tension_n_per_m == pytest.approx(found.tension_n_per_m, abs=1e-3)
     assert sensor.resolve(sensor.calibration.pixels_file).exists()
     assert (tmp_path / "mine_report" / "report.html").exists()
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
     bench.click(panel.report.save_as)
-    assert "exists already" in panel.message.text()
+    assert "exists already" in window.message.label.text()
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
 
 
@@ -435,7 +444,7 @@ def test_a_known_press_is_predicted_and_painted(drive: Drive, sensor: Sensor) ->
     page.first.setValue(frame)
     page.last.setValue(frame)
     bench.click(page.predict)
-    assert panel.message.text() == ""
+    assert not bench.driver.window.message.isVisible()
     found = panel.calibration.answer.draft.validation
     assert found.rms_m < 0.3 * found.untouched_rms_m
     assert page.numbers.text("distance, rms") == f"{1e3 * found.rms_m:.3f} mm"

@@ -59,7 +59,7 @@ class Bench:
         self.begin(title, out, chosen)
         self.driver.wait(lambda: not self.driver.window.exporting.busy)
         self.driver.wait(lambda: bool(self.dialog.said.text()))
-        assert self.driver.window.message.label.text() == self.dialog.said.text()
+        assert self.driver.window.messages.all[-1].text == self.dialog.said.text()
         return self.dialog.said.text()
 
 

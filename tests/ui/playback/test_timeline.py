@@ -263,7 +263,7 @@ def test_contacts_the_largest_force_and_a_frame_by_number_are_one_key_away(
 ) -> None:
     driver = drive(DentSource, frame=0)
     key(driver, Qt.Key.Key_PageDown, CTRL)
-    assert driver.state.frame == 0 and "No such contact" in driver.window.message.label.text()
+    assert driver.state.frame == 0 and "No such contact" in driver.window.notice.label.text()
     for frame in range(FIRST_CONTACT - 1, FRAMES):
         driver.seek(frame)
     force = driver.state.history.values["force_n"]

@@ -83,6 +83,7 @@ def test_a_picture_named_without_suffix_is_a_png(drive: Drive, tmp_path: Path, n
     (path,) = tmp_path.iterdir()
     assert path.name in ("shot.png", "shot.v2")
     assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
+    assert str(path) in driver.window.notice.label.text()
     assert not driver.window.message.isVisible()
 
 

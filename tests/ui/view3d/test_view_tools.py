@@ -76,11 +76,11 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     assert len(tools.distance.points_m) == 2
     true = float(np.linalg.norm(ends[1] - ends[0]))
     assert tools.distance.length_m == pytest.approx(true, abs=5e-4)
-    assert tools.said[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
+    assert tools.reading[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
     driver.settle()
     assert of_colour(driver.window.view.pixels(), GREEN) > 50
     driver.state.choose(length_unit="m")
-    assert tools.said[0].text().endswith(" m")
+    assert tools.reading[0].text().endswith(" m")
     driver.bot.mouseClick(driver.window.view, LEFT, pos=where[0])
     assert tools.distance.length_m is None
     driver.bot.mouseClick(tools.tools["turn"], LEFT)
@@ -99,12 +99,12 @@ def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
     driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
     found = tools.picked.place
     assert found is not None and np.linalg.norm(found.node_m - node) < 0.01
-    assert "kPa" in tools.said[2].text() and f"node {found.node}" in tools.said[0].text()
+    assert "kPa" in tools.reading[2].text() and f"node {found.node}" in tools.reading[0].text()
     driver.settle()
     assert near(driver.window.view.pixels(), in_view(driver, found.node_m), NODE)
-    before = tools.said[2].text()
+    before = tools.reading[2].text()
     driver.seek(2)
-    assert tools.said[2].text() != before and tools.picked.place.pressure_pa == 0.0
+    assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
 
 
 def test_dragging_is_no_click(drive: Drive) -> None:
@@ -208,6 +208,7 @@ def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
     tools.save_picture(tmp_path / "view.png")
     image = QImage(str(tmp_path / "view.png"))
     assert (image.width(), image.height()) == (1800, 700)
+    driver.bot.mouseClick(driver.window.notice.dismiss, Qt.MouseButton.LeftButton)
     height, width = before.shape[:2]
     same = still(driver.window.view, width, height)
     assert np.abs(same.astype(int) - before).mean() < 1.0

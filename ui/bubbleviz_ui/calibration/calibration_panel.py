@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +24,7 @@ from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.calibration.workbench import Step
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.calibration.calibration_answer import Work
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.frames_page import FramesPage
@@ -32,6 +34,7 @@ from bubbleviz_ui.calibration.report_page import ReportPage
 from bubbleviz_ui.calibration.surface_page import SurfacePage
 from bubbleviz_ui.calibration.tension_page import TensionPage
 from bubbleviz_ui.calibration.validation_page import ValidationPage
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
@@ -68,9 +71,9 @@ class Gamma0Panel(QWidget):
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
-        self._said_of, self._refused = calibration.work, False
+        self._refused_of: Work | None = None
         self.title, self.todo = QLabel(), QLabel(wordWrap=True)
-        self.verdict, self.message = QLabel(), QLabel()
+        self.verdict = QLabel(wordWrap=True)
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
         self.progress = QProgressBar(minimum=0, maximum=100)
@@ -115,14 +118,16 @@ class Gamma0Panel(QWidget):
         if found is None or given is None:
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
+        named = replace(found, sensor=found.sensor.model_copy(update={"name": path.stem}))
 
-        def job(progress: Progress) -> Path:
-            save(found, benches.source(work), given.name, path, report, progress, validation)
-            return path
+        def job(progress: Progress) -> None:
+            save(named, benches.source(work), given.name, path, report, progress, validation)
 
-        def told(done: Path) -> None:
+        notice = UserMessage("notice", f"Saved {path} and {report.name}", file=path)
+
+        def told(_: None) -> None:
             self.report.saved = work
-            self._say(f"Saved {done} and {report.name}")
+            self.calibration.said.emit(notice)
 
         self.calibration.start(job, told)
 
@@ -135,13 +140,11 @@ class Gamma0Panel(QWidget):
         self._folders.append(folder)  # the sensor reads its files when it is opened again
         path = Path(folder.name) / "sensor.toml"
         write_sensor(found, path)
-        new = load_sensor(path)
+        name = f"{found.sensor.name}, identified"
+        # the user knows of no file
+        new = load_sensor(path).model_copy(update={"name": name, "file": ""})
         open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
-
-    def holds(self, sensor: Sensor) -> bool:
-        """Whether a sensor was identified here and its files are gone when this closes."""
-        return any(sensor.folder == Path(folder.name) for folder in self._folders)
 
     def close_all(self) -> None:
         """Stop the threads, remove what was written for the time being."""
@@ -184,7 +187,7 @@ class Gamma0Panel(QWidget):
         self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
         calibration.progressed.connect(self._on_progress)
-        calibration.failed.connect(lambda message, _: self._say(message, refused=True))
+        calibration.said.connect(self._on_said)
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
@@ -201,16 +204,13 @@ class Gamma0Panel(QWidget):
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100 * done))
 
-    def _say(self, message: str, *, refused: bool = False) -> None:
-        self._said_of, self._refused = self.calibration.work, refused
-        self.message.setText(message)
-        self.message.setVisible(bool(message))
+    def _on_said(self, message: UserMessage) -> None:
+        """Remember whether the work was refused, until it is another."""
+        self._refused_of = self.calibration.work if message.kind == "error" else None
 
     def _show(self) -> None:
         calibration, page = self.calibration, self.page
         answer, busy = calibration.answer, calibration.busy
-        if busy or calibration.work != self._said_of:
-            self._say("")
         page.show_answer(answer)
         place, reached = self.stack.currentIndex(), calibration.settings.reached
         started = reached > Step.START
@@ -230,14 +230,11 @@ class Gamma0Panel(QWidget):
         for number in range(len(self.pages)):
             self.steps.button(number).setEnabled(number == place or number < known)
         self.steps.show_states([self._state(number) for number in range(len(self.pages))])
-        colours = theme.of(self)
-        colour = colours.doubtful if self._refused else colours.good
-        self.message.setStyleSheet(f"color: {colour}; font-weight: 600")
         verdict = answer.verdict
         self.verdict.setVisible(verdict is not None)
         if verdict is not None:
             self.verdict.setText(verdict.summary)
-            self.verdict.setStyleSheet(f"color: {getattr(colours, verdict.grade)}")
+            self.verdict.setStyleSheet(f"color: {getattr(theme.of(self), verdict.grade)}")
         recorded = calibration.work.collected is None and not calibration.live
         self.strip.set_ranges(answer.frames, answer.draft.ranges)
         self.strip.setVisible(recorded and bool(answer.draft.ranges))
@@ -245,7 +242,7 @@ class Gamma0Panel(QWidget):
     def _state(self, number: int) -> StepState:
         """How far a step is; what was refused, or is doubtful, needs attention."""
         answer, page = self.calibration.answer, self.pages[number]
-        refused = self._refused and number == self._refused_step()
+        refused = self._refused_of is not None and number == self._refused_step()
         doubtful = answer.verdict is not None and answer.verdict.grade == "doubtful"
         if refused or (doubtful and page is self.tension):
             return StepState.NEEDS_ATTENTION
@@ -274,15 +271,11 @@ class Gamma0Panel(QWidget):
         self.title.setObjectName("value")
         self.todo.setObjectName("dim")
         self.next.setObjectName("main")
-        fill(column, self.steps.row, self.title, self.todo, (self.stack, 1))
-        for label in (self.verdict, self.message):
-            label.setWordWrap(True)
-            label.hide()
-            column.addWidget(label)
+        self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
-        column.addLayout(working)
         buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1))
-        column.addLayout(buttons)
+        parts = (self.steps.row, self.title, self.todo, (self.stack, 1), self.verdict)
+        fill(column, *parts, working, buttons)
         self.all.setToolTip("All steps at once")
 
 

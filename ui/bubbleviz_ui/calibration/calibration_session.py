@@ -20,6 +20,7 @@ from bubbleviz_ui.calibration.calibration_answer import Answer, Work, answer
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 
 PATIENCE_S = 10.0
@@ -37,8 +38,8 @@ class Calibration(QObject):
         Another choice, another answer, or work began or ended.
     progressed : Signal
         Step in plain words and the share of it that is done.
-    failed : Signal
-        A message and its details.
+    said : Signal
+        A `UserMessage`.
     work : Work
         What is decided.
     answer : Answer
@@ -47,7 +48,7 @@ class Calibration(QObject):
 
     changed = Signal()
     progressed = Signal(str, float)
-    failed = Signal(str, str)
+    said = Signal(object)
 
     def __init__(self, controller: Controller, stack: QUndoStack) -> None:
         super().__init__()
@@ -162,7 +163,7 @@ class Calibration(QObject):
     def _tell_problem(self, done: Done) -> bool:
         """Say why a job has no answer; whether it has none."""
         if done.message:
-            self.failed.emit(done.message, done.details)
+            self.said.emit(UserMessage("error", done.message, done.details))
         return bool(done.message)
 
     def _on_opened(self, opened: Opened) -> None:

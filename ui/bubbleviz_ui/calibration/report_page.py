@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import time
+from pathlib import Path
+
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -52,7 +56,7 @@ class ReportPage(Page):
         self.table.setHorizontalHeaderLabels(["", "in use", "new"])
         self.view = ImageView("around zero")
         self.use_it = QPushButton("Use it")
-        self.save_as = QPushButton("Save as a preset…")
+        self.save_as = QPushButton("Save sensor as…")
         self.save_as.setObjectName("main")
         self.saved: Work | None = None
         self._lay_out()
@@ -106,8 +110,8 @@ class ReportPage(Page):
         return by_kind[kind]
 
     def _choose_file(self) -> None:
-        kinds = "Sensor files (*.toml)"
-        path, _ = new_file(self, "Save as a preset", "sensor.toml", kinds, of="sensor")
+        proposed, kinds = own_name(self.calibration.name), "Sensor files (*.toml)"
+        path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
         if path is not None:
             self.save.emit(path)
 
@@ -126,3 +130,9 @@ class ReportPage(Page):
         fill(self.column, self.compared, self.table, buttons, self.view, self.advice, 1)
         self.use_it.setToolTip("Open the new sensor on the present source; undo goes back")
         self.save_as.setToolTip("Sensor file, mesh, pixels and report, all or nothing")
+
+
+def own_name(source: str) -> str:
+    """File name for an identified sensor, by what it was identified from and the day."""
+    stem = re.sub(r"[^\w-]+", "_", Path(source).stem).strip("_") or "sensor"
+    return f"{stem}_{time.strftime('%Y-%m-%d')}.toml"

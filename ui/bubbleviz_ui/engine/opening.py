@@ -13,6 +13,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for
 from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 
 if TYPE_CHECKING:
@@ -37,13 +38,13 @@ class Opening(QObject):
     changed : Signal
         What is being opened; empty when it is, or is not going to be.
     said : Signal
-        A sentence for the user.
+        A `UserMessage`.
     present : Opened or None
         What is open.
     """
 
     changed = Signal(str)
-    said = Signal(str)
+    said = Signal(object)
 
     def __init__(self, state: SessionState, ask: Callable[[OpenRequest], None]) -> None:
         super().__init__()
@@ -113,7 +114,8 @@ class Opening(QObject):
         if isinstance(opener, RecordingOpener) and sensor is not None:
             self.reopen(path.name, lambda: sensor, replace(opener, truth=path))
         else:
-            self.said.emit(f"{path}: open the recording of that simulation first")
+            problem = f"{path}: open the recording of that simulation first"
+            self.said.emit(UserMessage("error", problem))
 
     def sensor_file(self, path: Path) -> None:
         """Use the sensor of a file with the present source."""

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.export.export_kinds import KINDS, Kind
 from bubbleviz_ui.export.exporting import Exporting
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell.file_dialogs import new_file
 from bubbleviz_ui.shell.layouts import fill
@@ -167,8 +168,8 @@ class ExportDialog(QDialog):
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100.0 * done))
 
-    def _say(self, text: str, _: str) -> None:
-        self.said.setText(text)
+    def _say(self, message: UserMessage) -> None:
+        self.said.setText(message.text)
 
 
 def _digits(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from bubbleviz_ui.engine.requests import Failed, FrameRequest
 from bubbleviz_ui.export.export_kinds import Kind
 from bubbleviz_ui.export.file_export import FileExport
 from bubbleviz_ui.export.video_export import VideoExport
+from bubbleviz_ui.model.messages import UserMessage
 
 if TYPE_CHECKING:
     from bubbleviz.files.pose_writer import PoseRow
@@ -44,12 +46,12 @@ class Exporting(QObject):
     progressed : Signal
         What it is at, and the share of it that is done.
     said : Signal
-        What was done, or why not; and details of a bug.
+        A `UserMessage`: what was done, or why not.
     """
 
     changed = Signal()
     progressed = Signal(str, float)
-    said = Signal(str, str)
+    said = Signal(object)
 
     def __init__(
         self, controller: Controller, view: View, poses: Callable[[], dict[int, PoseRow]]
@@ -103,7 +105,7 @@ class Exporting(QObject):
             poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
             what = (kind.what, *choices.rule, choices.solver, poses)
             job = FileExport(open_source, sensor, frames, path, *what)
-        self._jobs.run(job, self._on_done)
+        self._jobs.run(job, partial(self._on_done, path))
         self.progressed.emit("starting", 0.0)
         self.changed.emit()
 
@@ -125,9 +127,12 @@ class Exporting(QObject):
         if video is not None:
             video.end()
 
-    def _on_done(self, done: Done) -> None:
+    def _on_done(self, path: Path, done: Done) -> None:
         self._end_video()
-        self.said.emit(done.message or str(done.answer), done.details)
+        if done.message:
+            self.said.emit(UserMessage("error", done.message, done.details))
+        else:
+            self.said.emit(UserMessage("notice", str(done.answer), file=path))
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:

@@ -25,6 +25,7 @@ from bubbleviz.frames.image_folder import is_image_folder
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.importing.file_field import FileField
 from bubbleviz_ui.importing.image_fields import ImageFields
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.shell.file_dialogs import folder_to_open
 from bubbleviz_ui.shell.layouts import fill
 
@@ -52,10 +53,10 @@ class ImportDialog(QDialog):
     Attributes
     ----------
     said : Signal
-        What was done, or why not; and details of a bug.
+        A `UserMessage`: what was done, or why not.
     """
 
-    said = Signal(str, str)
+    said = Signal(object)
 
     def __init__(self, parent: QWidget, jobs: Jobs, open_recording: Callable[[Path], None]) -> None:
         super().__init__(parent)
@@ -160,7 +161,11 @@ class ImportDialog(QDialog):
     def _on_done(self, done: Done) -> None:
         self._tell(done.answer, done.message)
         self._show()
-        self.said.emit(self.made.text() or done.message, done.details)
+        if done.message:
+            self.said.emit(UserMessage("error", done.message, done.details))
+        elif self._summary is not None:
+            out = Path(self._summary.out)
+            self.said.emit(UserMessage("notice", self.made.text(), file=out))
 
     def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
         self._summary = summary

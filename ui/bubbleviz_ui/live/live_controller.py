@@ -18,6 +18,7 @@ from bubbleviz_ui.live.recording_control import OWN_FOLDER, Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.result_text import doubt_text
 
 LOOK_MS = 200
@@ -44,7 +45,7 @@ class LiveController(QObject):
 
     looked = Signal()
     changed = Signal()
-    said = Signal(str, str)
+    said = Signal(object)
 
     def __init__(self, controller: Controller, pair: SensorPair) -> None:
         super().__init__()
@@ -58,7 +59,7 @@ class LiveController(QObject):
         self._timer.timeout.connect(self._on_tick)
         self._due = True
         for part in (self.recording, self.publishing):
-            part.said.connect(self._say)
+            part.said.connect(self.said)
             part.changed.connect(self.looked)
         self.publishing.changed.connect(self._ask_what_goes_out)
         controller.opened.connect(self._on_opened)
@@ -155,11 +156,8 @@ class LiveController(QObject):
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _say(self, text: str) -> None:
-        self.said.emit(text, "")
-
     def _on_second_failed(self, failed: Failed) -> None:
-        self.said.emit(failed.message, failed.details)
+        self.said.emit(UserMessage("error", failed.message, failed.details))
 
     def _on_tick(self) -> None:
         """Look, if no picture came meanwhile: texts that change beside one cost another upload."""
@@ -197,7 +195,7 @@ class LiveController(QObject):
         self.connection = None
         if self.run is None:
             self._timer.stop()
-        self.said.emit(problem, details)
+        self.said.emit(UserMessage("error", problem, details))
         self.changed.emit()
 
     def _is_ours(self, request: OpenRequest) -> bool:

@@ -17,6 +17,7 @@ from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.live.result_sender import ResultSender
 from bubbleviz_ui.model.choices import LOOPBACK
+from bubbleviz_ui.model.messages import UserMessage
 
 if TYPE_CHECKING:
     from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
@@ -30,14 +31,14 @@ class Publishing(QObject):
     changed : Signal
         It is on, or off.
     said : Signal
-        A sentence for the user.
+        A `UserMessage`.
     on : bool
     endpoint : str
         Where to listen the next time.
     """
 
     changed = Signal()
-    said = Signal(str)
+    said = Signal(object)
 
     def __init__(self) -> None:
         super().__init__()
@@ -97,7 +98,7 @@ class Publishing(QObject):
         publisher: ZenohPublisher | None = done.answer
         if publisher is None:
             self.stop()
-            self.said.emit(f"Not publishing: {done.message}")
+            self.said.emit(UserMessage("error", f"Not publishing: {done.message}", done.details))
         elif not self.on:
             self._jobs.run(lambda _: publisher.close())
         else:

@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.files.output_files import free_name
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.model.messages import MessageKind, UserMessage
 
 OWN_FOLDER = Path.home() / "bubbleviz-recordings"
 """Where recordings go unless another folder is chosen."""
@@ -43,7 +44,7 @@ class Recording(QObject):
     changed : Signal
         It began or ended.
     said : Signal
-        A sentence for the user.
+        A `UserMessage`.
     folder : Path
         Where recordings go, each named by its time; `OWN_FOLDER` is made with the first.
     busy : bool
@@ -51,7 +52,7 @@ class Recording(QObject):
     """
 
     changed = Signal()
-    said = Signal(str)
+    said = Signal(object)
 
     def __init__(self, jobs: Jobs) -> None:
         super().__init__()
@@ -96,21 +97,25 @@ class Recording(QObject):
     def _on_started(self, done: Done) -> None:
         if done.message:
             self.busy, self._recorder = False, None
-            self.said.emit(f"Not recording: {done.message}")
+            self._say("error", f"Not recording: {done.message}")
             self.changed.emit()
 
     def _on_stopped(self, done: Done) -> None:
         status: RecorderStatus | None = done.answer
         if status is None:
             if done.message:
-                self.said.emit(done.message)
+                self._say("error", done.message)
         elif status.problem:
-            self.said.emit(status.problem)
+            self._say("error", status.problem)
         elif status.messages:
             size = status.size_bytes / 1e6
-            self.said.emit(f"Recorded {status.path}: {status.messages} messages, {size:.1f} MB")
+            text = f"Recorded {status.path}: {status.messages} messages, {size:.1f} MB"
+            self._say("notice", text, Path(status.path))
         else:
-            self.said.emit("Nothing arrived while recording; no file was written")
+            self._say("warning", "Nothing arrived while recording; no file was written")
+
+    def _say(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
+        self.said.emit(UserMessage(kind, text, file=file))
 
 
 def new_name(folder: Path) -> Path:

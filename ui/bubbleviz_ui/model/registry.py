@@ -107,6 +107,7 @@ PANELS: Mapping[str, PanelKind] = MappingProxyType(
         "threshold": PanelKind("Threshold", "threshold", PATCH, tab_of="kappa"),
         "compare": PanelKind("Compare", "compare", tab_of="kappa"),
         "tools": PanelKind("3-D tools", tab_of="layers"),
+        "sensor": PanelKind("Sensor", tab_of="layers"),
         "pose": PanelKind("Pose", "pose"),
         "calibration": PanelKind("Calibration"),
         "plots": PanelKind("Plots", "plots", side="bottom"),

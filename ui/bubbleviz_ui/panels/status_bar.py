@@ -95,11 +95,11 @@ class StatusBar(QStatusBar):
             label.setMinimumWidth(label.fontMetrics().horizontalAdvance(text) + 6)
         self._fit()
 
-    def show_source(self, facts: SourceFacts) -> None:
-        """Write what does not change from frame to frame."""
-        self._sensor = facts.sensor_name
+    def show_source(self, facts: SourceFacts, sensor: str) -> None:
+        """Write what does not change from frame to frame; the sensor by its name and file."""
+        self._sensor = sensor
         self._show_sensor()
-        self.labels["sensor"].setToolTip(f"Sensor: {facts.sensor_name}; source: {facts.title}")
+        self.labels["sensor"].setToolTip(f"Sensor: {sensor}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
         # the live bar has some of a stream
         self._there = set(TIPS) - ({"camera", "dropped"} if facts.grows else {"latency"})
@@ -175,7 +175,7 @@ class StatusBar(QStatusBar):
     def _show_sensor(self) -> None:
         label = self.labels["sensor"]
         room = max(label.width(), label.minimumWidth())
-        elide = Qt.TextElideMode.ElideRight
+        elide = Qt.TextElideMode.ElideMiddle  # begin of the name, end of the file
         label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
 
     _solve_ms: float | None = None

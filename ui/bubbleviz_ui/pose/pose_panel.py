@@ -22,7 +22,9 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import SUFFIXES
 from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.wording import count_of
 from bubbleviz_ui.model.choices import POSE_CHOICES
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, options
@@ -53,12 +55,12 @@ class PosePanel(QWidget):
     Attributes
     ----------
     said : Signal
-        A message for the user.
+        A `UserMessage`.
     gizmo : Signal
         Whether the object is to be moved in the view.
     """
 
-    said = Signal(str)
+    said = Signal(object)
     gizmo = Signal(bool)
 
     def __init__(self, state: SessionState, session: PoseSession) -> None:
@@ -209,9 +211,10 @@ class PosePanel(QWidget):
         try:
             count = self.session.export(path, "tum" if form == "tum" else "csv")
         except InputError as error:
-            self.said.emit(str(error))
+            self.said.emit(UserMessage("error", str(error)))
         else:
-            self.values["state"].setText(f"{count} poses written to {path.name}")
+            text = f"Exported {count_of(count, 'pose')} to {path}"
+            self.said.emit(UserMessage("notice", text, file=path))
 
     def _on_choices(self, names: frozenset[str]) -> None:
         if names & SYSTEMS.keys():

@@ -19,6 +19,7 @@ from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for, synthetic
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import OWN_CHOICES
+from bubbleviz_ui.model.messages import MessageKind, UserMessage
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.bundled_sensor import forget_others, is_beside, kept_beside
 from bubbleviz_ui.session_files.live_paths import with_paths, with_sensor
@@ -100,7 +101,7 @@ class SessionSaver(QObject):
             user = read_user_file(file)
         except InputError as error:
             user = UserFile()
-            self._window.message.say(str(error))
+            self._tell("error", str(error))
         self.recent, self.hinted = user.recent, user.hinted
         self._window.hint.setVisible(not self.hinted)
         self.recent_changed.emit()
@@ -165,16 +166,17 @@ class SessionSaver(QObject):
         try:
             write_whole(path, for_colleague(self.snapshot(path), path))
         except InputError as error:
-            self._window.message.say(str(error))
+            self._tell("error", str(error))
         else:
             self._remember(str(path.absolute()))
+            self._tell("notice", f"Saved {path}", path)
 
     def open(self, path: Path) -> None:
         """Open a session file; what of it cannot be opened is a message, the rest is restored."""
         try:
             saved = read_session(path)
         except InputError as error:
-            self._window.message.say(str(error))
+            self._tell("error", str(error))
             return
         self.restore(saved, path)
 
@@ -268,7 +270,7 @@ class SessionSaver(QObject):
             self.save()
         except (InputError, OSError) as error:
             self._timer.stop()
-            self._window.message.say(f"The session is not saved any more: {error}")
+            self._tell("error", f"The session is not saved any more: {error}")
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -298,7 +300,7 @@ class SessionSaver(QObject):
     def _is_unsaved(self, sensor: Sensor) -> bool:
         """Whether a sensor is in no file that the user knows of."""
         beside = self._file is not None and is_beside(sensor, self._file)
-        return not sensor.file or beside or self._window.gamma0.holds(sensor)
+        return not sensor.file or beside
 
     def _live(self, sensor: str | None) -> SessionPreset | None:
         """Live sensors that are connected and shown, the chosen one with its present sensor."""
@@ -395,8 +397,11 @@ class SessionSaver(QObject):
     def _tell_problems(self) -> None:
         if self._problems:
             text = " and ".join(self._problems)
-            self._window.message.say(f"{self._origin}{text}; the rest is restored.")
+            self._tell("warning", f"{self._origin}{text}; the rest is restored.")
             self._problems = []
+
+    def _tell(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
+        self._window.messages.tell(UserMessage(kind, text, file=file))
 
     def _remember(self, path: str) -> None:
         recent = (path, *(other for other in self.recent if other != path))[:MOST_RECENT]

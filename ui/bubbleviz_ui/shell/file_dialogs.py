@@ -11,6 +11,9 @@ from PySide6.QtCore import QSettings
 from PySide6.QtGui import QImageWriter
 from PySide6.QtWidgets import QFileDialog, QWidget
 
+from bubbleviz.files.output_files import free_name
+from bubbleviz_ui.model.messages import UserMessage
+
 
 def file_to_open(
     parent: QWidget, title: str, kinds: str = "", *, of: str, at_first: Path | None = None
@@ -58,12 +61,13 @@ def new_file(
 ) -> tuple[Path | None, str]:
     """Name of a file or folder to make, None to cancel, and the filter that was chosen.
 
-    Nothing is asked about one that is there: whoever writes it refuses to replace it.
+    The proposed name has a number behind it where it is taken. Nothing is asked about one that is
+    there: whoever writes it refuses to replace it.
     """
     name, chosen = QFileDialog.getSaveFileName(
         parent,
         title,
-        str(Path(_folder(of)) / proposed),
+        str(free_name(Path(_folder(of)) / proposed)),
         kinds,
         options=QFileDialog.Option.DontConfirmOverwrite,
     )
@@ -86,6 +90,13 @@ def _remembered(of: str, name: str) -> Path | None:
 
 def _folders() -> QSettings:
     return QSettings("bubbleviz", "folders")
+
+
+def picture_saved(path: Path, *, written: bool) -> UserMessage:
+    """What to tell of a picture that was written, or could not be."""
+    if written:
+        return UserMessage("notice", f"Saved {path}", file=path)
+    return UserMessage("error", f"{path}: cannot be written; choose another place")
 
 
 def picture_format(path: Path) -> str:

@@ -23,6 +23,7 @@ from bubbleviz.files.defaults import SESSION_SUFFIX
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind_option
@@ -82,6 +83,7 @@ class Menus:
         palette = self._add(menu, "&Command palette…", self._window.show_palette)
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
         self._add(menu, "&What runs and what it costs", self._window.show_costs, "Ctrl+I")
+        self._add(menu, "&Messages…", self._window.show_messages)
         self._add(menu, "&First steps", self._window.hint.show)
         self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
         self._add(menu, "&About bubbleviz…", self._show_about)
@@ -257,7 +259,7 @@ class Menus:
 
     def _seek_found(self, frame: int | None) -> None:
         if frame is None:
-            self._window.message.say(NO_CONTACT)
+            self._window.messages.tell(UserMessage("notice", NO_CONTACT))
         else:
             self._window.state.seek(frame)
 

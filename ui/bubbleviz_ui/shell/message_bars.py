@@ -1,8 +1,10 @@
-"""Bars above the view: what went wrong, what one waits for, and how to begin."""
+"""Bars above the view: what went wrong or well, what one waits for, and how to begin."""
 
 from __future__ import annotations
 
-from PySide6.QtCore import QTimer
+from pathlib import Path
+
+from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import (
     QApplication,
     QFrame,
@@ -13,10 +15,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.shell.layouts import fill
 
 SHOWN_AFTER_MS = 400
 """What is done sooner needs no bar."""
+NOTICE_MS = 6000
+"""Long enough to read a path and to reach a button."""
 HINT = (
     "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → go frame by frame. "
     "Ctrl+K finds everything else; hold the mouse over anything to learn what it is."
@@ -30,28 +35,110 @@ class _Bar(QFrame):
         super().__init__(parent)
         self.setObjectName(name)
         self.label = QLabel(wordWrap=True)
-        fill(QHBoxLayout(self), (self.label, 1), *widgets, margins=(12, 6, 8, 6))
+        self.row = fill(QHBoxLayout(self), (self.label, 1), *widgets, margins=(12, 6, 8, 6))
         self.hide()
 
 
 class MessageBar(_Bar):
-    """One message at a time."""
+    """Warnings and errors, which stay until they are dismissed: the gravest, then the newest.
+
+    Attributes
+    ----------
+    asked : Signal
+        The user wants to read all messages.
+    """
+
+    asked = Signal()
 
     def __init__(self, parent: QWidget) -> None:
-        self._details = ""
+        self._open: list[UserMessage] = []
+        self.kind = QLabel()
+        self.kind.setObjectName("value")
+        self.more = QPushButton()
+        self.more.setToolTip("All messages of this session")
         self.copy = QPushButton("Copy details")
         self.copy.setToolTip("For a bug report: what went wrong, and where")
         self.dismiss = QPushButton("Dismiss")
-        super().__init__(parent, "message", self.copy, self.dismiss)
-        self.copy.clicked.connect(lambda: QApplication.clipboard().setText(self._details))
+        self.dismiss.setToolTip("Help → Messages keeps it")
+        super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
+        self.row.insertWidget(0, self.kind)
+        self.more.clicked.connect(self.asked)
+        self.copy.clicked.connect(
+            lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open))
+        )
+        self.dismiss.clicked.connect(self.clear)
+
+    def say(self, message: UserMessage) -> None:
+        """Show a message; one that is told again counts once."""
+        same = (message.kind, message.text)
+        self._open = [other for other in self._open if (other.kind, other.text) != same]
+        self._open.append(message)
+        self._show_open()
+
+    def clear(self) -> None:
+        """Everything here has been read."""
+        self._open = []
+        self._show_open()
+
+    def drop_warnings(self) -> None:
+        """What they were about is not open any more."""
+        self._open = [message for message in self._open if message.kind == "error"]
+        self._show_open()
+
+    def _show_open(self) -> None:
+        self.setVisible(bool(self._open))
+        if not self._open:
+            return
+        errors = [message for message in self._open if message.kind == "error"]
+        shown = (errors or self._open)[-1]
+        self.setObjectName(shown.kind)
+        self.style().polish(self)  # the style sheet goes by the name
+        self.kind.setText(shown.kind.capitalize())
+        self.label.setText(shown.text)
+        self.more.setText(f"{len(self._open) - 1} more…")
+        self.more.setVisible(len(self._open) > 1)
+        self.copy.setVisible(any(message.details for message in self._open))
+
+
+class NoticeBar(_Bar):
+    """What went well, for some seconds; with the file that was written.
+
+    Attributes
+    ----------
+    asked : Signal
+        The user wants to open a file: its path.
+    """
+
+    asked = Signal(object)
+
+    def __init__(self, parent: QWidget) -> None:
+        self._file: Path | None = None
+        self.open = QPushButton("Open")
+        self.open.setToolTip("Here what bubbleviz opens, the rest in the desktop's program for it")
+        self.folder = QPushButton("Show in folder")
+        self.folder.setToolTip("Open the folder it is in")
+        self.dismiss = QPushButton("Dismiss")
+        self.dismiss.setToolTip("Help → Messages keeps it")
+        super().__init__(parent, "notice", self.open, self.folder, self.dismiss)
+        self._due = QTimer(self, interval=NOTICE_MS)
+        self._due.timeout.connect(self._leave)
+        self.open.clicked.connect(lambda: self.asked.emit(self._file))
+        self.folder.clicked.connect(lambda: self.asked.emit(self._file and self._file.parent))
         self.dismiss.clicked.connect(self.hide)
 
-    def say(self, message: str, details: str = "") -> None:
-        """Show a message; details can be copied for a bug report."""
-        self.label.setText(message)
-        self._details = f"{message}\n{details}"
-        self.copy.setVisible(bool(details))
+    def say(self, message: UserMessage) -> None:
+        """Show a message in place of the one before."""
+        self.label.setText(message.text)
+        self._file = None if message.file is None else message.file.absolute()
+        for button in (self.open, self.folder):
+            button.setVisible(self._file is not None)
+        self._due.start()
         self.show()
+
+    def _leave(self) -> None:
+        if not self.underMouse():  # somebody is about to click
+            self._due.stop()
+            self.hide()
 
 
 class BusyBar(_Bar):

@@ -51,7 +51,7 @@ class Colours:
         What is chosen, text on it, and the picture of a tick on it.
     button, hover, outline : str
         Buttons, and the frame of check boxes.
-    message, message_edge : str
+    error, error_edge, warning, warning_edge : str
         The message bar.
     free, marker : str
         On the timeline: frames without contact, marked frames.
@@ -76,8 +76,10 @@ class Colours:
     button: str
     hover: str
     outline: str
-    message: str
-    message_edge: str
+    error: str
+    error_edge: str
+    warning: str
+    warning_edge: str
     free: str
     marker: str
     good: str
@@ -103,8 +105,10 @@ DARK = Colours(
     button="#2f353d",
     hover="#3a424c",
     outline="#66717e",
-    message="#5a2b2b",
-    message_edge="#b05050",
+    error="#5a2b2b",
+    error_edge="#b05050",
+    warning="#4a3d1e",
+    warning_edge="#a5853a",
     free="#3d4c5c",
     marker="#f2c14e",
     good="#4cc38a",
@@ -129,8 +133,10 @@ LIGHT = Colours(
     button="#fafbfc",
     hover="#dde6f0",
     outline="#7b8794",
-    message="#f9d9d7",
-    message_edge="#c7625c",
+    error="#f9d9d7",
+    error_edge="#c7625c",
+    warning="#fbeecb",
+    warning_edge="#c39a2c",
     free="#a9bccf",
     marker="#b07a00",
     good="#15803d",
@@ -198,9 +204,11 @@ QCheckBox::indicator:checked {{ background: {c.accent}; border-color: {c.accent}
 QCheckBox:focus {{ color: {c.accent}; }}
 QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
 QFrame#live {{ background: {c.panel}; border: none; border-bottom: 1px solid {c.border}; }}
-QFrame#message {{ background: {c.message}; border: none;
-    border-bottom: 1px solid {c.message_edge}; }}
-QFrame#busy, QFrame#hint {{ background: {c.panel}; border: none;
+QFrame#error {{ background: {c.error}; border: none;
+    border-bottom: 1px solid {c.error_edge}; }}
+QFrame#warning {{ background: {c.warning}; border: none;
+    border-bottom: 1px solid {c.warning_edge}; }}
+QFrame#busy, QFrame#hint, QFrame#notice {{ background: {c.panel}; border: none;
     border-bottom: 1px solid {c.border}; }}
 """
 

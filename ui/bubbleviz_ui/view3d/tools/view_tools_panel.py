@@ -32,7 +32,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
-from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format
+from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
@@ -59,11 +59,11 @@ class ViewTools(QWidget):
 
     Attributes
     ----------
-    failed : Signal
-        What could not be written, in words.
+    said : Signal
+        A `UserMessage`.
     """
 
-    failed = Signal(str)
+    said = Signal(object)
 
     def __init__(
         self, state: SessionState, controller: Controller, view: View, scene: Scene
@@ -99,7 +99,7 @@ class ViewTools(QWidget):
             button.setCheckable(True)
             group.addButton(button)
         self.tools["turn"].setChecked(True)
-        self.said = [QLabel() for _ in range(3)]
+        self.reading = [QLabel() for _ in range(3)]
 
     def _make_settings(self) -> None:
         self.colour_map = options(QComboBox(), {name: name for name in COLOUR_MAPS})
@@ -135,7 +135,7 @@ class ViewTools(QWidget):
             QVBoxLayout(self),
             _row(*self.views.values()),
             _row(*self.tools.values(), self.turn),
-            *self.said,
+            *self.reading,
             form,
             1,
             margins=(12, 10, 12, 10),
@@ -216,7 +216,7 @@ class ViewTools(QWidget):
             )
         elif self.tool == "distance" and ends:
             lines = ("Click on the other point", "", "")
-        for label, line in zip(self.said, lines, strict=True):
+        for label, line in zip(self.reading, lines, strict=True):
             label.setText(line)
 
     # -- settings -----------------------------------------------------------------------------
@@ -244,8 +244,8 @@ class ViewTools(QWidget):
         pixels = still(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-        if not QPixmap.fromImage(image).save(str(path), picture_format(path)):
-            self.failed.emit(f"{path}: cannot be written; choose another place")
+        written = QPixmap.fromImage(image).save(str(path), picture_format(path))
+        self.said.emit(picture_saved(path, written=written))
 
     def _choose_file(self) -> None:
         title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"

@@ -1,0 +1,181 @@
+"""Which sensor is in use, a copy with other values, and a file that changes meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import DentSource, small_sensor
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QWidget
+from window_driver import Driver
+
+from bubbleviz.sensor import Calibration, Sensor, load_sensor, sensor_to_toml
+from bubbleviz_ui.sensor import sensor_panel
+from bubbleviz_ui.sensor.sensor_panel import SensorPanel
+
+Drive = Callable[..., Driver]
+LEFT = Qt.MouseButton.LeftButton
+GAUGE, TENSION = "pneumatics.gauge_pressure_pa", "pneumatics.tension_n_per_m"
+
+
+@pytest.fixture
+def left(tmp_path: Path) -> Path:
+    """Sensor file of an identified sensor."""
+    sensor = small_sensor("left finger")
+    size = sensor.camera.height, sensor.camera.width
+    np.savez(
+        tmp_path / "left.npz",
+        mask=np.ones(size, bool),
+        bias_m=np.zeros(size),
+        noise_m=np.full(size, 1e-4),
+        correlated_pixels=1.0,
+    )
+    calibration = Calibration(
+        pixels_file="left.npz",
+        recording="rest.mcap",
+        date="2026-11-20T09:30:00+00:00",
+        tension_interval_n_per_m=(88.0, 92.5),
+        gauge_interval_pa=(2500.0, 2700.0),
+        gauge_from="a manometer",
+    )
+    air = sensor.pneumatics.model_copy(update={"tension_n_per_m": 90.25})
+    known = sensor.model_copy(update={"calibration": calibration, "pneumatics": air})
+    path = tmp_path / "left.toml"
+    path.write_text("# by hand\n" + sensor_to_toml(known))
+    return path
+
+
+@dataclass
+class Bench:
+    driver: Driver
+
+    @property
+    def panel(self) -> SensorPanel:
+        return self.driver.window.sensor
+
+    @property
+    def sensor(self) -> Sensor:
+        sensor = self.driver.window.controller.sensor
+        assert sensor is not None
+        return sensor
+
+    def click(self, widget: QWidget) -> None:
+        assert widget.isVisible() and widget.isEnabled()
+        self.driver.bot.mouseClick(widget, LEFT)
+
+    def type(self, key: str, text: str) -> None:
+        box = self.panel.rows[key].box
+        box.selectAll()
+        self.driver.bot.keyClicks(box, text)
+
+    def save(self, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(sensor_panel, "new_file", lambda *_, **__: (path, ""))
+        self.click(self.panel.save)
+
+
+@pytest.fixture
+def bench(drive: Drive, left: Path) -> Iterator[Bench]:
+    made = Bench(drive(DentSource, sensor=load_sensor(left), frame=6))
+    made.driver.window.panels["sensor"].show()
+    made.driver.wait(made.panel.edit.isVisible)
+    yield made
+    del made.driver  # pytest keeps the fixture's value longer than the window lives
+
+
+def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Path) -> None:
+    window, panel = bench.driver.window, bench.panel
+    assert "left finger (left.toml)" in window.windowTitle()
+    assert "left finger (left.toml)" in window.status.labels["sensor"].toolTip()
+    assert panel.name.text() == "left finger" and panel.file.text() == str(left)
+    assert panel.camera.text() == "80×60 pixels"
+    tension, gauge = panel.rows[TENSION], panel.rows[GAUGE]
+    assert tension.shown.text() == "90.25 N/m" and tension.interval.text() == "88.00 … 92.50 N/m"
+    assert gauge.interval.text() == "2500 … 2700 Pa"
+    assert panel.rows["membrane.prestretch"].shown.text() == "not in the file"
+    assert gauge.interval.toolTip() == "from a manometer"
+    assert panel.identified.text() == "2026-11-20 09:30 UTC"
+    assert panel.recording.text() == "rest.mcap"
+    bench.driver.state.choose(pressure_unit="psi")
+    assert panel.rows[GAUGE].shown.text().endswith(" psi")
+
+
+def test_a_preset_says_so(drive: Drive) -> None:
+    preset = load_sensor("pico_flexx_75mm")
+    driver = drive(DentSource, sensor=preset)
+    assert "soft-bubble pico flexx (preset)" in driver.window.windowTitle()
+    assert driver.window.sensor.file.text() == "preset"
+
+
+def test_a_copy_with_another_value_is_saved_and_used(
+    bench: Bench, left: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, copy = left.read_bytes(), left.with_name("right.toml")
+    bench.click(bench.panel.edit)
+    bench.type(GAUGE, "5.259")
+    assert "gauge_pressure_pa = 5.259" in bench.panel.problem.text()
+    assert "pressures are in pascals" in bench.panel.problem.text()
+    assert not bench.panel.save.isEnabled()
+    bench.type(GAUGE, "2610.5")
+    assert bench.panel.problem.isHidden()
+    bench.save(copy, monkeypatch)
+    bench.driver.wait(lambda: bench.sensor.file == "right.toml")
+    saved = load_sensor(copy)
+    assert saved.pneumatics.gauge_pressure_pa == 2610.5 and saved.name == "left finger, edited"
+    assert saved.calibration is not None and saved.calibration.gauge_interval_pa is None
+    assert saved.calibration.tension_interval_n_per_m == (88.0, 92.5)
+    assert saved.calibration.pixels_file == "right.npz" and left.read_bytes() == before
+    assert "right.toml" in bench.driver.window.windowTitle() and bench.panel.edit.isVisible()
+    assert f"Saved {copy}" in bench.driver.window.notice.label.text()
+
+
+def test_what_cannot_be_saved_is_not_lost(
+    bench: Bench, left: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = left.read_bytes()
+    bench.click(bench.panel.edit)
+    bench.type(TENSION, "101.5")
+    bench.driver.state.choose(pressure_unit="psi", solver="linear")  # the sensor is opened anew
+    bench.driver.settle()
+    bench.save(left, monkeypatch)
+    assert "exists already" in bench.driver.window.message.label.text()
+    assert left.read_bytes() == before
+    assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
+    bench.click(bench.panel.cancel)
+    assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
+
+
+def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench: Bench, left: Path) -> None:
+    message, text = bench.driver.window.message, left.read_text()
+    left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
+    new = left.with_suffix(".new")
+    new.write_text(text.replace("90.25", "95.5"))
+    new.replace(left)  # as editors do
+    bench.driver.wait(message.isVisible)
+    assert f"{left}: has changed on disk" in message.label.text()
+    assert message.kind.text() == "Warning"
+    assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
+    bench.click(bench.panel.reload)
+    bench.driver.wait(lambda: bench.panel.rows[TENSION].shown.text() == "95.50 N/m")
+    assert not message.isVisible() and bench.panel.difference.isHidden()
+    left.write_text("nonsense")
+    bench.driver.wait(message.isVisible)
+    assert "cannot be used" in message.label.text()
+    left.unlink()
+    bench.driver.wait(lambda: "is gone" in message.label.text())
+    left.write_text(text.replace("90.25", "95.5"))
+    bench.driver.wait(lambda: bench.panel.difference.isHidden())
+
+
+def test_the_panel_fits_a_small_screen(bench: Bench) -> None:
+    window = bench.driver.window
+    window.resize(1016, 660)
+    bench.driver.wait(lambda: window.width() == 1016 and window.height() == 660)
+    dock = window.panels["sensor"]
+    assert window.tabifiedDockWidgets(dock)
+    right = dock.mapTo(window, dock.rect().bottomRight())
+    assert right.x() <= window.width() and right.y() <= window.height()
+    assert dock.height() > 250

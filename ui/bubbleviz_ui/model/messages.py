@@ -1,0 +1,70 @@
+"""What the window tells its user: the one way to tell it, and all of it since the start."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+from PySide6.QtCore import QObject, Signal
+
+MessageKind = Literal["notice", "warning", "error"]
+MOST_KEPT = 1000
+"""A source that fails frame after frame must not fill the memory."""
+
+
+@dataclass(frozen=True)
+class UserMessage:
+    """A sentence for the user.
+
+    Attributes
+    ----------
+    kind : {"notice", "warning", "error"}
+        It went well; it went, but; it did not go.
+    text : str
+    details : str
+        Of a bug, for a report.
+    file : Path or None
+        What was written: a file or a folder.
+    at : datetime
+        When it was told.
+    """
+
+    kind: MessageKind
+    text: str
+    details: str = ""
+    file: Path | None = None
+    at: datetime = field(default_factory=datetime.now)
+
+    def line(self) -> str:
+        """Time, kind and text, by tabs."""
+        return f"{self.at:%H:%M:%S}\t{self.kind}\t{self.text}"
+
+    def report(self) -> str:
+        """That line, with the details where there are any."""
+        return "\n".join(filter(None, (self.line(), self.details.rstrip())))
+
+
+class Messages(QObject):
+    """All messages of a window since it was opened.
+
+    Attributes
+    ----------
+    told : Signal
+        A `UserMessage`, the newest.
+    all : deque of UserMessage
+        The oldest first.
+    """
+
+    told = Signal(object)
+
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(parent)
+        self.all: deque[UserMessage] = deque(maxlen=MOST_KEPT)
+
+    def tell(self, message: UserMessage) -> None:
+        """Keep a message and have it shown."""
+        self.all.append(message)
+        self.told.emit(message)

@@ -1,0 +1,66 @@
+"""Notices that the file of the sensor in use says something else now."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import QFileSystemWatcher, QObject, QTimer, Signal
+
+from bubbleviz.errors import InputError
+from bubbleviz.sensor import Sensor, load_sensor
+
+WRITTEN_MS = 200
+"""Editors write a file in several steps."""
+
+
+class SensorWatch(QObject):
+    """Compares a sensor with its file whenever that, or its folder, changes.
+
+    Attributes
+    ----------
+    told : Signal
+        What has become of the file, in words behind its name; empty: it is what is in use.
+    """
+
+    told = Signal(str)
+
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(parent)
+        self._sensor: Sensor | None = None
+        self._difference = ""
+        self._files = QFileSystemWatcher(self)
+        self._due = QTimer(self, singleShot=True, interval=WRITTEN_MS)
+        self._due.timeout.connect(self._look)
+        self._files.fileChanged.connect(self._due.start)
+        self._files.directoryChanged.connect(self._due.start)
+
+    def follow(self, sensor: Sensor) -> None:
+        """Watch the file of another sensor."""
+        if watched := [*self._files.files(), *self._files.directories()]:
+            self._files.removePaths(watched)
+        self._sensor, self._difference = sensor, ""
+        if sensor.file:
+            self._files.addPath(str(sensor.folder.absolute()))
+            self._look()
+
+    def _look(self) -> None:
+        if self._sensor is None or not self._sensor.file:
+            return
+        path = self._sensor.resolve(self._sensor.file).absolute()
+        self._files.addPath(str(path))  # many editors put a new file in place of the old one
+        difference = _difference(self._sensor, path)
+        if difference != self._difference:
+            self._difference = difference
+            self.told.emit(difference)
+
+
+def _difference(sensor: Sensor, path: Path) -> str:
+    if not path.exists():
+        return "is gone; the sensor stays in use"
+    try:
+        if load_sensor(path).model_copy(update={"folder": sensor.folder}) == sensor:
+            return ""
+    except InputError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        return f"has changed on disk and cannot be used: {why}"
+    return "has changed on disk; Reload in the Sensor panel uses it"
