@@ -3,7 +3,7 @@
 # make test    the whole test suite in two processes; ARGS="-k recording" passes arguments
 # make lint    ruff and mypy
 # make docs    the pages into site/, warnings as errors
-# make pages   runs every block of code of the pages; make test runs those that take seconds
+# make pages   tests the pages with the commands that take minutes, which make test leaves out
 # make lock    pin again what pyproject.toml asks for (needs uv)
 .PHONY: setup run test lint docs pages lock
 

@@ -46,12 +46,14 @@ def show_membrane(result: Result, mesh: MembraneMesh, screenshot: str | Path | N
         raise InputError(f"pyvista is not installed; run {install}") from error
     if screenshot is not None:
         refuse_existing(screenshot)
-    plotter = pyvista.Plotter(off_screen=screenshot is not None)
-    _draw(plotter, pyvista, result, mesh)
-    if screenshot is None:
-        return plotter.show()
-    with whole_file(screenshot) as temporary:
-        return plotter.show(screenshot=str(temporary))
+    with pyvista.vtk_verbosity("error"):  # without an X server VTK warns, and draws
+        plotter = pyvista.Plotter(off_screen=screenshot is not None)
+        _draw(plotter, pyvista, result, mesh)
+        backend = "static" if plotter.notebook else None  # needs neither a screen nor trame
+        if screenshot is None:
+            return plotter.show(jupyter_backend=backend)
+        with whole_file(screenshot) as temporary:
+            return plotter.show(jupyter_backend=backend, screenshot=str(temporary))
 
 
 def _draw(plotter: Any, pyvista: Any, result: Result, mesh: MembraneMesh) -> None:

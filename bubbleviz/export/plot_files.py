@@ -34,16 +34,17 @@ _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
 
 SIZE_IN = (8.0, 11.0)
 """Width and height of the figure, inches."""
+DPI = 130
+"""Resolution of a PNG, dots per inch."""
 
 
-def write_plots(table: Table, path: Path) -> Figure:
+def write_plots(table: Table, path: Path) -> None:
     """Plots as PNG, SVG or PDF by suffix; see `draw_plots`."""
     from matplotlib.figure import Figure  # 0.4 s, only where plots are written
 
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     draw_plots(table, figure)
-    figure.savefig(path, dpi=130)
-    return figure
+    figure.savefig(path, dpi=DPI)
 
 
 def draw_plots(table: Table, figure: Figure) -> None:

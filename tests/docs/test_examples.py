@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import figures
 import numpy as np
+import press_until
 import pytest
-from pages import REPOSITORY
+import ros2_without_ros
 from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
@@ -18,14 +19,6 @@ from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz_ui.bench.live_soak import free_port
-
-sys.path.insert(0, str(REPOSITORY / "examples"))
-
-sys.path.insert(0, str(REPOSITORY / "docs"))
-
-import figures
-import press_until
-import ros2_without_ros
 
 WRENCH = "/bubbleviz/contact_wrench"
 DEEPER = (0.060, 0.060, 0.048, 0.046, 0.044, 0.043, 0.042, 0.041, 0.040)

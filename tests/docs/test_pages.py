@@ -10,53 +10,39 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pages import FENCE, KINDS, NEEDS, PAGES, REPOSITORY, blocks, local_links, name_of
+from notebooks import TUTORIALS
+from pages import FENCE, KINDS, NEEDS, PAGES, blocks, local_links, name_of
 from small_press import write_press, write_small_sensor
 
 from bubbleviz.cli.command_line import main
 from bubbleviz_ui.bench.live_soak import free_port
 from tests.frames.bagmaker import BagMaker, fill
 
-QUICK = {"README.md", "extend.md", "first-press.md", "robot.md"}
-"""Pages whose blocks run in `make test`; `make pages` runs all of them."""
-ALL_PAGES = "ALL_PAGES" in os.environ
 CAPITALS = re.compile(r"\b(REC|S|FOLDER|PORT)\b")
 """What the reader puts in, in commands."""
-REAL = REPOSITORY.parent / "shared" / "data" / "punyo_press_a"
 
 
 def pages_with(*kinds: str) -> list[Path]:
     return [page for page in PAGES if blocks(page, *kinds)]
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A new folder to work in, beside the data that this machine has."""
-    work = tmp_path / "work"
-    work.mkdir()
-    if REAL.is_dir():
-        (tmp_path / "shared" / "data").mkdir(parents=True)
-        (tmp_path / "shared" / "data" / REAL.name).symlink_to(REAL)
-    monkeypatch.chdir(work)
+IN_PROCESS = [page for page in pages_with("python", "sh") if page not in TUTORIALS]
+"""Tutorials run as notebooks."""
+
+
+@pytest.mark.parametrize("page", IN_PROCESS, ids=name_of)
+def test_blocks_of_a_page_run(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
-    return work
-
-
-@pytest.mark.parametrize("page", pages_with("python", "sh"), ids=name_of)
-def test_blocks_of_a_page_run(page: Path, folder: Path) -> None:
-    if page.name not in QUICK and not ALL_PAGES:
-        pytest.skip("takes long; make pages runs it")
-    if page.name == "real-press.md" and not REAL.is_dir():
-        pytest.skip("the real recording punyo_press_a is not on this machine")
     names: dict[str, object] = {"__name__": "page"}
-    for block in blocks(page):
+    for block in blocks(page, "python", "sh"):
         if block.kind == "python":
             place = f"{name_of(page)}:{block.line}"
             exec(compile("\n" * block.line + block.text, place, "exec"), names)
-        elif block.kind == "sh":
-            for command in block.commands():
-                if REAL.is_dir() or not any(REAL.name in word for word in command.words):
-                    run(command.place, command.words)
+            continue
+        for command in block.commands():
+            data = [word for word in command.words if word.startswith("../shared/")]
+            if all((folder / path).exists() for path in data):
+                run(command.place, command.words)
 
 
 def run(place: str, words: list[str]) -> None:
@@ -86,7 +72,7 @@ def made(folder: Path) -> dict[str, str]:
 def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
     """Each on files of its own; those are left out whose page says that they need more."""
     commands = [command for block in blocks(page, "console") for command in block.commands()]
-    wanted = {None, "takes minutes"} if ALL_PAGES else {None}
+    wanted = {None, "takes minutes"} if "ALL_PAGES" in os.environ else {None}
     chosen = [command for command in commands if command.needs in wanted]
     if not chosen:
         left = {command.needs for command in commands if command.needs}

@@ -1,4 +1,4 @@
-"""The blocks of code of README and pages, and how each kind is run."""
+"""README and pages, taken apart into text and blocks of code."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-REPOSITORY = Path(__file__).parents[2]
+REPOSITORY = Path(__file__).parents[1]
 PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted((REPOSITORY / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 KINDS = {"python", "sh", "console", "toml", "text"}
@@ -58,13 +58,22 @@ def name_of(page: Path) -> str:
     return page.relative_to(REPOSITORY).as_posix()
 
 
+def parts(page: Path) -> Iterator[str | Block]:
+    """Text and fenced blocks of a page in their order."""
+    text, end = page.read_text(encoding="utf-8"), 0
+    for match in FENCE.finditer(text):
+        yield text[end : match.start()]
+        yield Block(page, text[: match.start()].count("\n") + 1, match[1], match[2])
+        end = match.end()
+    yield text[end:]
+
+
 def blocks(page: Path, *kinds: str) -> list[Block]:
     """Fenced blocks of a page in their order, of these kinds where some are named."""
-    text = page.read_text(encoding="utf-8")
     return [
-        Block(page, text[: match.start()].count("\n") + 1, match[1], match[2])
-        for match in FENCE.finditer(text)
-        if not kinds or match[1] in kinds
+        part
+        for part in parts(page)
+        if isinstance(part, Block) and (not kinds or part.kind in kinds)
     ]
 
 

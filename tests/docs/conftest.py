@@ -1,0 +1,22 @@
+"""What the tests of the pages share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pages import REPOSITORY
+
+REAL = REPOSITORY.parent / "shared" / "data" / "punyo_press_a"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A new folder to work in, beside the data that this machine has."""
+    work = tmp_path / "work"
+    work.mkdir()
+    if REAL.is_dir():
+        (tmp_path / "shared" / "data").mkdir(parents=True)
+        (tmp_path / "shared" / "data" / REAL.name).symlink_to(REAL)
+    monkeypatch.chdir(work)
+    return work
