@@ -1,0 +1,191 @@
+"""Make the pictures of the window on the pages.
+
+Run as `.venv/bin/python docs/window_pictures.py ../shared/data/punyo_press_a docs`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, get_args
+
+from PySide6.QtWidgets import QWidget
+
+from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+from bubbleviz.frames.sensor_matching import checked_sensor
+from bubbleviz.sensor import load_sensor
+from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.export.export_dialog import ExportDialog
+from bubbleviz_ui.model.choices import Choices, ImageName, Setting
+from bubbleviz_ui.model.demand import PLOTS
+from bubbleviz_ui.model.registry import PANELS
+from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.panels.costs_popup import CostsPopup
+from bubbleviz_ui.shell.command_palette import CommandPalette
+from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
+from bubbleviz_ui.window_session import WindowSession, window_session
+
+FRAME = 80  # of the real press: held
+MARKED = 75
+LOOPED = (60, 85)
+SYNTHETIC_FRAME = 76
+SMALL, LARGE = (960, 600), (1280, 800)
+SHOWN = ("kappa", "threshold", "compare", "tools", "pose", "calibration", "plots", "images")
+ALWAYS = ("playback", "status")
+COMPUTED_S = 5.0  # until a panel has what it computes by itself
+GAMMA0 = 3  # step of the calibration panel
+SECTION = {
+    "section_axis": "y", "exaggeration": 2.0, "colour_map": "viridis",
+    "view_from": (0.05, -1.0, 0.1), "layers": frozenset({"membrane", "contour", "rim"}),
+}  # fmt: skip
+
+
+def rest(session: WindowSession) -> None:
+    """Let the window go on for a while."""
+    end = time.monotonic() + COMPUTED_S
+    session.wait_for(lambda: time.monotonic() > end, "the panel")
+
+
+def settled(session: WindowSession) -> None:
+    """Wait until the frame is solved and drawn."""
+    state, controller = session.state, session.controller
+    session.wait_for(
+        lambda: (
+            controller.result is not None
+            and controller.result.frame.index == state.frame
+            and controller.settled
+        ),
+        "the frame",
+    )
+    session.settle()
+
+
+def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
+    """Write the whole window."""
+    session.window.resize(*size)
+    settled(session)
+    rest(session)
+    session.settle()
+    session.save(out)
+    print(f"wrote {out}")
+
+
+def pop_up(session: WindowSession, kind: type[QWidget], out: Path) -> None:
+    """Write a dialog that has just been opened, and close it."""
+    session.settle()
+    (dialog,) = (each for each in session.window.findChildren(kind) if each.isVisible())
+    dialog.grab().save(str(out))
+    dialog.close()
+    print(f"wrote {out}")
+
+
+def open_panel(session: WindowSession, name: str, **choices: Any) -> None:
+    """Show a panel beside the press, where choices are as at first but for some."""
+    scene = load_scene("press")
+    beside = ALWAYS if PANELS[name].side == "right" else ("kappa", *ALWAYS)
+    measured: list[object] = []
+    comparing = session.controller.compared.connect(measured.append)
+    session.window.use_scene(scene.model_copy(update={"panels": (name, *beside)}))
+    session.window.panels[name].raise_()
+    session.state.choose(**{"images": Choices().images, "plots": Choices().plots, **choices})
+    session.window.scene.reset_view()
+    session.window.hover.leave()
+    if name == "compare":
+        session.wait_for(lambda: bool(measured), "comparing")
+    session.controller.compared.disconnect(comparing)
+    if name == "images":
+        result = session.controller.result
+        assert result is not None and result.patch is not None
+        session.window.hover.at_point(result.patch.center_of_pressure_m)
+
+
+def analyse(session: WindowSession) -> None:
+    """Compute what the plots show of all frames."""
+    analysed: list[tuple[int, int]] = []
+    session.controller.analysis.progressed.connect(lambda *done: analysed.append(done))
+    session.controller.analysis.start()
+    session.wait_for(lambda: bool(analysed) and analysed[-1][0] == analysed[-1][1], "all frames")
+
+
+def panels(session: WindowSession, folder: Path, theme: str) -> None:
+    """Every panel, and what pops up."""
+    for name in SHOWN:
+        open_panel(session, name)
+        picture(session, folder / f"{name}-{theme}.png", SMALL)
+    window = session.window
+    for show, kind, name in (
+        (window.show_costs, CostsPopup, "costs"),
+        (window.show_export, ExportDialog, "export"),
+        (window.show_palette, CommandPalette, "palette"),
+        (window.show_shortcuts, ShortcutsDialog, "shortcuts"),
+    ):
+        show()
+        pop_up(session, kind, folder / f"{name}-{theme}.png")
+
+
+def workbench(session: WindowSession, folder: Path, theme: str) -> None:
+    """What a recording is gone through with."""
+    end = "" if theme == "dark" else f"-{theme}"
+    session.state.choose_range(LOOPED)
+    open_panel(session, "plots", plots=frozenset(PLOTS))
+    picture(session, folder / f"review{end}.png", LARGE)
+    session.state.choose_range(None)
+    open_panel(session, "images", images=frozenset(get_args(ImageName)))
+    picture(session, folder / f"images{end}.png", LARGE)
+    before = {name: getattr(session.state.choices, name) for name in SECTION}
+    open_panel(session, "tools", **SECTION)
+    picture(session, folder / f"tools{end}.png", LARGE)
+    session.state.choose(**before)
+
+
+def gamma0(session: WindowSession, out: Path) -> None:
+    """The calibration panel's γ0 of the frames without contact."""
+    panel = session.window.gamma0
+    session.window.use_scene(load_scene("calibrate"))
+    for button in (panel.next, panel.all):
+        button.click()
+        session.wait_for(lambda: not panel.calibration.busy, "identifying")
+    panel.go_to(GAMMA0)
+    picture(session, out, LARGE)
+
+
+@contextmanager
+def opened(*arguments: Any, **named: Any) -> Iterator[WindowSession]:
+    """A window in sight, with everything of its source drawn."""
+    with window_session(*arguments, **named) as session:
+        session.window.resize(*LARGE)
+        session.window.show()
+        session.settle()
+        yield session
+
+
+def main() -> None:
+    """Make all of them."""
+    recording, docs = map(Path, sys.argv[1:])
+    _, sensor = checked_sensor(recording, "auto")
+    synthetic = load_sensor(SYNTHETIC_SENSOR)
+    with screen_for_pictures(*LARGE):
+        with opened(sensor, recording, FRAME, load_scene("press")) as session:
+            analyse(session)
+            session.state.toggle_marker(MARKED)
+            for theme in ("dark", "light"):
+                session.state.choose(theme=theme)
+                panels(session, docs / "panels", theme)
+                workbench(session, docs / "workbench", theme)
+            session.state.choose(theme="dark")
+            open_panel(session, "threshold", least_area_m2=20e-6)
+            picture(session, docs / "workbench" / "threshold.png", LARGE)
+        with opened(synthetic, None, SYNTHETIC_FRAME, load_scene("press")) as session:
+            session.state.choose(theme="dark")
+            open_panel(session, "compare", compared=(Setting(), Setting(solver="fast")))
+            picture(session, docs / "workbench" / "compare.png", LARGE)
+        with opened(sensor, recording, 0) as session:
+            session.state.choose(theme="dark")
+            gamma0(session, docs / "gamma0.png")
+
+
+if __name__ == "__main__":
+    main()
