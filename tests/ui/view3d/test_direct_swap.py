@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtWidgets import QApplication, QLabel, QWidget
 from window_driver import Driver
 
 Drive = Callable[..., Driver]
@@ -19,10 +19,14 @@ DIFFERENT = 30
 
 def on_screen(driver: Driver) -> np.ndarray:
     """The view's part of the screen, (height, width, 3)."""
-    view = driver.window.view
-    at = view.mapToGlobal(view.rect().topLeft())
+    return seen_of(driver.window.view)
+
+
+def seen_of(widget: QWidget) -> np.ndarray:
+    """A widget's part of the screen, (height, width, 3)."""
+    at, size = widget.mapToGlobal(QPoint(0, 0)), widget.size()
     picture = QApplication.primaryScreen().grabWindow(
-        0, at.x(), at.y(), view.width(), view.height()
+        0, at.x(), at.y(), size.width(), size.height()
     )
     image = picture.toImage().convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
@@ -86,6 +90,26 @@ def test_the_picture_is_the_present_one_after(drive: Drive, change: str) -> None
         window.show()
         driver.bot.waitExposed(window)
     assert_shown(driver, before)
+
+
+@pytest.mark.parametrize("kind", [Qt.WindowType.Popup, Qt.WindowType.ToolTip, Qt.WindowType.Dialog])
+def test_what_covered_the_panels_leaves_nothing_behind(drive: Drive, kind: Qt.WindowType) -> None:
+    driver = drive()
+    driver.seek(3)
+    for panel in (driver.window.playback, driver.window.layers):
+        before = seen_of(panel)
+        above = QLabel("menu")
+        above.setStyleSheet("background: #a03030")
+        above.setWindowFlags(kind)
+        above.setGeometry(QRect(panel.mapToGlobal(QPoint(20, 10)), QSize(200, 90)))
+        above.show()
+        driver.wait(lambda panel=panel, before=before: not same(seen_of(panel), before))
+        above.close()
+        driver.wait(lambda panel=panel, before=before: same(seen_of(panel), before))
+
+
+def same(a: np.ndarray, b: np.ndarray) -> bool:
+    return share_that_differs(a, b) < 1e-3
 
 
 def test_panels_are_painted_without_the_view(drive: Drive) -> None:

@@ -16,8 +16,10 @@ from PySide6.QtGui import (
     QImage,
     QKeyEvent,
     QMouseEvent,
+    QPaintEvent,
     QResizeEvent,
     QShowEvent,
+    QWindow,
 )
 from PySide6.QtWidgets import QWidget
 from pyvistaqt import QtInteractor
@@ -152,16 +154,24 @@ class View(QtInteractor):  # type: ignore[misc]
         super().close()
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Watch the native window."""
+        """Watch the native window, and the one around it."""
         super().showEvent(event)
-        window = self.windowHandle()
-        if window is not None:
-            window.installEventFilter(self)
+        for window in (self.windowHandle(), self.window().windowHandle()):
+            if window is not None:
+                window.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Draw anew what was covered: Qt has the last picture it drew itself, which may be old."""
-        if event.type() == QEvent.Type.Expose:
-            self.refresh()
+        """Draw anew what was covered.
+
+        Of the view Qt has the last picture it drew itself, which may be old. Around it Qt would
+        put nothing on the screen, as the view has a native window of its own: menus and dialogs
+        would stay there where no compositor keeps what they cover.
+        """
+        if watched is self.windowHandle():
+            if event.type() == QEvent.Type.Expose:
+                self.refresh()
+        elif isinstance(event, QPaintEvent) and isinstance(watched, QWindow):
+            self.window().update(event.region())
         return bool(super().eventFilter(watched, event))
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
