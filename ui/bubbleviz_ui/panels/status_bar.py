@@ -19,7 +19,7 @@ TIPS = {
     "frame": "Frame shown and its time in the recording",
     "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane, ± half of"
     " its 95 % interval by depth noise, γ0, gauge pressure and λ",
-    "area": "Area of the contact patch on the membrane: p_c above κ times its mean (V-C)",
+    "area": "Area of the contact patch (V-C) on the membrane, by the rule in its panel",
     "gas": "Change of the gas pressure against the reference, p_v, by the gas law (Eq. 9)",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",
@@ -50,7 +50,7 @@ class Rates:
 def widest(units: Units) -> dict[str, str]:
     """The longest text of each label that one can expect."""
     return {
-        "sensor": "soft-bubble…",
+        "sensor": "soft-bubble 75 mm (preset)",
         "frame": "frame 888/888 · 88.888 s",
         "force": f"force {units.force.with_interval(88.88, 8.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
