@@ -16,6 +16,7 @@ from PySide6.QtWidgets import QWidget
 
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 from bubbleviz.frames.sensor_matching import checked_sensor
+from bubbleviz.live.session_preset import load_session
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.export_dialog import ExportDialog
@@ -36,6 +37,7 @@ SMALL, LARGE = (960, 600), (1280, 800)
 SHOWN = ("kappa", "threshold", "compare", "tools", "pose", "calibration", "plots", "images")
 ALWAYS = ("playback", "status")
 COMPUTED_S = 5.0  # until a panel has what it computes by itself
+FIRM_M2 = 400e-6  # area of the patch
 GAMMA0 = 3  # step of the calibration panel
 SECTION = {
     "section_axis": "y", "exaggeration": 2.0, "colour_map": "viridis",
@@ -152,6 +154,20 @@ def gamma0(session: WindowSession, out: Path) -> None:
     picture(session, out, LARGE)
 
 
+def live_pair(session: WindowSession, out: Path) -> None:
+    """Two live sensors, both firmly in contact, frozen."""
+    pair = session.window.pair
+
+    def both_touch() -> bool:
+        results = (pair.result_of(0), pair.result_of(1))
+        patches = [None if each is None else each.trusted_patch for each in results]
+        return all(each is not None and each.area_m2 > FIRM_M2 for each in patches)
+
+    session.wait_for(both_touch, "contact of both")
+    session.save_still(out)
+    print(f"wrote {out}")
+
+
 @contextmanager
 def opened(*arguments: Any, **named: Any) -> Iterator[WindowSession]:
     """A window in sight, with everything of its source drawn."""
@@ -185,6 +201,11 @@ def main() -> None:
         with opened(sensor, recording, 0) as session:
             session.state.choose(theme="dark")
             gamma0(session, docs / "gamma0.png")
+        with opened(
+            synthetic, None, None, load_scene("dual_nut"), live=load_session("dual_nut")
+        ) as session:
+            session.state.choose(theme="dark")
+            live_pair(session, docs / "live.png")
 
 
 if __name__ == "__main__":
