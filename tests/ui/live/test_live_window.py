@@ -261,7 +261,9 @@ def test_a_source_that_ended_leaves_one_frame_everywhere(open_bench: Open) -> No
         for k in range(5 * len(source)):  # the last one is a press
             writer.write(replace(source[k % len(source)], index=k, time_s=k / 30.0))
     live.window.panels["threshold"].show()
-    live.connect(single(f"replay:{live.folder / 'dents.mcap'}", sensor_file(live.folder)))
+    ends = single(f"replay:{live.folder / 'dents.mcap'}", sensor_file(live.folder))
+    live.live_controller.connect_to(ends)
+    live.wait(lambda: live.live_controller.run is not None)
     live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
     live.wait(lambda: texts(live)[0].startswith("contact"))
     live.wait(lambda: one_frame_everywhere(live))
@@ -301,7 +303,7 @@ def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path
     name = sensor_file(bench.folder)
     path = tmp_path / "rec.mcap"
     record_source(SYNTHETIC, load_sensor(name), path, 3.0)  # a few frames on slow machines
-    bench.connect(single(f"replay:{path}", name))
+    bench.live_controller.connect_to(single(f"replay:{path}", name))
     bench.wait(lambda: "ended" in bench.window.live.state.text())
     bench.state.seek(1)
     bench.wait(lambda: bench.shown == 1)
