@@ -29,9 +29,6 @@ class Simulation(Frames):
 
     source: SyntheticSource
 
-    def __init__(self, source: SyntheticSource, chosen: range | None = None) -> None:
-        super().__init__(source, chosen)
-
     @overload
     def __getitem__(self, index: int) -> Frame: ...
     @overload

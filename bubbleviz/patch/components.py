@@ -81,7 +81,7 @@ def without_small(
 
 
 def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
-    """Take the bands that have no patch within them out of a level."""
+    """Remove the bands of edges from a level where no patch is left."""
     near = np.flatnonzero(level > -band)
     count, label = connected_components(_edges(mesh)[near][:, near], directed=False)
     empty = np.bincount(label, level[near] > 0.0, minlength=count) == 0.0

@@ -22,7 +22,7 @@ class UserMessage:
     Attributes
     ----------
     kind : {"notice", "warning", "error"}
-        It went well; it went, but; it did not go.
+        Success; done, with a reservation; failure.
     text : str
     details : str
         Of a bug, for a report.

@@ -202,6 +202,8 @@ class PlotsPanel(QWidget):
 
     def _show_statistics(self) -> None:
         """Write the numbers of the range on the timeline, where there is one."""
+        if not self._host.ready:
+            return
         state, curves = self._state, list[Curve]()
         first, last = state.play_range or (0, -1)
         if state.play_range is not None:

@@ -76,7 +76,10 @@ class RangeTable(QTableWidget):
         """
         columns = [(curve, statistics(curve.values)) for curve in curves]
         columns = [column for column in columns if column[1].frames] or columns
-        self._text = _as_text(f"Frames {first} to {last}", columns)
+        text = _as_text(f"Frames {first} to {last}", columns)
+        if text == self._text:
+            return
+        self._text = text
         self.setColumnCount(len(columns))
         self.setHorizontalHeaderLabels([_heading(curve) for curve, _ in columns])
         for k, (curve, known) in enumerate(columns):

@@ -194,7 +194,7 @@ class SensorPanel(QWidget):
             self._show()
 
     def _on_difference(self, difference: str) -> None:
-        self.difference.setText(difference and "Not as the file is on disk now")
+        self.difference.setText(difference and "The sensor file on disk has changed")
         self.difference.setToolTip(difference)
         self.difference.setVisible(bool(difference))
         if difference:

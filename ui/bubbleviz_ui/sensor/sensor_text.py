@@ -84,7 +84,7 @@ class Value:
 
 VALUES = (
     Value("pneumatics.gauge_pressure_pa", "Gauge pressure", "Of the gas above the atmosphere, "
-          "nothing touching", "Pa", "gas_pressure", "gauge_interval_pa", "gauge_from"),
+          "without contact", "Pa", "gas_pressure", "gauge_interval_pa", "gauge_from"),
     Value("pneumatics.tension_n_per_m", "Tension γ0", "Of the membrane at rest; without one it "
           "follows from gauge pressure and curvature", "N/m", "tension",
           "tension_interval_n_per_m"),
@@ -94,14 +94,14 @@ VALUES = (
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Of the gas behind the rim plane",
           "m³", "volume"),
-    Value("camera.noise_relative", "Depth noise", "Standard deviation of the range, a share of it",
+    Value("camera.noise_relative", "Depth noise", "Standard deviation over the range",
           "", "share"),
 )  # fmt: skip
 """In the order of the panel."""
 
 
 def file_text(sensor: Sensor) -> str:
-    """Where a sensor is from, shortly: its file's name, `preset`, or `not saved`."""
+    """Where a sensor is from, in short: its file's name, `preset`, or `not saved`."""
     name = name_of(sensor)
     if name is None:
         return "not saved"

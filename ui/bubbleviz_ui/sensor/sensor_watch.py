@@ -19,7 +19,7 @@ class SensorWatch(QObject):
     Attributes
     ----------
     told : Signal
-        What has become of the file, in words behind its name; empty: it is what is in use.
+        What happened to the file, to be written after its name; empty: it is what is in use.
     """
 
     told = Signal(str)

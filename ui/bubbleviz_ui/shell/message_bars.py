@@ -40,7 +40,7 @@ class _Bar(QFrame):
 
 
 class MessageBar(_Bar):
-    """Warnings and errors, which stay until they are dismissed: the gravest, then the newest.
+    """Warnings and errors, which stay until they are dismissed: errors first, then the newest.
 
     Attributes
     ----------
@@ -76,12 +76,12 @@ class MessageBar(_Bar):
         self._show_open()
 
     def clear(self) -> None:
-        """Everything here has been read."""
+        """Remove all messages."""
         self._open = []
         self._show_open()
 
     def drop_warnings(self) -> None:
-        """What they were about is not open any more."""
+        """Remove warnings: the source they are about is closed."""
         self._open = [message for message in self._open if message.kind == "error"]
         self._show_open()
 
@@ -114,7 +114,7 @@ class NoticeBar(_Bar):
     def __init__(self, parent: QWidget) -> None:
         self._file: Path | None = None
         self.open = QPushButton("Open")
-        self.open.setToolTip("Here what bubbleviz opens, the rest in the desktop's program for it")
+        self.open.setToolTip("Open the file here, or in the desktop's program for its kind")
         self.folder = QPushButton("Show in folder")
         self.folder.setToolTip("Open the folder it is in")
         self.dismiss = QPushButton("Dismiss")

@@ -163,9 +163,9 @@ class View(QtInteractor):  # type: ignore[misc]
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Draw anew what was covered.
 
-        Of the view Qt has the last picture it drew itself, which may be old. Around it Qt would
-        put nothing on the screen, as the view has a native window of its own: menus and dialogs
-        would stay there where no compositor keeps what they cover.
+        Qt has the last picture of the view that it drew itself, which may be old. Around a view
+        with a native window of its own Qt flushes nothing that was uncovered: without a compositor,
+        closed menus and dialogs would stay on the screen.
         """
         if watched is self.windowHandle():
             if event.type() == QEvent.Type.Expose:
