@@ -5,18 +5,19 @@
 with e the ranges that the shape leaves unexplained, D their derivative by the nodes and δ the
 motion to equilibrium under the present pressure p₀. The error of a measured gas pressure is an
 unknown of its own with a prior, eliminated from the misfit. First with the L1 term to find where
-there is contact, then on that support without it, which takes out its bias.
+there is contact, then on the likeliest support there without it, which takes out its bias.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.inverse.likeliest_support import SupportProblem
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
 
@@ -149,8 +150,6 @@ class ContactPressure:
     pivots : int
     converged, complete : bool
         As of `Selection`.
-    objective : float
-        Of the debiased problem, less that without any pressure: half of χ².
     kkt_residual : float
         ‖min(p, ∇)‖ of the debiased problem on its support, both over their largest.
     nodes : (s,) int array
@@ -167,7 +166,6 @@ class ContactPressure:
     pivots: int
     converged: bool
     complete: bool
-    objective: float
     kkt_residual: float
     nodes: np.ndarray
     covariance: np.ndarray
@@ -238,6 +236,27 @@ class ContactProblem:
             work |= prior.around(pulled)
         return Selection(pressure > 0.0, pivots, converged, not pulled.any())
 
+    def likeliest(self, selection: Selection) -> Selection:
+        """The likeliest support within one node of a selection, see `SupportProblem`.
+
+        The L1 term counts force, not area: it leaves nodes out, and others from another start.
+        """
+        prior, near = self._prior, self._prior.around(selection.support)
+        if not np.isin(np.flatnonzero(near), self._work).all():
+            self._set(np.flatnonzero(near))
+        work = self._work
+        problem = SupportProblem(
+            self._hessian,
+            prior.smoothness[work][:, work].toarray(),
+            self._linear,
+            prior.neighbours[work][:, work].toarray() > 0.0,
+            np.diff(prior.neighbours.indptr)[work],
+        )
+        chosen, pivots = problem.likeliest(selection.support[work])
+        support = np.zeros_like(selection.support)
+        support[work] = chosen
+        return replace(selection, support=support, pivots=selection.pivots + pivots)
+
     def refine(self, selection: Selection, touches: TouchRule) -> ContactPressure:
         """Solve on a support without the L1 term.
 
@@ -270,7 +289,6 @@ class ContactProblem:
             pivots,
             selection.converged and solved,
             selection.complete,
-            self._objective(pressure),
             self._kkt(pressure, support) if support.any() else 0.0,
             nodes,
             np.linalg.inv(self._hessian[np.ix_(where, where)]),
@@ -319,10 +337,6 @@ class ContactProblem:
         scale = float(np.abs(self._linear).max())
         share = pressure[support] / max(float(pressure.max()), 1e-300)
         return float(np.abs(np.minimum(share, gradient / scale)).max())
-
-    def _objective(self, pressure: np.ndarray) -> float:
-        values = pressure[self._work]
-        return float(self._linear @ values + 0.5 * values @ (self._hessian @ values))
 
     def _motion(self, pressure: np.ndarray) -> np.ndarray:
         """Motion to equilibrium under a pressure (n,), (n, 3)."""

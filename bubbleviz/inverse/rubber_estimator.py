@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -43,8 +43,8 @@ from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
 _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
-"""Shares of a mesh edge. A frame alone is done when it moves the shape by less than the first, one
-of a stream by less than the last; a tangent serves while the shape is nearer than the second to
+"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, and is
+far from its end beyond the last; a tangent serves while the shape is nearer than the second to
 where it was taken, for what it misses the exact residual puts right."""
 _STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
@@ -54,7 +54,7 @@ _SELECTIONS, _ROUNDS = 2, 6
 are added to it each time."""
 _LONGEST = 1.0
 """Longest step in mesh edges."""
-_NOISE_ALIKE, _NOISES = 1.2, 4
+_NOISE_ALIKE, _NOISES = 1.1, 8
 """Factor between the noise that a frame was solved with and the one it leaves within which they are
 the same, and how many are tried."""
 _BALANCED = 1e-3
@@ -208,6 +208,8 @@ class RubberEstimator:
         held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
         self._smoothness = (smoothness * (held @ laplacian @ held)).tocsr()
         self._neighbours = abs(laplacian)
+        self._neighbours.setdiag(0.0)
+        self._neighbours.eliminate_zeros()
         self.resolution_m = resolution_m(
             smoothness, self.membrane.mean_tension, float(weight.sum() / mesh.facet_areas.sum())
         )
@@ -290,15 +292,14 @@ class RubberEstimator:
             moved = float(np.abs(state.x - before.x).max())
             far = moved > self._far_m
             far_steps += selecting and far and moved < 0.9 * self._longest_m
-            lasting = warm and contact.pressure.any()
-            if balanced and moved <= (self._far_m if lasting else self._near_m):
+            if balanced and moved <= self._near_m:
                 if (selecting and contact.complete) or chosen > _SELECTIONS:
                     left = error - view.jacobian @ (state.x - before.x).ravel()
                     found = noise
                     # where contact was looked for in vain, what it would explain is left
                     if not contact.pivots or contact.pressure.any():
                         found = self.observer.noise_left(observation, view.block, left)
-                    if noises == _NOISES or _alike(found, noise, noises > 1):
+                    if noises == _NOISES or _alike(found, noise):
                         break
                     noise, noises, chosen, steps = found, noises + 1, 0, 0
                 selecting = standing = True
@@ -341,17 +342,9 @@ class RubberEstimator:
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return self._parts_with(pressure >= least, support)
 
-        contact = problem.refine(selection, touches)
-        if not (rounds and np.any(state.support & ~selection.support)):
-            return contact
-        # The L1 term says where there is contact. It counts force, not area, and likes few nodes
-        # under high pressure: they have to explain the image as well as those of before do. A node
-        # costs ln n, as the L1 term's threshold of √(2 ln n) σ has it (risk inflation criterion of
-        # Foster and George 1994).
-        both = self._parts_with(selection.support, selection.support | state.support)
-        wider = problem.refine(replace(selection, support=both), touches)
-        more = np.log(len(self.mesh.free)) * (len(wider.nodes) - len(contact.nodes))
-        return contact if contact.objective <= wider.objective + more else wider
+        if rounds and selection.support.any():
+            selection = problem.likeliest(selection)
+        return problem.refine(selection, touches)
 
     def _parts_with(self, some: np.ndarray, support: np.ndarray) -> np.ndarray:
         """Connected parts of a support that have one of `some` nodes (n,) bool."""
@@ -522,6 +515,6 @@ class RubberEstimator:
         )
 
 
-def _alike(found: float, noise: float, lower: bool) -> bool:
-    """Whether the noise that is left is what a frame was solved with, or where it may be lower."""
-    return found <= _NOISE_ALIKE * noise and (lower or noise <= _NOISE_ALIKE * found)
+def _alike(found: float, noise: float) -> bool:
+    """Whether the noise that is left is what a frame was solved with."""
+    return max(found, noise) <= _NOISE_ALIKE * min(found, noise)

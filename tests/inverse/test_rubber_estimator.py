@@ -187,18 +187,25 @@ def test_far_stretched_rubber_is_reached_from_rest(depth):
     assert estimate.contact_pressure_pa.max() < 2.0 * contact.contact_pressure_pa.max()
 
 
-def test_warm_frames_end_where_cold_ones_do():
-    solver, start = estimator(), None
-    for depth in (0.003, 0.005, 0.007):
-        mesh, contact = pressed("sphere", depth)
-        image = seen(mesh, contact.displacement_3d_m, NOISE_M)
-        warm, start = solver.estimate(image, start=start)
+@pytest.mark.parametrize("noise_m", [1e-4, 5e-4])
+def test_how_a_frame_is_reached_does_not_matter(noise_m):
+    solver = estimator(1000, relative=noise_m / 0.065)
+    finder = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m)
+    image = image_of(0.007, 0.008, noise_m)
     cold, _ = solver.estimate(image)
-    assert error(warm, cold.force_n) < 0.015  # a warm frame takes one step, from 2 mm away
-    settled, _ = solver.estimate(image, start=start)
-    assert error(settled, cold.force_n) < 0.01
+    area = finder.find(cold).area_m2
+    for depth, x in [(0.005, 0.008), (0.009, 0.008), (0.007, 0.004), (0.007, 0.012)]:
+        _, start = solver.estimate(image_of(depth, x, noise_m, seed=1))
+        warm, _ = solver.estimate(image, start=start)
+        assert error(warm, cold.force_n) < 0.01
+        assert abs(finder.find(warm).area_m2 / area - 1.0) < 0.03
     again, _ = solver.estimate(image)
     np.testing.assert_array_equal(again.force_n, cold.force_n)
+
+
+def image_of(depth, x, noise_m, seed=0):
+    mesh, contact = pressed("sphere", depth, x)
+    return seen(mesh, contact.displacement_3d_m, noise_m, seed=seed)
 
 
 def test_small_press_on_a_flat_membrane_is_the_linear_model():

@@ -1,8 +1,9 @@
-"""The force does not hang on the estimator's mesh or on how firmly it holds the rim."""
+"""Neither mesh, nor rim, nor the frames before change what is found in a frame."""
 
 import numpy as np
 
 from bubbleviz.frames.recording import Recording
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.study.accuracy import invariance
@@ -34,6 +35,22 @@ def test_on_the_real_press(punyo_press):
     assert set(forces) == {invariance.MESH, invariance.RIM}
     for force in forces.values():
         assert abs(force / usual - 1.0) < invariance.LARGEST_CHANGE
+
+
+def test_how_a_frame_of_the_real_press_is_reached(punyo_press):
+    """Alone, after the frames before it, and after a jump there: the same support."""
+    with Recording(punyo_press) as recording:
+        frames = {k: recording[k] for k in (62, 70, *range(74, 81), 88)}
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[80].intrinsics)
+    ways = [(80,), range(74, 81), (70, 80), (62, 80), (88, 80)]
+    found = []
+    for way in ways:
+        pipeline.restart()
+        found.append([pipeline.process(frames[k], PATCH) for k in way][-1])
+    areas = np.array([result.patch.area_m2 for result in found])
+    forces = np.array([force_of(result) for result in found])
+    assert np.abs(areas / areas[0] - 1.0).max() < 0.02
+    assert np.abs(forces / forces[0] - 1.0).max() < 0.01
 
 
 def force_of(result):

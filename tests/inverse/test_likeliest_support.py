@@ -1,0 +1,60 @@
+"""The likeliest support, against the evidence of every support in another form."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bubbleviz.inverse.likeliest_support import SupportProblem
+
+NODES = 8
+"""In a row, so that their supports can be counted."""
+CUT = 0.5 * np.log(2.0)
+
+
+class Row:
+    """Data y = J p + noise of unit deviation, with p smooth on its support."""
+
+    def __init__(self, pressure, blur, seed):
+        random, at = np.random.default_rng(seed), np.arange(NODES)
+        pixels = np.linspace(-1.0, NODES, 40)
+        self.J = np.exp(-0.5 * ((pixels[:, None] - at) / blur) ** 2)
+        self.y = self.J @ pressure + random.standard_normal(len(pixels))
+        self.smoothness = 0.1 * (2.0 * np.eye(NODES) - np.eye(NODES, k=1) - np.eye(NODES, k=-1))
+        self.neighbours = np.abs(at[:, None] - at) == 1
+
+    def problem(self):
+        H = self.J.T @ self.J + self.smoothness
+        degree = self.neighbours.sum(axis=1)
+        return SupportProblem(H, self.smoothness, -self.J.T @ self.y, self.neighbours, degree)
+
+    def evidence(self, support):
+        """Log density of the data; −inf where the best pressure on a support pulls somewhere."""
+        J, P = self.J[:, support], self.smoothness[np.ix_(support, support)]
+        if np.any(np.linalg.solve(J.T @ J + P, J.T @ self.y) <= 0.0):
+            return -np.inf
+        covariance = np.eye(len(self.y)) + J @ np.linalg.solve(P, J.T)
+        cut = np.count_nonzero(np.diff(support))
+        return multivariate_normal(None, covariance).logpdf(self.y) - CUT * cut
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_exchange_of_a_node_is_likelier(seed):
+    row = Row(np.array([0.0, 0, 5, 3, 3, 5, 0, 0]), 1.0, seed)
+    chosen, _ = row.problem().likeliest(np.arange(NODES) == 4)
+    best = row.evidence(chosen)
+    for node in range(NODES):
+        other = chosen.copy()
+        other[node] ^= True
+        assert not other.any() or row.evidence(other) <= best + 1e-5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_plain_is_found_from_any_start(seed):
+    row = Row(np.array([0.0, 0, 9, 9, 9, 9, 0, 0]), 0.6, seed)
+    supports = [np.array(s, bool) for s in product((0, 1), repeat=NODES) if any(s)]
+    likeliest = max(supports, key=row.evidence)
+    for start in ([3], [2, 3], [5, 6], [0, 4], range(NODES)):
+        chosen, _ = row.problem().likeliest(np.isin(np.arange(NODES), start))
+        np.testing.assert_array_equal(chosen, likeliest)
