@@ -6,12 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt
+from fakes import DentSource
+from PySide6.QtCore import QObject, Qt, Signal
+from pytestqt.qtbot import QtBot
 from window_driver import Driver
 
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.requests import OpenRequest, Request
+from bubbleviz_ui.engine.sensor_client import SensorClient
+from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.model.session_state import SessionState
 
 Drive = Callable[..., Driver]
 FRAME = 75
@@ -61,3 +68,41 @@ def test_a_pipeline_settles_whatever_it_did_before(sensor: Sensor, press: FrameS
         pipeline.settle(press[FRAME])
         areas.append(pipeline.process(press[FRAME], frozenset({"patch"})).patch.area_m2)
     assert areas[0] == areas[1] == areas[2]
+
+
+class Waiting(QObject):
+    """A solver that answers in the order it is told to."""
+
+    answered = Signal(object)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.server, self.requests = Server(), list[Request]()
+
+    def ask(self, request: Request) -> None:
+        self.requests.append(request)
+
+    def answer(self, request: Request) -> None:
+        self.answered.emit(self.server.serve(request))
+
+    def close(self) -> None:
+        self.server.close()
+
+
+def test_what_is_asked_for_meanwhile_is_not_lost(qtbot: QtBot, sensor: Sensor) -> None:
+    """A panel that opens while the frame is being settled keeps its look at it."""
+    solver, plain = Waiting(), Demand(frozenset({"estimate", "patch"}))
+    client = SensorClient(SessionState(), solver)
+    solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, plain))
+    client.ask_settled()
+    client.ask_frame(3, Demand(plain.products, frozenset({"kappa_curve"})))
+    settling, frame = solver.requests
+    solver.answer(frame)
+    solver.answer(settling)
+    assert client.inspection.kappa_curve is not None
+    assert not client.settled
+    client.ask_settled()
+    solver.answer(solver.requests[-1])
+    assert client.inspection.kappa_curve is not None
+    assert client.settled
+    client.close()

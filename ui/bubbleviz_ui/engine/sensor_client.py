@@ -212,7 +212,10 @@ class SensorClient(QObject):
         shown, new = self.result, answer.result
         if shown is None or shown.frame.index != new.frame.index:
             return  # another frame is looked at by now
-        if not self._shown_products <= answer.request.demand.products | {"pose"}:
+        asked = answer.request.demand
+        if not (
+            self._shown_products <= asked.products | {"pose"} and self.demand.looks <= asked.looks
+        ):
             return  # more is looked at by now
         self.result = replace(new, frame=shown.frame, pose=shown.pose)
         self.inspection = answer.inspection
