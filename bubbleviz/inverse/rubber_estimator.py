@@ -43,9 +43,10 @@ from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
 _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
-"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, and is
-far from its end beyond the last; a tangent serves while the shape is nearer than the second to
-where it was taken, for what it misses the exact residual puts right."""
+"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, one of
+a stream also when it has moved by less than the second in all; beyond the last a step is far from
+done. A tangent serves while the shape is nearer than the second to where it was taken: the exact
+residual puts the rest right."""
 _STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
 by then the shape stands, or model and data contradict each other."""
@@ -183,7 +184,8 @@ class RubberEstimator:
         self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
         self._load = membrane.gauge_pressure_pa * float(self.mesh.areas.mean())
         edge = self.mesh.edge_length
-        self._near_m, self._far_m, self._longest_m = _NEAR * edge, _FAR * edge, _LONGEST * edge
+        self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
+        self._far_m, self._longest_m = _FAR * edge, _LONGEST * edge
         nothing = np.zeros(len(rest))
         self._rest = State(rest, nothing, nothing > 0.0, 0.0)
         self._rest_rubber = {
@@ -264,6 +266,7 @@ class RubberEstimator:
         """
         measured = self.observer.measure(depth_m)
         state, warm = start.state or self._rest, start.state is not None
+        begin = state.x
         rubber, solve_ms = start.rubber, 0.0
         selecting, standing, chosen = True, warm, 0
         far_steps, noise, noises, steps = 0, start.noise, 1, 0
@@ -292,7 +295,8 @@ class RubberEstimator:
             moved = float(np.abs(state.x - before.x).max())
             far = moved > self._far_m
             far_steps += selecting and far and moved < 0.9 * self._longest_m
-            if balanced and moved <= self._near_m:
+            lasting = warm and contact.pressure.any() and self._serves(begin, state.x)
+            if balanced and (lasting or moved <= self._near_m):
                 if (selecting and contact.complete) or chosen > _SELECTIONS:
                     left = error - view.jacobian @ (state.x - before.x).ravel()
                     found = noise
@@ -436,12 +440,13 @@ class RubberEstimator:
         measured = gas is not None
         if state is self._rest:
             return self._rest_rubber[measured]
-        if last is not None and last.with_gas is not measured and self._serves(last, state):
+        if last is not None and last.with_gas is not measured and self._serves(last.x, state.x):
             return last
         return self._linearised(state.x, state.pressure, state.gas if measured else None)
 
-    def _serves(self, rubber: LinearisedRubber, state: State) -> bool:
-        return float(np.abs(state.x - rubber.x).max()) <= _SERVES * self.mesh.edge_length
+    def _serves(self, before: np.ndarray, x: np.ndarray) -> bool:
+        """Whether what was found at a shape still holds at another."""
+        return float(np.abs(x - before).max()) <= self._serves_m
 
     # -- what is to be believed -----------------------------------------------------------------
 
