@@ -14,7 +14,7 @@ FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 KINDS = {"python", "sh", "console", "toml", "text"}
 NEEDS = {
     "needs a robot": "nobody publishes its ROS 2 messages here",
-    "needs a screen": "opens the window, which tests/ui does",
+    "needs a screen": "only make pages opens the window",
     "needs the network": "installs packages",
     "takes minutes": "only make pages waits for it",
 }

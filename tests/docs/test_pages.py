@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -11,15 +15,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from notebooks import TUTORIALS
-from pages import FENCE, KINDS, NEEDS, PAGES, blocks, local_links, name_of
-from small_press import write_press, write_small_sensor
+from pages import FENCE, KINDS, NEEDS, PAGES, Command, blocks, local_links, name_of
+from small_press import small_source, write_press, write_small_sensor
 
 from bubbleviz.cli.command_line import main
+from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz_ui.bench.live_soak import free_port
 from tests.frames.bagmaker import BagMaker, fill
 
 CAPITALS = re.compile(r"\b(REC|S|FOLDER|PORT)\b")
 """What the reader puts in, in commands."""
+BUBBLEVIZ = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
 
 
 def pages_with(*kinds: str) -> list[Path]:
@@ -81,6 +88,53 @@ def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
     for command in chosen:
         given["PORT"] = str(free_port())
         run(command.place, [CAPITALS.sub(lambda m: given[m[0]], word) for word in command.words])
+
+
+SHORT = {"--minutes": "0.1", "--seconds": "3"}
+"""In place of the times that a page gives."""
+
+
+def on_screen() -> list[Command]:
+    commands = (c for page in PAGES for b in blocks(page, "sh", "console") for c in b.commands())
+    return [command for command in commands if command.needs == "needs a screen"]
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recording that fits a preset, its sensor file, and its truth."""
+    folder = tmp_path_factory.mktemp("simulated")
+    sensor = folder / "my.toml"
+    sensor.write_text(sensor_to_toml(load_sensor("pico_flexx_75mm")), encoding="utf-8")
+    source = small_source(sensor, (*[0.060] * 75, *[0.044] * 15))
+    write_simulation(source, folder / "press.mcap", folder / "truth.npz")
+    return folder
+
+
+@pytest.mark.skipif("ALL_PAGES" not in os.environ, reason="make pages runs it")
+@pytest.mark.parametrize("command", on_screen(), ids=lambda command: command.place)
+def test_commands_that_open_the_window(command: Command, folder: Path, simulated: Path) -> None:
+    """What would stay open writes a picture and ends; measurements are cut short."""
+    shutil.copytree(simulated, folder, dirs_exist_ok=True)
+    words = ["press.mcap" if word == "REC" else word for word in command.words[1:]]
+    words = [SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)]
+    if words[:1] == ["open"] and not {"--screenshot", "--session"} & {*words}:
+        words = [*words, "--screenshot", "a.png"]
+    display = {} if words else {"DISPLAY": ""}  # without one, pictures of the example are written
+    stays = "--session" in words  # a live source has no picture: it is interrupted
+    process = subprocess.Popen(
+        [*BUBBLEVIZ, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, **display},
+    )
+    try:
+        said, _ = process.communicate(timeout=20.0 if stays else 240.0)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT if stays else signal.SIGKILL)
+        said, _ = process.communicate()
+    assert process.returncode == (130 if stays else 0), f"{command.place}: {said}"
+    assert "--screenshot" not in words or Path("a.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
