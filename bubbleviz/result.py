@@ -108,7 +108,7 @@ class Patch:
         Area of the patch on the reference surface, m²; 0 without contact.
     edge_half_width_m : float
         How far off the edge may be, m: the band between the lines at this level and at minus this
-        level holds most of a true edge (docs/how-good-it-is.md has how much). NaN under the
+        level holds most of a true edge; docs/how-good-it-is.md says how much. NaN under the
         paper's rule, which knows of none.
     area_interval_m2 : (float, float)
         Areas within the band's inner and outer line, m². An inner one near 0: the patch is hardly

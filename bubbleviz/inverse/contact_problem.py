@@ -19,7 +19,7 @@ from scipy import sparse
 
 from bubbleviz.inverse.likeliest_support import SupportProblem
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
-from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
+from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
 
 _LEAST = 40
 """Nodes that the problem of a frame without contact before it starts with."""
@@ -241,21 +241,28 @@ class ContactProblem:
 
         The L1 term counts force, not area: it leaves nodes out, and others from another start.
         """
-        prior, near = self._prior, self._prior.around(selection.support)
+        prior = self._prior
+        near = prior.around(selection.support)
         if not np.isin(np.flatnonzero(near), self._work).all():
             self._set(np.flatnonzero(near))
-        work = self._work
+        inner = np.flatnonzero(prior.smoothness.diagonal()[self._work] > 0.0)  # not of the rim
+        work = self._work[inner]
         problem = SupportProblem(
-            self._hessian,
+            part(self._hessian, inner),
             prior.smoothness[work][:, work].toarray(),
-            self._linear,
+            self._linear[inner],
             prior.neighbours[work][:, work].toarray() > 0.0,
             np.diff(prior.neighbours.indptr)[work],
         )
-        chosen, pivots = problem.likeliest(selection.support[work])
+        chosen, pivots, solved = problem.likeliest(selection.support[work])
         support = np.zeros_like(selection.support)
         support[work] = chosen
-        return replace(selection, support=support, pivots=selection.pivots + pivots)
+        return replace(
+            selection,
+            support=support,
+            pivots=selection.pivots + pivots,
+            converged=selection.converged and solved,
+        )
 
     def refine(self, selection: Selection, touches: TouchRule) -> ContactPressure:
         """Solve on a support without the L1 term.

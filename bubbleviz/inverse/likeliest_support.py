@@ -32,7 +32,7 @@ class SupportProblem:
     Attributes
     ----------
     hessian, smoothness : (c, c) array
-        H and λ L.
+        H and λ L, both positive definite.
     linear : (c,) array
         f.
     neighbours : (c, c) bool array
@@ -47,14 +47,21 @@ class SupportProblem:
     neighbours: np.ndarray
     degree: np.ndarray
 
-    def likeliest(self, start: np.ndarray) -> tuple[np.ndarray, int]:
-        """Support (c,) bool that no exchange of a node betters, and pivots of the solver."""
+    def likeliest(self, start: np.ndarray) -> tuple[np.ndarray, int, bool]:
+        """Support (c,) bool that no exchange of a node betters, pivots, and whether it converged.
+
+        Parameters
+        ----------
+        start : (c,) bool array
+        """
         support, pivots = start.copy(), 0
         for _ in range(len(start)):
             nodes = np.flatnonzero(support)
             H = DenseQuadratic(part(self.hessian, nodes))
-            p, count, _ = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
+            p, count, solved = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
             pivots += count
+            if not solved:
+                return support, pivots, False
             support[nodes[p <= 0.0]] = False
             nodes, p = nodes[p > 0.0], p[p > 0.0]
             if not len(nodes):
@@ -64,21 +71,20 @@ class SupportProblem:
             if gain[best] <= _GAIN:
                 break
             support[best] ^= True
-        return support, pivots
+        return support, pivots, True
 
     def _gain(self, support: np.ndarray, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
         """By how much the evidence rises where a node (c,) is taken out of the support or in."""
         others = np.flatnonzero(~support)
-        beyond = self.linear[others] + self.hessian[np.ix_(others, nodes)] @ p
-        posterior, precise = _conditional(self.hessian, nodes, others)
-        prior, prior_precise = _conditional(self.smoothness, nodes, others)
+        gradient = self.linear[others] + self.hessian[np.ix_(others, nodes)] @ p
+        variance, precision = _conditional(self.hessian, nodes, others)
+        prior_variance, prior_precision = _conditional(self.smoothness, nodes, others)
         gain = np.empty(len(support))
-        gain[nodes] = 0.5 * np.log(prior / posterior) - 0.5 * p**2 / posterior
-        with np.errstate(divide="ignore", invalid="ignore"):  # rim nodes carry no pressure
-            found = 0.5 * beyond**2 / precise + 0.5 * np.log(prior_precise / precise)
-        gain[others] = np.where((beyond < 0.0) & (prior_precise > 0.0), found, -np.inf)
-        longer = _CUT * (self.degree - 2.0 * self.neighbours[:, nodes].sum(axis=1))
-        return gain + np.where(support, longer, -longer)
+        gain[nodes] = 0.5 * np.log(prior_variance / variance) - 0.5 * p**2 / variance
+        found = 0.5 * gradient**2 / precision + 0.5 * np.log(prior_precision / precision)
+        gain[others] = np.where(gradient < 0.0, found, -np.inf)
+        added_cuts = self.degree - 2.0 * self.neighbours[:, nodes].sum(axis=1)
+        return gain + np.where(support, _CUT, -_CUT) * added_cuts
 
 
 def _conditional(

@@ -241,7 +241,7 @@ class RubberEstimator:
                 return self._nothing("implausible", beyond), RubberStart()
         try:
             answer = self._solve(depth_m, gas, start)
-        except RuntimeError:  # a singular tangent
+        except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = "not_converged"
         if isinstance(answer, str):
             return self._nothing(answer, STATUS_REASONS[answer]), RubberStart()

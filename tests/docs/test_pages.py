@@ -90,8 +90,8 @@ def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
         run(command.place, [CAPITALS.sub(lambda m: given[m[0]], word) for word in command.words])
 
 
-SHORT = {"--minutes": "0.1", "--seconds": "3"}
-"""In place of the times that a page gives."""
+SHORT = {"--minutes": "0.1"}
+"""In place of what a page gives."""
 
 
 def on_screen() -> list[Command]:

@@ -1,12 +1,20 @@
 """The likeliest support, against the evidence of every support in another form."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.stats import multivariate_normal
 
+from bubbleviz.inverse.contact_problem import ContactProblem, Prior, Ranges, Selection
 from bubbleviz.inverse.likeliest_support import SupportProblem
+from bubbleviz.inverse.linearised_rubber import LinearisedRubber
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser
+from bubbleviz.membrane.stiffness import cotangent_laplacian
 
 NODES = 8
 """In a row, so that their supports can be counted."""
@@ -42,7 +50,7 @@ class Row:
 @pytest.mark.parametrize("seed", range(12))
 def test_no_exchange_of_a_node_is_likelier(seed):
     row = Row(np.array([0.0, 0, 5, 3, 3, 5, 0, 0]), 1.0, seed)
-    chosen, _ = row.problem().likeliest(np.arange(NODES) == 4)
+    chosen, _, _ = row.problem().likeliest(np.arange(NODES) == 4)
     best = row.evidence(chosen)
     for node in range(NODES):
         other = chosen.copy()
@@ -56,5 +64,40 @@ def test_what_is_plain_is_found_from_any_start(seed):
     supports = [np.array(s, bool) for s in product((0, 1), repeat=NODES) if any(s)]
     likeliest = max(supports, key=row.evidence)
     for start in ([3], [2, 3], [5, 6], [0, 4], range(NODES)):
-        chosen, _ = row.problem().likeliest(np.isin(np.arange(NODES), start))
+        chosen, _, _ = row.problem().likeliest(np.isin(np.arange(NODES), start))
         np.testing.assert_array_equal(chosen, likeliest)
+
+
+def test_a_problem_that_cannot_be_solved_has_no_answer():
+    problem = replace(Row(np.ones(NODES), 1.0, 0).problem(), hessian=-np.eye(NODES))
+    assert not problem.likeliest(np.arange(NODES) == 4)[2]
+
+
+def test_a_rim_node_never_touches():
+    """It moves a little and so can explain ranges, but carries no pressure."""
+    dome = mesh_cap(spherical_cap(0.045, 0.02), 200)
+    membrane = RubberMembrane.uniform(dome, 2500.0, 70.0, 1.2)
+    rubber = LinearisedRubber(
+        membrane,
+        Factoriser(membrane.tangent(dome.nodes, 2500.0)),
+        dome.nodes,
+        np.full(len(dome.nodes), 2500.0),
+        0.0,
+    )
+    rim = int(np.flatnonzero(dome.rim)[0])
+    laplacian = abs(cotangent_laplacian(dome).tocsr())
+    laplacian.setdiag(0.0)
+    beside = laplacian[[rim]].toarray()[0] > 0.0
+    free = sparse.diags_array(np.where(dome.rim, 0.0, 1.0))
+    smoothness = (1e-7 * free @ cotangent_laplacian(dome) @ free).tocsr()
+    prior = Prior(smoothness, np.zeros(len(dome.nodes)), laplacian)
+    jacobian = sparse.csr_array(sparse.eye_array(dome.nodes.size))
+    seen = -500.0 * rubber.responses(np.flatnonzero(beside)).sum(axis=1)
+    ranges = Ranges(jacobian, seen, np.full(len(seen), 1e8))
+    problem = ContactProblem(
+        rubber, ranges, prior, np.zeros(len(dome.nodes)), np.zeros_like(dome.nodes)
+    )
+    chosen = problem.likeliest(Selection(beside | (np.arange(len(beside)) == rim)))
+    assert chosen.converged
+    assert chosen.support.any()
+    assert not (chosen.support & dome.rim).any()

@@ -38,7 +38,7 @@ def test_on_the_real_press(punyo_press):
 
 
 def test_how_a_frame_of_the_real_press_is_reached(punyo_press):
-    """Alone, after the frames before it, and after a jump there: the same support."""
+    """Alone, after the frames before it, and after a jump there: the same patch and force."""
     with Recording(punyo_press) as recording:
         frames = {k: recording[k] for k in (62, 70, *range(74, 81), 88)}
     pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[80].intrinsics)

@@ -19,7 +19,8 @@ TIPS = {
     "frame": "Frame shown and its time in the recording",
     "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane, ± half of"
     " its 95 % interval by depth noise, γ0, gauge pressure and λ",
-    "area": "Area of the contact patch (V-C) on the membrane; panel Contact patch: by which rule",
+    "area": "Area of the contact patch (V-C) on the membrane; the Contact patch panel says by which"
+    " rule",
     "gas": "Change of the gas pressure against the reference, p_v, by the gas law (Eq. 9)",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",

@@ -94,7 +94,7 @@ VALUES = (
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Of the gas behind the rim plane",
           "m³", "volume"),
-    Value("camera.noise_relative", "Depth noise", "Standard deviation over the range",
+    Value("camera.noise_relative", "Depth noise", "Standard deviation of the range, relative to it",
           "", "share"),
 )  # fmt: skip
 """In the order of the panel."""
