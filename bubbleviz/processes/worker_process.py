@@ -113,9 +113,10 @@ class WorkerProcess:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         args = theirs, os.getpid(), self._memory_limit
-        self._process = context.Process(target=serve, args=args, daemon=True)
+        process = context.Process(target=serve, args=args, daemon=True)
         with _interrupts_for_the_parent():
-            self._process.start()
+            process.start()
+        self._process = process  # not before: one that did not start cannot be ended
         theirs.close()
 
 
