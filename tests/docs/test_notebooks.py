@@ -13,6 +13,9 @@ from nbformat.v4 import new_code_cell
 from notebooks import TUTORIALS, notebook
 from pages import name_of
 
+LONG = ("calibrate.md", "hundred.md", "real-press.md")
+"""Tutorials that take a minute, which `make pages` runs."""
+
 
 @pytest.fixture
 def programs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,6 +27,8 @@ def programs(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("folder", "programs")
 @pytest.mark.parametrize("page", TUTORIALS, ids=name_of)
 def test_a_tutorial_runs_as_a_notebook(page: Path, request: pytest.FixtureRequest) -> None:
+    if page.name in LONG and "ALL_PAGES" not in os.environ:
+        pytest.skip("make pages runs it")
     if page.name == "real-press.md":
         request.getfixturevalue("punyo_press")  # else skipped
     book = notebook(page)

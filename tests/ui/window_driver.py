@@ -20,6 +20,7 @@ from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.layers.axes_layer import CORNER
 
 PATIENCE_MS = 240_000
 
@@ -77,9 +78,18 @@ class Driver:
 
 
 def warm(pixels: np.ndarray) -> np.ndarray:
-    """Row and column of strong orange and red, left of the colour bars."""
-    red, green, blue = (pixels[:, : int(0.85 * pixels.shape[1]), k].astype(int) for k in range(3))
-    return np.argwhere((red > 130) & (red > 2 * blue) & (red > green + 30))
+    """Row and column of strong orange and red, left of the colour bars and not of the axes."""
+    red, green, blue = (pixels[..., k].astype(int) for k in range(3))
+    seen = (red > 130) & (red > 2 * blue) & (red > green + 30) & ~axes_corner(pixels)
+    return np.argwhere(seen[:, : int(0.85 * pixels.shape[1])])
+
+
+def axes_corner(pixels: np.ndarray) -> np.ndarray:
+    """Where the axes are in a picture, (height, width) bool."""
+    corner = np.zeros(pixels.shape[:2], bool)
+    high, wide = corner.shape
+    corner[int((1.0 - CORNER[3]) * high) :, : int(CORNER[2] * wide) + 1] = True
+    return corner
 
 
 def in_view(driver: Driver, point_m: np.ndarray) -> QPoint:

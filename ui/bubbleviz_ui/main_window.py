@@ -116,7 +116,7 @@ class MainWindow(QMainWindow):
         self.controller = controller
         self.messages = Messages(self)
         self.message = MessageBar(self)
-        self.notice = NoticeBar(self)
+        self.notice = NoticeBar(self.menuBar())
         self.busy = BusyBar(self)
         self.hint = HintBar(self)
         self.view = View(self)
@@ -265,7 +265,6 @@ class MainWindow(QMainWindow):
         fill(
             QVBoxLayout(centre),
             self.message,
-            self.notice,
             self.busy,
             self.hint,
             self.live,

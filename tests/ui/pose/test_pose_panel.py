@@ -11,7 +11,7 @@ import pytest
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QWidget
-from window_driver import Driver, in_view
+from window_driver import Driver, axes_corner, in_view
 
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
@@ -77,8 +77,10 @@ class Bench:
 
     def green(self) -> int:
         """Pixels in the colour of a found object."""
-        red, green, blue = (self.window.view.pixels()[..., k].astype(int) for k in range(3))
-        return int(np.count_nonzero((green > red + 40) & (green > blue + 20)))
+        pixels = self.window.view.pixels()
+        red, green, blue = (pixels[..., k].astype(int) for k in range(3))
+        found = (green > red + 40) & (green > blue + 20) & ~axes_corner(pixels)
+        return int(np.count_nonzero(found))
 
 
 @pytest.fixture

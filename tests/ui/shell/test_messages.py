@@ -123,3 +123,24 @@ def test_errors_warnings_and_notices_look_different(drive: Drive) -> None:
         assert len(seen) == 3
         window.message.clear()
     assert window.message.kind.text()
+
+
+def test_a_notice_moves_nothing(drive: Drive, tmp_path: Path) -> None:
+    """It is beside the menus, and the middle of a long path is left out."""
+    driver = drive()
+    window = driver.window
+    window.resize(1024, 700)
+    before = window.view.geometry()
+    path = tmp_path / ("long_" * 40 + ".png")
+    window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
+    driver.wait(window.notice.isVisible)
+    QApplication.processEvents()
+    assert window.view.geometry() == before
+    bar, notice = window.menuBar(), window.notice
+    menus = [bar.actionGeometry(action) for action in bar.actions()]
+    assert notice.x() > max(menu.right() for menu in menus) and bar.rect().contains(
+        notice.geometry()
+    )
+    assert notice.rect().contains(notice.dismiss.geometry()) and str(path) in notice.label.toolTip()
+    driver.bot.mouseClick(notice.dismiss, LEFT)
+    assert not notice.isVisible()

@@ -67,6 +67,9 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "fit": LayerKind(
             "Fit", "Contact points by distance from the object, and what is not determined"
         ),
+        "axes": LayerKind(
+            "Axes and scale", "Axes of the bubble frame, and a length beside the rim"
+        ),
     }
 )  # fmt: skip
 """By name, in the order of the layers panel; the class of that name in `view3d` draws it."""
@@ -108,8 +111,8 @@ PANELS: Mapping[str, PanelKind] = MappingProxyType(
         "compare": PanelKind("Compare", "compare", tab_of="kappa"),
         "tools": PanelKind("3-D tools", tab_of="layers"),
         "sensor": PanelKind("Sensor", tab_of="layers"),
-        "pose": PanelKind("Pose", "pose"),
-        "calibration": PanelKind("Calibration"),
+        "pose": PanelKind("Pose", "pose", tab_of="kappa"),
+        "calibration": PanelKind("Calibration", tab_of="layers"),
         "plots": PanelKind("Plots", "plots", side="bottom"),
         "images": PanelKind("Images", "images", side="left"),
         "playback": PanelKind("Playback", side="bottom", at_first=True),

@@ -1,17 +1,20 @@
-"""Bars above the view: what went wrong or well, what one waits for, and how to begin."""
+"""Bars above the view: what went wrong, what one waits for, how to begin; and what went well."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from PySide6.QtCore import QTimer, Signal
+from PySide6.QtCore import QSize, Qt, QTimer, Signal
+from PySide6.QtGui import QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QApplication,
     QFrame,
     QHBoxLayout,
     QLabel,
+    QMenuBar,
     QProgressBar,
     QPushButton,
+    QToolButton,
     QWidget,
 )
 
@@ -22,6 +25,8 @@ SHOWN_AFTER_MS = 400
 """What is done sooner needs no bar."""
 NOTICE_MS = 6000
 """Long enough to read a path and to reach a button."""
+GAP = 16
+"""Between the menus and a notice, screen pixels."""
 HINT = (
     "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → go frame by frame. "
     "Ctrl+K finds everything else; hold the mouse over anything to learn what it is."
@@ -100,8 +105,14 @@ class MessageBar(_Bar):
         self.copy.setVisible(any(message.details for message in self._open))
 
 
-class NoticeBar(_Bar):
+class NoticeBar(QFrame):
     """What went well, for some seconds; with the file that was written.
+
+    It takes what the menus leave of their bar, so that nothing below moves.
+
+    Parameters
+    ----------
+    bar : QMenuBar
 
     Attributes
     ----------
@@ -111,34 +122,72 @@ class NoticeBar(_Bar):
 
     asked = Signal(object)
 
-    def __init__(self, parent: QWidget) -> None:
+    def __init__(self, bar: QMenuBar) -> None:
+        super().__init__(bar)
+        self.setObjectName("notice")
+        self._bar, self._room = bar, QSize()
         self._file: Path | None = None
-        self.open = QPushButton("Open")
-        self.open.setToolTip("Open the file here, or in the desktop's program for its kind")
-        self.folder = QPushButton("Show in folder")
-        self.folder.setToolTip("Open the folder it is in")
-        self.dismiss = QPushButton("Dismiss")
-        self.dismiss.setToolTip("Help → Messages keeps it")
-        super().__init__(parent, "notice", self.open, self.folder, self.dismiss)
+        self.label = _Elided()
+        self.open = _button("Open", "Open the file here, or in the desktop's program for its kind")
+        self.folder = _button("Show in folder", "Open the folder it is in")
+        self.dismiss = _button("Dismiss", "Help → Messages keeps it")
+        buttons = self.open, self.folder, self.dismiss
+        fill(QHBoxLayout(self), (self.label, 1), *buttons, margins=(8, 0, 4, 0), spacing=2)
         self._due = QTimer(self, interval=NOTICE_MS)
         self._due.timeout.connect(self._leave)
         self.open.clicked.connect(lambda: self.asked.emit(self._file))
         self.folder.clicked.connect(lambda: self.asked.emit(self._file and self._file.parent))
         self.dismiss.clicked.connect(self.hide)
+        self.hide()
+        bar.setCornerWidget(self)
+
+    def sizeHint(self) -> QSize:
+        """No wider than what the menus leave, and no higher than they are."""
+        return super().sizeHint().boundedTo(self._room)
+
+    def minimumSizeHint(self) -> QSize:
+        """It is as large as it asks to be."""
+        return self.sizeHint()
 
     def say(self, message: UserMessage) -> None:
         """Show a message in place of the one before."""
         self.label.setText(message.text)
+        self.label.setToolTip(message.text)
         self._file = None if message.file is None else message.file.absolute()
         for button in (self.open, self.folder):
             button.setVisible(self._file is not None)
         self._due.start()
+        self.hide()
+        menus = self._bar.actionGeometry(self._bar.actions()[-1])
+        self._room = QSize(self._bar.width() - menus.right() - GAP, menus.height())
         self.show()
 
     def _leave(self) -> None:
         if not self.underMouse():  # somebody is about to click
             self._due.stop()
             self.hide()
+
+
+class _Elided(QLabel):
+    """A label that leaves out the middle of what does not fit: a path's ends say most."""
+
+    def minimumSizeHint(self) -> QSize:
+        """Any width will do."""
+        return QSize(0, super().minimumSizeHint().height())
+
+    def paintEvent(self, _: QPaintEvent) -> None:
+        """Write what fits."""
+        middle = Qt.TextElideMode.ElideMiddle
+        text = self.fontMetrics().elidedText(self.text(), middle, self.width())
+        QPainter(self).drawText(self.rect(), Qt.AlignmentFlag.AlignVCenter, text)
+
+
+def _button(text: str, tip: str) -> QToolButton:
+    button = QToolButton()
+    button.setText(text)
+    button.setToolTip(tip)
+    button.setAutoRaise(True)
+    return button
 
 
 class BusyBar(_Bar):

@@ -210,6 +210,7 @@ QFrame#warning {{ background: {c.warning}; border: none;
     border-bottom: 1px solid {c.warning_edge}; }}
 QFrame#busy, QFrame#hint, QFrame#notice {{ background: {c.panel}; border: none;
     border-bottom: 1px solid {c.border}; }}
+QFrame#notice QToolButton {{ padding: 0 6px; }}
 """
 
 

@@ -15,6 +15,11 @@ WIDTH = 112
 """Width that the widest title needs, screen pixels."""
 
 
+def bar_width(view: View) -> float:
+    """Width of the colour bars as a share of the view's."""
+    return min(max(0.11, WIDTH / max(view.width(), 1)), 0.5)
+
+
 class ColourBar:
     """Colour bar at a fixed place at the right edge of the view.
 
@@ -54,7 +59,7 @@ class ColourBar:
 
     def _fit(self) -> None:
         """Keep room for the title, however narrow the view is."""
-        width = min(max(0.11, WIDTH / max(self._view.width(), 1)), 0.5)
+        width = bar_width(self._view)
         self._bar.SetWidth(width)
         self._bar.SetPosition(0.99 - width, self._bottom)
 

@@ -19,7 +19,13 @@ from bubbleviz_ui.view3d.picker import Picker
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
 from bubbleviz_ui.view3d.tools.section_plane import Section
-from bubbleviz_ui.view3d.tools.viewpoints import ANGLE_DEG, Viewpoint, look_along, look_as
+from bubbleviz_ui.view3d.tools.viewpoints import (
+    ANGLE_DEG,
+    Viewpoint,
+    beside_colour_bars,
+    look_along,
+    look_as,
+)
 
 MARGIN = 1.0
 """Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
@@ -49,6 +55,7 @@ class Scene:
         on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
         self._picker = Picker(view, surfaces=[on], clouds=[beside])
         self.depth_camera: DepthCamera | None = None
+        view.resized.connect(self._stay_whole)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another sensor; the camera stays where the user has put it."""
@@ -58,8 +65,7 @@ class Scene:
         self._drawn.set_sensor(sensor, mesh)
         self.ranges.set_sensor(sensor)
         self.marks.set_camera(np.array(sensor.camera.position_m))
-        if self._placed is None or self._placed == self._camera_place():
-            self.reset_view()
+        self._stay_whole()
 
     @property
     def moved_by_user(self) -> bool:
@@ -81,6 +87,7 @@ class Scene:
         bounds = [b for pair in zip(low, high, strict=True) for b in pair]
         self._view.renderer.ResetCamera(bounds)
         camera.zoom(self._choices.zoom)
+        beside_colour_bars(self._view, seen)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -145,6 +152,11 @@ class Scene:
         """Point (3,) in B under a place of the view, as it truly is; None where nothing is."""
         point = self._picker.at(x, y)
         return None if point is None else self._surface.true_place(point)
+
+    def _stay_whole(self) -> None:
+        """Show the whole membrane, unless the user looks from elsewhere."""
+        if not self.moved_by_user:
+            self.reset_view()
 
     def _camera_place(self) -> tuple[object, ...]:
         camera = self._view.camera

@@ -10,6 +10,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.layers.axes_layer import AxesLayer
 from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
 from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
@@ -37,6 +38,7 @@ CLASSES: tuple[type[Layer], ...] = (
     VectorsLayer,
     ObjectLayer,
     FitLayer,
+    AxesLayer,
 )
 """What draws the layers of the registry."""
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Literal
 
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz_ui.view3d.colour_bar import bar_width
 from bubbleviz_ui.view3d.render_view import View
 
 Viewpoint = Literal["top", "side", "front", "camera"]
@@ -32,6 +34,24 @@ def look_along(view: View, name: Viewpoint, bounds_m: list[float]) -> None:
     camera.position = tuple(middle + np.array(towards))
     camera.up = up
     view.renderer.ResetCamera(bounds_m)
+    beside_colour_bars(view, np.array(list(product(*np.reshape(bounds_m, (3, 2))))))
+
+
+def beside_colour_bars(view: View, points_m: np.ndarray) -> None:
+    """Move the picture to the left, and make it smaller, until points (k, 3) miss the bars."""
+    camera, free = view.camera, 1.0 - 2.0 * bar_width(view)
+    camera.SetWindowCenter(0.0, 0.0)
+    aspect = view.width() / max(view.height(), 1)
+    matrix = camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
+    T = np.array([[matrix.GetElement(i, j) for j in range(4)] for i in range(4)])
+    across = points_m @ T[:, :3].T + T[:, 3]
+    x = across[:, 0] / across[:, 3]
+    left, right = float(x.min()), float(x.max())
+    if right <= free:
+        return
+    smaller = min(1.0, (1.0 + free) / (right - left))
+    camera.zoom(smaller)
+    camera.SetWindowCenter(smaller * right - free, 0.0)
 
 
 def look_as(view: View, camera: DepthCamera, far_m: float) -> None:
@@ -41,6 +61,7 @@ def look_as(view: View, camera: DepthCamera, far_m: float) -> None:
     vtk_camera.position = tuple(T[:3, 3])
     vtk_camera.focal_point = tuple(T[:3, 3] + far_m * T[:3, 2])
     vtk_camera.up = tuple(-T[:3, 1])
+    vtk_camera.SetWindowCenter(0.0, 0.0)
     tall = own.height / own.fy
     wide = own.width / own.fx * view.height() / max(view.width(), 1)
     vtk_camera.view_angle = math.degrees(2.0 * math.atan(0.5 * max(tall, wide)))

@@ -1,0 +1,70 @@
+"""Axes, scale bar and colour bars: what they say is so, and they cover nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QApplication
+from window_driver import Driver, axes_corner, in_view
+
+from bubbleviz_ui.view3d.colour_bar import WIDTH
+
+Drive = Callable[..., Driver]
+LENGTH_M = 0.05
+"""Of the scale bar of the sensor of these tests: its rim is 150 mm wide."""
+
+
+def seen_of_axes(driver: Driver) -> np.ndarray:
+    """Pixels (height, width) that the layer changes."""
+    pictures = []
+    for layers in ({"rim"}, {"rim", "axes"}):
+        driver.state.choose(layers=frozenset(layers))
+        driver.settle()
+        pictures.append(driver.window.view.pixels().astype(int))
+    return np.abs(pictures[1] - pictures[0]).max(axis=2) > 40
+
+
+def test_the_scale_bar_is_as_long_as_it_says(drive: Drive) -> None:
+    driver = drive()
+    window = driver.window
+    window.resize(1280, 800)
+    window.scene.look("top")
+    seen = seen_of_axes(driver)
+    corner = axes_corner(seen)
+    assert (seen & corner).any()  # the axes themselves
+    columns = np.flatnonzero((seen & ~corner).any(axis=0))
+    left, right = (in_view(driver, np.array([x, 0.0, 0.0])).x() for x in (0.0, LENGTH_M))
+    assert np.ptp(columns) == pytest.approx(right - left, abs=4)
+
+
+@pytest.mark.parametrize("size", [(1024, 700), (1280, 800), (1000, 900)])
+def test_the_membrane_is_beside_the_colour_bars(drive: Drive, size: tuple[int, int]) -> None:
+    """Also after the window, and so the view, has another size."""
+    driver = drive()
+    window = driver.window
+    mesh = driver.pipeline.mesh
+    for each in ((1280, 800), size):
+        window.resize(*each)
+        QApplication.processEvents()
+    driver.settle()
+    places = [in_view(driver, node) for node in mesh.nodes[mesh.rim]]
+    across = [place.x() for place in places]
+    assert min(across) >= -1 and max(across) <= window.view.width() - WIDTH + 1
+
+
+def test_calibration_is_not_crushed_in_a_small_window(drive: Drive) -> None:
+    driver = drive()
+    window = driver.window
+    window.resize(1024, 700)
+    panels = window.panels
+    window.shortcuts.actions["View › Calibration"].trigger()
+    driver.wait(lambda: not window.gamma0.visibleRegion().isEmpty())
+    assert panels["calibration"] in window.tabifiedDockWidgets(panels["layers"])
+    assert window.height() <= 700
+    for panel in (window.gamma0.stack, window.gamma0.next):
+        assert panel.visibleRegion().boundingRect().height() == panel.height()
+    assert window.gamma0.stack.height() > 150
+    assert window.dockWidgetArea(panels["calibration"]) == Qt.DockWidgetArea.RightDockWidgetArea
