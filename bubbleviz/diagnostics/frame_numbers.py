@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Numbers:
 def numbers_of(result: Result, gas: Gas) -> Numbers:
     """Numbers of a result; what it lacks is NaN."""
     estimate, measured = result.estimate, result.frame.gas_pressure_pa
-    known: dict[str, object] = {
+    known: dict[str, Any] = {
         "gas_measured_pa": NOTHING if measured is None else measured - gas.P0,
         "wrench_n": tuple(force_of(result.frame.wrench).tolist()),
         "total_ms": result.times_ms.get("total", NOTHING),
@@ -76,10 +77,10 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
             )
         if result.patch is not None:
             known |= patch_numbers(result.patch, trusted=estimate.trusted)
-    return Numbers(**known)  # type: ignore[arg-type]
+    return Numbers(**known)
 
 
-def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, object]:
+def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
     """The numbers that change with κ; NaN where the estimate is not to be trusted."""
     x, y, z = (float(c) for c in patch.center_of_pressure_m)
     return {

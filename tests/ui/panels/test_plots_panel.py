@@ -70,6 +70,26 @@ def test_all_frames_are_analysed_in_the_background(drive: Drive) -> None:
     assert force[1] == 0.0 and force[75] > 0.5
 
 
+def test_another_kappa_solves_no_frame_again(drive: Drive) -> None:
+    """Areas of all frames follow κ: they are found in the estimates that were made."""
+    driver = drive()
+    panel = opened(driver, "area")
+    driver.bot.mouseClick(panel.analyse, LEFT)
+    history = driver.state.history
+    driver.wait(lambda: np.isfinite(history.of("area_m2")).all())
+    driver.settle()
+    before, solved = history.of("area_m2").copy(), driver.server.counts["estimate"]
+    for kappa in (2.0, 4.0):
+        driver.state.choose(kappa=kappa)
+    driver.wait(lambda: np.isfinite(history.of("area_m2")).all())
+    area = history.of("area_m2")
+    touching = before > 0.0
+    assert touching.any() and np.all(area[touching] != before[touching])
+    assert driver.server.counts["estimate"] == solved
+    driver.seek(75)
+    assert area[75] == pytest.approx(driver.window.controller.result.patch.area_m2, rel=0.05)
+
+
 class Repeated:
     """A short source again and again: too long to be analysed while a test looks on."""
 

@@ -91,7 +91,8 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
     assert colour(FRAMES - 1 - 1) == rgb(theme.DARK.field)
     driver.state.choose(kappa=3.0)  # another threshold: other patches
     driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
-    assert driver.state.history.contact[1] == UNKNOWN
+    driver.wait(lambda: driver.state.history.contact[1] == FREE)
+    assert driver.state.history.contact[2] == UNKNOWN
 
 
 def test_gaps_and_markers_are_seen(drive: Drive) -> None:

@@ -116,11 +116,15 @@ class NewestRequest:
 
 @dataclass(frozen=True)
 class AnalyseRequest:
-    """Compute the numbers of frames nobody looks at; a part of them at a time."""
+    """Compute the numbers of frames nobody looks at; a part of them at a time.
+
+    With `kept_only` those alone whose estimates are kept.
+    """
 
     session: int
     demand: Demand
     frames: tuple[int, ...]
+    kept_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,10 +192,13 @@ class Waited:
 
 @dataclass(frozen=True)
 class Analysed:
-    """Numbers of the first frames of a request; the others are to be asked for again."""
+    """Numbers of the first frames of a request; the others are to be asked for again.
+
+    None for a frame whose estimate is not kept.
+    """
 
     request: AnalyseRequest
-    numbers: tuple[Numbers, ...]
+    numbers: tuple[Numbers | None, ...]
 
 
 @dataclass(frozen=True)

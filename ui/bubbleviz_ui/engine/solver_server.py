@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from bubbleviz.calibration.pressure_zero import zeroed
-from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of
+from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of, patch_numbers
 from bubbleviz.diagnostics.inspector import Inspection, Inspector
 from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
 from bubbleviz.errors import InputError
@@ -16,10 +16,11 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import gas_warning
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import Pipeline
+from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation.synthetic_source import truth_of
+from bubbleviz_ui.engine.kept_estimates import KeptEstimates
 from bubbleviz_ui.engine.requests import (
     Analysed,
     AnalyseRequest,
@@ -48,6 +49,8 @@ WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""
 SLICE_S = 0.03
 """How long frames nobody looks at may keep the one somebody asks for waiting."""
+PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
+"""What a kept estimate tells at another κ."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class Session:
     pipeline: Pipeline
     inspector: Inspector
     side_by_side: SideBySide
+    kept: KeptEstimates = field(default_factory=KeptEstimates)
 
 
 class Server:
@@ -125,7 +129,7 @@ class Server:
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.demand)
-        numbers, done_s = numbers_of(result, session.pipeline.model.gas), time.perf_counter()
+        numbers, done_s = _kept_numbers(session, result), time.perf_counter()
         return Solved(request, result, numbers, inspection, done_s)
 
     def _follow(self, session: Session, request: FollowRequest) -> Followed:
@@ -150,15 +154,9 @@ class Server:
 
     def _analyse(self, session: Session, request: AnalyseRequest) -> Analysed:
         """As many frames as there is time for, and one at least."""
-        end, numbers = time.perf_counter() + SLICE_S, list[Numbers]()
-        pipeline = session.pipeline
+        end, numbers = time.perf_counter() + SLICE_S, list[Numbers | None]()
         for index in request.frames:
-            try:
-                frame = session.source[index]
-                result = _process(session.source, pipeline, frame, request.demand)
-                numbers.append(numbers_of(result, pipeline.model.gas))
-            except InputError:
-                numbers.append(Numbers())  # it says so when somebody looks at it
+            numbers.append(_numbers(session, request, index))
             if time.perf_counter() > end:
                 break
         return Analysed(request, tuple(numbers))
@@ -215,10 +213,35 @@ class Server:
         facts = SourceFacts(
             source.name, sensor.name, source.times_s, request.live, grows, remark, marks
         )
-        numbers = numbers_of(result, pipeline.model.gas)
+        numbers = _kept_numbers(session, result)
         inspection = _look(session, result, request.demand)
         camera, mesh = pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
+
+
+def _numbers(session: Session, request: AnalyseRequest, index: int) -> Numbers | None:
+    """Numbers of a frame, the patch alone found anew where its estimate is kept."""
+    demand, pipeline = request.demand, session.pipeline
+    kept = session.kept.get(index)
+    if kept is not None and demand.products <= PATCHED:
+        known, estimate = kept
+        patch = pipeline.patch(estimate, demand.options)
+        return replace(known, **patch_numbers(patch, trusted=estimate.trusted))
+    if request.kept_only:
+        return None
+    try:
+        result = _process(session.source, pipeline, session.source[index], demand)
+    except InputError:
+        return Numbers()  # it says so when somebody looks at it
+    return _kept_numbers(session, result)
+
+
+def _kept_numbers(session: Session, result: Result) -> Numbers:
+    """Numbers of a result; its estimate is kept, unless it is of a live source, which goes on."""
+    numbers = numbers_of(result, session.pipeline.model.gas)
+    if result.estimate is not None and not isinstance(session.source, LiveFrames):
+        session.kept.keep(result.frame.index, numbers, result.estimate)
+    return numbers
 
 
 def _look(session: Session, result: Result, demand: Demand) -> Inspection:

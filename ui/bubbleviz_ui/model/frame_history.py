@@ -54,6 +54,7 @@ class History:
         self._has = np.zeros(frames, np.uint8)
         self._wrench = np.full((frames, 3), np.nan)
         self._untouched = np.zeros(frames, bool)
+        self._forgotten = np.zeros(frames, bool)
 
     def __len__(self) -> int:
         return len(self.contact)
@@ -66,6 +67,7 @@ class History:
         self._has = grown(self._has, frames, 0)
         self._wrench = grown(self._wrench, frames, np.nan)
         self._untouched = grown(self._untouched, frames, False)
+        self._forgotten = grown(self._forgotten, frames, False)
 
     def take(self, frame: int, known: Numbers, *, patch: bool) -> None:
         """Keep the numbers of a frame; those of its patch only where `patch` says so."""
@@ -88,7 +90,13 @@ class History:
         for name in OF_PATCH:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
+        self._forgotten |= (self._has & _PATCH) > 0
         self._has &= np.uint8(_FRAME | _ESTIMATE)
+
+    @property
+    def forgotten(self) -> np.ndarray:
+        """Frames whose patches were forgotten and are not known again, (k,) int."""
+        return np.flatnonzero(self._forgotten & ((self._has & _PATCH) == 0))
 
     def of(self, name: str) -> np.ndarray:
         """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`.
