@@ -1,4 +1,4 @@
-"""Depth images of a folder as frames: arrays, 16-bit PNG and TIFF, with their times beside them."""
+"""Depth images of a folder as frames: arrays of depth or of points, 16-bit PNG and TIFF."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pydantic import BaseModel, PositiveFloat, PositiveInt, ValidationError
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.point_cloud import project_points
 from bubbleviz.frames.time_series import NEAREST_NS
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
@@ -111,7 +112,7 @@ class ImageFolder:
             raise InputError(f"{folder}: the time of image {late} is not after the one before")
         self._clock_s = np.asarray(stamps, dtype=np.float64)
         self.times_s = self._clock_s - self._clock_s[0]
-        first = _pixels(self._files[0])
+        first = self._pixels(self._files[0])
         self._shape = first.shape
         self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
         self._check()
@@ -140,7 +141,7 @@ class ImageFolder:
         """Nothing stays open."""
 
     def _depth(self, path: Path) -> np.ndarray:
-        pixels = _pixels(path)
+        pixels = self._pixels(path)
         if pixels.shape != self._shape:
             raise InputError(
                 f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}"
@@ -149,6 +150,22 @@ class ImageFolder:
         depth = (pixels * (self._scale or usual)).astype(np.float32)
         depth[~((depth > 0) & (depth < np.inf))] = np.nan
         return depth
+
+    def _pixels(self, path: Path) -> np.ndarray:
+        """Pixels (H, W) of a file; of points (H, W, 3) their z, points (n, 3) are projected."""
+        pixels = _read(path)
+        if pixels.ndim == 3 and pixels.shape[2] == 3 and pixels.dtype.kind == "f":
+            return pixels[:, :, 2]
+        if pixels.ndim == 2 and pixels.shape[1] == 3 and pixels.dtype.kind == "f":
+            if self._intrinsics is None:
+                raise InputError(f"{path}: points become an image by the camera's intrinsics only")
+            return project_points(pixels.astype(np.float64), self._intrinsics)
+        if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
+            raise InputError(
+                f"{path}: {pixels.shape} of {pixels.dtype} is no depth image; wants one channel of "
+                "16-bit or floating-point numbers, or points of three"
+            )
+        return pixels
 
     def _check(self) -> None:
         camera = self._intrinsics
@@ -290,19 +307,12 @@ def _size(shape: Sequence[int]) -> str:
     return f"{shape[1]}×{shape[0]}"
 
 
-def _pixels(path: Path) -> np.ndarray:
-    """Pixels of an image file, (H, W)."""
+def _read(path: Path) -> np.ndarray:
+    """Array of an image file."""
     try:
         if path.suffix.lower() == ".npy":
-            pixels = np.load(path, allow_pickle=False)
-        else:
-            with Image.open(path) as image:
-                pixels = np.asarray(image)
+            return np.asarray(np.load(path, allow_pickle=False))
+        with Image.open(path) as image:
+            return np.asarray(image)
     except (OSError, ValueError, EOFError, UnidentifiedImageError) as error:
         raise InputError(f"{path}: cannot be read as an image: {error}") from error
-    if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
-        raise InputError(
-            f"{path}: {pixels.shape} of {pixels.dtype} is no depth image; wants one channel of "
-            "16-bit or floating-point numbers"
-        )
-    return pixels

@@ -30,7 +30,7 @@ def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
         return z
     if camera is None:
         raise ValueError("a cloud without rows and columns needs the camera info to be an image")
-    return _project(points, camera)
+    return project_points(points, camera)
 
 
 def _points(message: Any) -> np.ndarray:
@@ -61,7 +61,8 @@ def _points(message: Any) -> np.ndarray:
     return np.stack([table[name].astype(np.float64) for name in "xyz"], axis=1)
 
 
-def _project(points: np.ndarray, camera: Intrinsics) -> np.ndarray:
+def project_points(points: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """Depth image (H, W) float32 of points (n, 3): the nearest one where several meet, else NaN."""
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
     seen = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 0)]
     column, row = np.rint(camera.project(seen)).T

@@ -68,6 +68,27 @@ def test_a_folder_with_what_was_measured(kind: str, tmp_path: Path) -> None:
         assert recording[1].wrench == pytest.approx([2, 2, 3, 4, 5, 6], abs=1e-3)
 
 
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_folder_of_points(ordered: bool, tmp_path: Path) -> None:
+    """(H, W, 3), or (n, 3) in any order, in the camera's optical frame."""
+    images, rng = tmp_path / "images", np.random.default_rng(1)
+    images.mkdir()
+    (images / "intrinsics.json").write_text(json.dumps(CAMERA))
+    v, u = np.mgrid[:24, :32]
+    for number, depth in enumerate(depths()):
+        x, y = (u - CAMERA["cx"]) / CAMERA["fx"] * depth, (v - CAMERA["cy"]) / CAMERA["fy"] * depth
+        points = np.dstack([x, y, depth])
+        if not ordered:
+            points = rng.permutation(points[depth > 0.0])
+        np.save(images / f"{number}.npy", points)
+    out = tmp_path / "out.mcap"
+    assert "3 frames" in converted(images, out, "--rate", 10)
+    with Recording(out) as recording:
+        for frame, depth in zip(recording, depths(), strict=True):
+            expected = np.where(depth > 0.0, depth, np.nan)
+            np.testing.assert_allclose(frame.depth_m, expected, rtol=1e-6)
+
+
 def test_names_that_are_times(tmp_path: Path) -> None:
     names = [f"depth_{1_700_000_000_000_000_000 + k * 33_000_000}" for k in range(3)]
     out = tmp_path / "out.mcap"
@@ -112,8 +133,9 @@ def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
     [
         (lambda p: None, "no times; give --rate"),
         (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "cannot be read as an image"),
-        (lambda p: np.save(p / "9.npy", np.ones((3, 3))), "3×3 pixels, the first image has 32×24"),
+        (lambda p: np.save(p / "9.npy", np.ones((4, 5))), "5×4 pixels, the first image has 32×24"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give --metres-per-unit"),
+        (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "by the camera's intrinsics"),
         (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: Field required"),
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
     ],
