@@ -170,6 +170,15 @@ def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench: Bench, left:
     bench.driver.wait(lambda: bench.panel.difference.isHidden())
 
 
+def test_pixels_that_change_meanwhile_are_told(bench: Bench, left: Path) -> None:
+    message, pixels = bench.driver.window.message, left.with_suffix(".npz")
+    pixels.write_bytes(pixels.read_bytes())
+    bench.driver.wait(message.isVisible)
+    assert "mesh or pixels have changed on disk" in message.label.text()
+    bench.click(bench.panel.reload)
+    bench.driver.wait(bench.panel.difference.isHidden)
+
+
 def test_the_panel_fits_a_small_screen(bench: Bench) -> None:
     window = bench.driver.window
     window.resize(1016, 660)

@@ -1,4 +1,4 @@
-"""Notices that the file of the sensor in use says something else now."""
+"""Notices that the files of the sensor in use say something else now."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 WRITTEN_MS = 200
 """Editors write a file in several steps."""
+RELOAD = "Reload in the Sensor panel"
 
 
 class SensorWatch(QObject):
-    """Compares a sensor with its file whenever that, or its folder, changes.
+    """Compares a sensor with its file, mesh and pixels whenever they, or their folder, change.
 
     Attributes
     ----------
@@ -28,6 +29,7 @@ class SensorWatch(QObject):
         super().__init__(parent)
         self._sensor: Sensor | None = None
         self._difference = ""
+        self._written: dict[str, int] = {}
         self._files = QFileSystemWatcher(self)
         self._due = QTimer(self, singleShot=True, interval=WRITTEN_MS)
         self._due.timeout.connect(self._look)
@@ -41,14 +43,21 @@ class SensorWatch(QObject):
         self._sensor, self._difference = sensor, ""
         if sensor.file:
             self._files.addPath(str(sensor.folder.absolute()))
+            self._written = _written(sensor)
             self._look()
 
     def _look(self) -> None:
         if self._sensor is None or not self._sensor.file:
             return
         path = self._sensor.resolve(self._sensor.file).absolute()
-        self._files.addPath(str(path))  # many editors put a new file in place of the old one
+        written = _written(self._sensor)
+        # many editors put a new file in place of the old one
+        self._files.addPaths([str(path), *written])
         difference = _difference(self._sensor, path)
+        if not difference and written != self._written:
+            difference = (
+                "its mesh or pixels have changed on disk; Reload in the Sensor panel uses them"
+            )
         if difference != self._difference:
             self._difference = difference
             self.told.emit(difference)
@@ -63,4 +72,12 @@ def _difference(sensor: Sensor, path: Path) -> str:
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
         return f"has changed on disk and cannot be used: {why}"
-    return "has changed on disk; Reload in the Sensor panel uses it"
+    return f"has changed on disk; {RELOAD} uses it"
+
+
+def _written(sensor: Sensor) -> dict[str, int]:
+    """When the mesh and the pixels were written, ns since 1970; 0: they are gone."""
+    calibration = sensor.calibration
+    named = (sensor.membrane.mesh_file, calibration and calibration.pixels_file)
+    paths = [sensor.resolve(file).absolute() for file in named if file]
+    return {str(path): path.stat().st_mtime_ns if path.exists() else 0 for path in paths}
