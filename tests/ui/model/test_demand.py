@@ -7,7 +7,7 @@ from dataclasses import replace
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import products
 from bubbleviz_ui.model.registry import LAYERS
-from bubbleviz_ui.view3d.layers.drawn_layers import CLASSES
+from bubbleviz_ui.view3d.drawn_layers import CLASSES
 
 NOTHING = Choices(layers=frozenset(), panels=frozenset())
 

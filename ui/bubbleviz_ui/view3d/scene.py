@@ -11,7 +11,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.drawn_layers import DrawnLayers
+from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer

@@ -13,7 +13,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.drawn_layers import DrawnLayers
+from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
