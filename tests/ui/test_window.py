@@ -294,9 +294,9 @@ def test_playback_asks_ahead_but_never_goes_back(drive: Drive) -> None:
     played: list[int] = []
     driver.state.frame_changed.connect(lambda index, _: played.append(index))
     driver.state.set_playing(True)
-    driver.wait(lambda: driver.state.frame > 8)
+    driver.wait(lambda: len(played) > 4)  # a slow machine leaves frames out
     driver.state.set_playing(False)
-    assert len(played) > 4 and played == sorted(set(played))
+    assert played == sorted(set(played))
 
 
 def test_numbers_follow_when_playback_stops(drive: Drive) -> None:
