@@ -57,7 +57,10 @@ def key(bench: Bench, name: Qt.Key, *modifiers: Qt.KeyboardModifier) -> None:
 def test_frames_are_followed_and_nothing_of_two_sensors_is_there(open_bench: Open) -> None:
     live = connected(open_bench)
     live.wait(lambda: live.window.live.state.text().endswith("Hz"))
-    assert "live" in live.window.live.state.text() and "messages" in live.window.live.counts.text()
+    assert (
+        "simulated" in live.window.live.state.text()
+        and "messages" in live.window.live.counts.text()
+    )
     assert not live.window.live.sensors and live.window.pair.second is None
     assert live.window.pair.drawing is None
     import threading
@@ -85,6 +88,28 @@ def test_standing_still_and_back_to_now(open_bench: Open) -> None:
     live.window.playback.now.click()
     live.follow(2)
     assert not live.state.frozen and live.shown > back + 5
+
+
+def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
+    """In the bar and in the title, for each kind of source and whatever becomes of it."""
+    bench = open_bench()
+    word, title, bar = bench.window.live.state, bench.window.windowTitle, bench.window.live
+    port, name = free_port(), sensor_file(bench.folder)
+    with robot(port):
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", name))
+        bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text() and " (live) " in title())
+        bench.window.playback.freeze.click()
+        assert ">&nbsp;frozen&nbsp;<" in word.text() and " (frozen) " in title()
+        bench.wait(lambda: word.text().endswith("Hz"))
+        assert "live" not in word.text()
+        bench.window.playback.now.click()
+    bench.wait(lambda: " (stale) " in title() or " (reconnecting) " in title())
+    bar.leave.click()
+    assert ">&nbsp;disconnected&nbsp;<" in word.text() and " (disconnected) " in title()
+    assert word.isVisible() and not bar.leave.isVisible() and not bar.record.isVisible()
+    bench.connect(single(SYNTHETIC, name))
+    bench.wait(lambda: ">&nbsp;simulated&nbsp;<" in word.text() and " (simulated) " in title())
+    assert bar.leave.isVisible() and bar.record.isVisible()
 
 
 def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(

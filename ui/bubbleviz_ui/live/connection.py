@@ -10,6 +10,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.live.live_session import LiveSession
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
+from bubbleviz.live.sources.open_stream import is_simulated
 from bubbleviz.progress import Progress
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.live_frames import LiveFrames
@@ -76,7 +77,7 @@ class Connection(QObject):
         """How far it is, in a few words."""
         session = self._session
         if session is None:
-            return "connecting"
+            return "starting"
         stream = next((e.stream for e in session.sensors if not e.stream.counters().frames), None)
         return "starting" if stream is None else _waiting_for(stream)
 
@@ -85,7 +86,12 @@ class Connection(QObject):
         session.__enter__()
         self._session = session
         frames = tuple(
-            LiveFrames(_title(self.preset, k), each.stream, each.zero)
+            LiveFrames(
+                _title(self.preset, k),
+                each.stream,
+                each.zero,
+                simulated=is_simulated(each.place.source),
+            )
             for k, each in enumerate(session.sensors)
         )
         try:
