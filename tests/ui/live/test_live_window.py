@@ -20,6 +20,7 @@ from rosbags.highlevel import AnyReader
 from window_driver import texts
 
 from bubbleviz.calibration.pressure_zero import ENOUGH
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.source_status import STALE_AFTER_S
@@ -279,17 +280,24 @@ def test_a_frozen_view_shows_one_frame_everywhere(open_bench: Open) -> None:
         live.window.playback.now.click()
 
 
+def dents() -> list[Frame]:
+    """A few presses; the last frame is one."""
+    source = DentSource(robot_sensor())
+    count = len(source)
+    return [replace(source[k % count], index=k, time_s=k / 30.0) for k in range(5 * count)]
+
+
 def test_a_source_that_ended_leaves_one_frame_everywhere(open_bench: Open) -> None:
     live = open_bench()
-    source = DentSource(robot_sensor())
     with RecordingWriter(live.folder / "dents.mcap") as writer:
-        for k in range(5 * len(source)):  # the last one is a press
-            writer.write(replace(source[k % len(source)], index=k, time_s=k / 30.0))
+        for frame in dents():
+            writer.write(frame)
     live.window.panels["threshold"].show()
     ends = single(f"replay:{live.folder / 'dents.mcap'}", sensor_file(live.folder))
     live.live_controller.connect_to(ends)
     live.wait(lambda: live.live_controller.run is not None)
     live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
+    live.wait(lambda: live.shown >= 0)
     live.wait(lambda: texts(live)[0].startswith("contact"))
     live.wait(lambda: one_frame_everywhere(live))
 
@@ -411,6 +419,37 @@ def test_the_dialog_offers_what_the_robot_has(open_bench: Open) -> None:
         dialog.accept()
         bench.follow(3)
     assert bench.run.preset.sensors[0].sensor == name
+
+
+def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = open_bench()
+    from bubbleviz_ui.live.connect_dialog import REPLAY, ConnectDialog
+
+    path, file = bench.folder / "dents.mcap", sensor_file(bench.folder)
+    with RecordingWriter(path) as writer:
+        for frame in dents():
+            writer.write(frame)
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
+    monkeypatch.setattr("bubbleviz.frames.sensor_matching.preset_names", lambda _: [file])
+    dialog = ConnectDialog(bench.window, bench.live_controller, None)
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    dialog.place.setEditText(str(path))
+    dialog.sensor.setCurrentIndex(dialog.sensor.findText("pico_flexx_75mm"))
+    dialog.accept()
+    bench.wait(bench.window.message.isVisible)
+    assert bench.window.message.label.text().endswith(
+        "images are 64×48 pixels but the camera of sensor pico_flexx_75mm has 224×171; choose the "
+        "sensor file of this camera"
+    )
+    assert bench.live_controller.run is None and bench.live_controller.connection is None
+    dialog.browse_sensor.click()
+    assert dialog.sensor.currentText() == file
+    dialog.sensor.setCurrentIndex(dialog.sensor.findText("automatic", Qt.MatchFlag.MatchStartsWith))
+    dialog.accept()
+    bench.wait(lambda: bench.live_controller.run is not None)
+    assert bench.run.preset.sensors[0].sensor == file
 
 
 def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
