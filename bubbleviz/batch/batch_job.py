@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -15,7 +14,6 @@ from bubbleviz.calibration.sensor_writer import file_hash
 from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.output_files import whole_file
-from bubbleviz.frames.bags import Bag
 from bubbleviz.frames.sensor_matching import checked_sensor
 from bubbleviz.sensor import sensor_to_toml
 
@@ -123,9 +121,7 @@ def _estimated(job: Job, sensor_name: str, key: str) -> Row:
             solver=asked.solver,
             frames=asked.frames,
         )
-        with closing(Bag(job.recording)) as bag:
-            note = "; ".join(filter(None, (bag.note, summary.warning)))
-        row = Row.of_result(job.name, sensor_name, folder / RESULT, note)
+        row = Row.of_result(job.name, sensor_name, folder / RESULT, summary.warning or "")
         said = f'{{"key": "{key}", "row": {row.to_json()}}}\n'
         (folder / SUMMARY).write_text(said, encoding="utf-8")
     return row

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from bubbleviz.cli.shared_options import solver_option
+from bubbleviz.cli.shared_options import report, solver_option
 
 
 @click.command()
@@ -66,4 +66,4 @@ def export(
             solver=solver,
             progress=advance,
         )
-    click.echo(summary.to_json() if as_json else summary.to_text())
+    report(summary, summary.warning, as_json=as_json)

@@ -32,7 +32,7 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 
 @click.command()
 @click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
-@click.option("--sensor", required=True, help="Sensor file or preset.")
+@click.option("--sensor", required=True, help="Sensor file, preset, or auto: the preset that fits.")
 @click.option("--publish", metavar="ENDPOINT", help="Publish results here: tcp/127.0.0.1:7448")
 @click.option("--publish-to", metavar="ENDPOINT", help="Publish results through this router.")
 @click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
@@ -44,6 +44,8 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
     """Solve a live source without a window, and publish or record the results."""
     from bubbleviz.commands.watch import WatchOptions, watch_source
+    from bubbleviz.live.sources.auto_sensor import sensor_for_source
+    from bubbleviz.live.sources.open_stream import patience_s
     from bubbleviz.sensor import load_sensor
 
     options = WatchOptions(
@@ -54,7 +56,8 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
         object_name=choices["object_name"],
         zero=zero,
     )
-    summary = watch_source(source, load_sensor(sensor), options)
+    name = sensor_for_source(source, sensor, patience_s(source))
+    summary = watch_source(source, load_sensor(name), options)
     click.echo(summary.to_json() if as_json else summary.to_text())
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from bubbleviz.cli.shared_options import solver_option
+from bubbleviz.cli.shared_options import report, solver_option
 
 
 @click.command()
@@ -114,7 +114,7 @@ def estimate(
         frames=frames,
         zero_gas=zero_gas,
     )
-    click.echo(summary.to_json() if as_json else summary.to_text())
+    report(summary, summary.warning, as_json=as_json)
 
 
 @click.command()
@@ -144,4 +144,4 @@ def pose(
     summary = pose_recording(
         recording, sensor, object_name, out, init=init, unit=unit, solver=solver, frames=frames
     )
-    click.echo(summary.to_json() if as_json else summary.to_text())
+    report(summary, summary.warning, as_json=as_json)

@@ -57,7 +57,7 @@ class EstimateSummary(Summary):
         contact-free frames, N.
     median_residual_rms_m, max_kkt_residual : float or None
     warning : str or None
-        What does not fit together but was solved all the same.
+        What is missing, or does not fit together, but was solved all the same.
     """
 
     recording: str
@@ -100,8 +100,6 @@ class EstimateSummary(Summary):
             ]
         if self.median_contact_total_ms is not None:
             lines.append(f"        {self.median_contact_total_ms:.1f} ms median in contact")
-        if self.warning is not None:
-            lines.append(f"warning {self.warning}")
         return "\n".join(lines)
 
 
@@ -148,7 +146,8 @@ def estimate_recording(
             "solver": solver or pipeline.estimator.solver_name,
         }
         zero = recorded_zero(source, pipeline) if zero_gas else None
-        warning = None if zero else gas_warning(source[chosen[0]], sensor)
+        gas = "" if zero else gas_warning(source[chosen[0]], sensor)
+        warning = "; ".join(filter(None, (source.bag.note, gas)))
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
         rows = _solve(source, chosen, pipeline, options, out, csv, made_by, zero)

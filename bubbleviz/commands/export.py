@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bubbleviz.commands.estimate import parse_frames, patch_options
@@ -31,6 +31,8 @@ class ExportSummary(Summary):
         How many were read, and written.
     stages : dict
         How often each stage of the pipeline ran; a stage that no kind needs is not there.
+    warning : str or None
+        What is missing of the recording.
     """
 
     out: str
@@ -38,6 +40,7 @@ class ExportSummary(Summary):
     frames: int
     files: int
     stages: Mapping[str, int]
+    warning: str | None = None
 
     def to_text(self) -> str:
         """Text for the terminal."""
@@ -70,7 +73,8 @@ def export_recording(
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
-        return export_frames(source, chosen, pipeline, options, plan, progress)
+        summary = export_frames(source, chosen, pipeline, options, plan, progress)
+        return replace(summary, warning=source.bag.note or None)
 
 
 def export_frames(

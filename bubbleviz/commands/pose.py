@@ -42,6 +42,8 @@ class PoseSummary(Summary):
         Over the frames with a pose.
     median_total_ms, p95_total_ms : float or None
         Depth image in → pose out over the frames after the first with a pose, ms.
+    warning : str or None
+        What is missing of the recording.
     """
 
     recording: str
@@ -54,6 +56,7 @@ class PoseSummary(Summary):
     median_rmse_m: float | None
     median_total_ms: float | None
     p95_total_ms: float | None
+    warning: str | None
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -113,6 +116,7 @@ def pose_recording(
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         pipeline.follow(obj, start)
         rows = _follow(source, chosen, pipeline, out)
+        warning = source.bag.note or None
     return PoseSummary(
         recording=str(recording),
         sensor=str(sensor_name),
@@ -120,6 +124,7 @@ def pose_recording(
         out=str(out),
         frames=len(rows),
         status=dict(Counter(row.status for row in rows)),
+        warning=warning,
         **_statistics([row for row in rows if row.status == "ok"]),
     )
 

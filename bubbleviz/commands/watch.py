@@ -6,8 +6,10 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -177,7 +179,8 @@ class Watcher:
         InputError
             No depth image came, or it is not of the sensor's camera.
         """
-        first = _first_frame(stream, stop or threading.Event(), patience_s(source))
+        check = partial(stream.check_size, f"--source {source}", sensor.name)
+        first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
         if first is None:
             raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
         pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver))
@@ -285,19 +288,22 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
     )
 
 
-def _first_frame(stream: LiveStream, stop: Any, patience: float) -> Frame | None:
+def _first_frame(
+    stream: LiveStream, stop: Any, patience: float, check: Callable[[], None]
+) -> Frame | None:
     """The first frame with camera info, or the first at all if none arrives."""
     began, frame = time.monotonic(), None
     deadline: float | None = None
-    while not stop.is_set() and stream.source.link() != "ended":
+    while not stop.is_set():
         frame = stream.take(0.1) or frame
-        now = time.monotonic()
+        now, ended = time.monotonic(), stream.source.link() == "ended"
         if frame is None:
-            if now - began > patience:
+            check()
+            if ended or now - began > patience:
                 return None
             continue
         deadline = deadline or now + CAMERA_S
-        if frame.intrinsics is not None or now > deadline:
+        if frame.intrinsics is not None or ended or now > deadline:
             return frame
     return frame
 

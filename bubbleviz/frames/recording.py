@@ -69,7 +69,7 @@ class Recording:
     intrinsics : Intrinsics or None
     depth_topic : Topic
     remark : str
-        What the user should know about what lies beside it; empty for nothing.
+        What the user should know about it, or what lies beside it; empty for nothing.
 
     Raises
     ------
@@ -87,8 +87,8 @@ class Recording:
         wrench_topic: str | None = None,
     ) -> None:
         self._lock = threading.Lock()
-        self.remark = ""
         self.bag = Bag(path)
+        self.remark = self.bag.note
         self.path = self.bag.path
         self.name = self.path.name or str(self.path)
         try:

@@ -28,10 +28,17 @@ def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) ->
     _check_camera_info(recording)
     own = (sensor.camera.width, sensor.camera.height)
     if recording.size != own:
-        raise InputError(
-            f"{recording.path}: images are {_by(recording.size)} pixels but the camera of sensor "
-            f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
-        )
+        raise size_refusal(str(recording.path), recording.size, sensor_name, own)
+
+
+def size_refusal(
+    images: str, size: tuple[int, int], sensor_name: str | Path, own: tuple[int, int]
+) -> InputError:
+    """The error to raise about images that are not of the size of the sensor's camera."""
+    return InputError(
+        f"{images}: images are {_by(size)} pixels but the camera of sensor "
+        f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
+    )
 
 
 def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tuple[str, Sensor]:

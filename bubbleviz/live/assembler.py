@@ -74,6 +74,10 @@ class FrameAssembler:
     Attributes
     ----------
     counters : Counters
+    size : (int, int) or None
+        Width and height that images must have; None until the first where any will do.
+    other_size : (int, int) or None
+        Of the last image that was of another size.
     """
 
     def __init__(
@@ -87,7 +91,8 @@ class FrameAssembler:
         self.counters = Counters()
         self._lag_s = lag_s
         self._names = names or TopicNames()
-        self._size, self._camera = size, camera
+        self.size, self._camera = size, camera
+        self.other_size: tuple[int, int] | None = None
         self._begin()
 
     def _begin(self) -> None:
@@ -242,11 +247,12 @@ class FrameAssembler:
         else:
             depth = decode_depth(content)
         size = (depth.shape[1], depth.shape[0])
-        if self._size is None:
-            self._size = size
-        if size != self._size:
+        if self.size is None:
+            self.size = size
+        if size != self.size:
+            self.other_size = size
             raise _WrongSizeError(
-                f"image is {size[0]}×{size[1]}, not {self._size[0]}×{self._size[1]} pixels"
+                f"image is {size[0]}×{size[1]}, not {self.size[0]}×{self.size[1]} pixels"
             )
         return depth
 

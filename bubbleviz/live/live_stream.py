@@ -8,12 +8,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.sensor_matching import size_refusal
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.mailbox import Mailbox
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.source_status import Status, status_of
 from bubbleviz.live.sources.live_source import LiveSource, OfferedTopic
+
+SEVERAL = 5
+"""Images of another size that are no accident: not garbage, nor of a topic beside the depth's."""
 
 Listener = Callable[[RawMessage], None]
 
@@ -99,6 +103,28 @@ class LiveStream:
         with self._lock:
             counts = replace(self._assembler.counters)
         return replace(counts, skipped=self._mailbox.skipped, missed=self.source.missed())
+
+    def check_size(self, images: str, sensor_name: str) -> None:
+        """Refuse a source with nothing but images of another size than the sensor's camera has.
+
+        Parameters
+        ----------
+        images : str
+            What the source is called in the error.
+        sensor_name : str
+
+        Raises
+        ------
+        InputError
+            It has sent several of them, or ended, and none that fits.
+        """
+        with self._lock:
+            counters, own = self._assembler.counters, self._assembler.size
+            enough = 1 if self.source.link() == "ended" else SEVERAL
+            wrong = counters.frames == 0 and counters.wrong_size >= enough
+            size = self._assembler.other_size
+        if wrong and size is not None and own is not None:
+            raise size_refusal(images, size, sensor_name, own)
 
     def topics(self) -> tuple[OfferedTopic, ...]:
         """Topics to choose from."""

@@ -31,9 +31,18 @@ class Status:
     @property
     def text(self) -> str:
         """A few words."""
+        if self.state == "connecting":
+            return self.silence
+        return f"{self.state}, {self.silence}" if self.silence else self.state
+
+    @property
+    def silence(self) -> str:
+        """For how long nothing has come, in a few words; empty where images come."""
+        if self.state == "connecting":
+            return "waiting for the first depth image"
         if self.state == "live" or self.silent_s is None:
-            return {"connecting": "waiting for the first depth image"}.get(self.state, self.state)
-        return f"{self.state}, nothing for {self.silent_s:.1f} s"
+            return ""
+        return f"nothing for {self.silent_s:.1f} s"
 
 
 def status_of(link: Link, silent_s: float | None) -> Status:

@@ -117,7 +117,7 @@ def known_beside(recording: Recording) -> KnownRecording | Recording:
     try:
         return KnownRecording(recording, path)
     except OtherTruthError as error:
-        recording.remark = str(error)
+        recording.remark = "; ".join(filter(None, (recording.remark, str(error))))
     except InputError:
         pass
     return recording

@@ -319,3 +319,21 @@ def test_parquet_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # what a missing module looks like
     with pytest.raises(InputError, match=r"pip install .*\[parquet\]"):
         ExportPlan.of(tmp_path / "x.parquet")
+
+
+def test_what_is_missing_of_a_recording_is_said_by_every_command(
+    press: Path, sensor: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(press.read_bytes()[:-40])
+    given = (str(cut), "--sensor", str(sensor), "--frames", "2:3", "--json")
+    for words in (
+        ("export", *given, "--what", "depth", "--out", str(tmp_path / "pictures")),
+        ("estimate", *given, "--out", str(tmp_path / "result.npz")),
+        ("pose", *given, "--object", "cylinder", "--out", str(tmp_path / "poses.csv")),
+    ):
+        done = CliRunner().invoke(main, list(words), prog_name="bubbleviz")
+        assert done.exit_code == 0, done.output
+        told = json.loads(done.stdout)["warning"]
+        assert "cut.mcap ends early" in told
+        assert f"bubbleviz: warning: {told}\n" in done.stderr

@@ -6,10 +6,13 @@ import os
 import random
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
+from mcap.reader import make_reader
+from mcap.writer import IndexType, Writer
 
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
@@ -112,17 +115,73 @@ def test_payload_that_is_no_image(tmp_path: Path) -> None:
     read_all(path)
 
 
-@pytest.mark.parametrize("kind", ["mcap file", "mcap folder", "db3 file", "bag none", "bag lz4"])
+@pytest.mark.parametrize("kind", ["db3 file", "bag none", "bag lz4"])
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
 def test_truncated(tmp_path: Path, kind: str, share: float) -> None:
     path = fill(BagMaker(kind)).write(tmp_path)
-    file = path if path.is_file() else next(path.glob("*.mcap"))
-    os.truncate(file, int(file.stat().st_size * share))
+    os.truncate(path, int(path.stat().st_size * share))
     with pytest.raises(InputError) as caught:
         read_all(path)
     assert "\n" not in str(caught.value)
-    if kind == "mcap file":
-        assert "truncated" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["mcap file", "mcap folder"])
+def test_a_truncated_mcap_of_rosbag2_opens(tmp_path: Path, kind: str) -> None:
+    path = fill(BagMaker(kind)).write(tmp_path)
+    file = path if path.is_file() else next(path.glob("*.mcap"))
+    os.truncate(file, file.stat().st_size - 20)  # in its summary: no chunk is lost
+    assert frames_up_to_the_cut(path) == 6
+    os.truncate(file, 300)
+    assert "was cut off before anything was on the disk" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"index_types": IndexType.NONE}, {"use_chunking": False}],
+    ids=["indexed", "without indexes", "without chunks"],
+)
+def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(
+    tmp_path: Path, options: dict[str, Any]
+) -> None:
+    path = fill(BagMaker("mcap file"), frames=20).write(tmp_path)
+    rewrite(path, **options)
+    whole, found = path.read_bytes(), list[int]()
+    for share in np.linspace(0.02, 0.999, 15):
+        path.write_bytes(whole[: int(share * len(whole))])
+        try:
+            found.append(frames_up_to_the_cut(path))
+        except InputError as error:
+            assert "was cut off" in str(error) or "no depth image" in str(error)
+            found.append(0)
+    assert found == sorted(found) and len(set(found)) > 5
+    assert found[0] == 0 and found[-1] == 20
+
+
+def rewrite(path: Path, **options: Any) -> None:
+    """The same messages by the `mcap` library, in chunks of a few images."""
+    with path.open("rb") as file:
+        messages = list(make_reader(file).iter_messages())
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=8_000, **options)
+        writer.start("ros2", "another recorder")
+        channels: dict[str, int] = {}
+        for schema, channel, message in messages:
+            assert schema is not None
+            if channel.topic not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", kind)
+            at_ns = message.log_time
+            writer.add_message(channels[channel.topic], at_ns, message.data, at_ns)
+        writer.finish()
+
+
+def frames_up_to_the_cut(path: Path) -> int:
+    """How many frames open, each as it was recorded."""
+    with Recording(path) as recording:
+        assert "ends early" in recording.bag.note
+        for k in range(len(recording)):
+            np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+        return len(recording)
 
 
 @pytest.mark.parametrize("kind", ["mcap file", "mcap folder", "db3 file", "bag none", "bag bz2"])

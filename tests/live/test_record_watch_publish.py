@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
@@ -17,7 +18,9 @@ from mcap.reader import make_reader
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -141,6 +144,20 @@ def test_bad_sources_are_one_line_and_leave_no_file(tmp_path: Path, source: str,
         assert done.stderr.count("\n") == 1
         assert says in done.stderr
         assert not out.exists()
+
+
+def test_images_of_another_camera_are_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    with RecordingWriter(path) as writer:
+        for k in range(8):
+            writer.write(Frame(k, 0.01 * k, np.full((48, 64), 0.1, np.float32)))
+    source = f"replay:{path}"
+    done = run("watch", "--source", source, "--sensor", "pico_flexx_75mm")
+    assert done.exit_code == 2 and done.stderr.count("\n") == 1
+    assert "images are 64×48 pixels but the camera of sensor" in done.stderr
+    done = run("watch", "--source", source, "--sensor", "auto")
+    assert done.exit_code == 2 and done.stderr.count("\n") == 1
+    assert "no preset has a camera of 64×48 pixels" in done.stderr
 
 
 def test_nothing_arrived_is_said_and_leaves_no_file(

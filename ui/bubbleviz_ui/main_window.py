@@ -331,6 +331,8 @@ class MainWindow(QMainWindow):
         self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.source_changed.connect(self._on_source)
+        self.state.frozen_changed.connect(self._show_title)
+        self.state.link_changed.connect(self._show_title)
         self._later.timeout.connect(self._write_numbers)
         self.state.playing_changed.connect(self._write_numbers)
         self.state.frozen_changed.connect(self._write_numbers)
@@ -375,10 +377,19 @@ class MainWindow(QMainWindow):
             self.open_file(paths[0])
 
     def _on_source(self, facts: SourceFacts) -> None:
-        live, sensor = " (live)" if facts.live else "", self.controller.sensor
-        sensor_title = facts.sensor_name if sensor is None else title_text(sensor)
-        self.setWindowTitle(f"{facts.title}{live} – {sensor_title} – bubbleviz")
-        self.status.show_source(facts, sensor_title)
+        self._show_title()
+        self.status.show_source(facts, self._sensor_title(facts))
+
+    def _show_title(self) -> None:
+        facts, badge = self.state.facts, self.state.badge
+        if facts is not None:
+            standing = f" ({badge})" if badge else ""
+            sensor = self._sensor_title(facts)
+            self.setWindowTitle(f"{facts.title}{standing} – {sensor} – bubbleviz")
+
+    def _sensor_title(self, facts: SourceFacts) -> str:
+        sensor = self.controller.sensor
+        return facts.sensor_name if sensor is None else title_text(sensor)
 
     def _on_choices(self, names: frozenset[str]) -> None:
         if "theme" in names:

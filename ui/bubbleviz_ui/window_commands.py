@@ -99,6 +99,7 @@ def _open_live(
     fresh: bool,
 ) -> int:
     """The window on live sensors."""
+    from bubbleviz.frames.sensor_matching import AUTO
     from bubbleviz.live.session_preset import load_session
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
@@ -107,9 +108,8 @@ def _open_live(
 
     if session is not None and sensor is not None:
         raise click.UsageError("the sensors are named in the session file; leave --sensor out")
-    name = sensor or SYNTHETIC_SENSOR
-    live = single(source, name) if source is not None else load_session(session or "")
+    live = single(source, sensor or AUTO) if source is not None else load_session(session or "")
     preset = None if scene is None else load_scene(scene)
-    return run_window(
-        load_sensor(live.sensors[0].sensor), None, None, preset, fresh=fresh, live=live
-    )
+    name = live.sensors[0].sensor  # a file that is not there is refused without a window
+    first = load_sensor(SYNTHETIC_SENSOR if name == AUTO else name)
+    return run_window(first, None, None, preset, fresh=fresh, live=live)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
-from bubbleviz.frames.bags.cut_mcap import MAGIC, OUR_LIBRARY, CutMcapReader, library_of
+from bubbleviz.frames.bags.cut_mcap import MAGIC, CutMcapReader
 from bubbleviz.frames.bags.mcap_storage import McapStorage
 from bubbleviz.frames.bags.ros1_storage import Ros1Storage
 from bubbleviz.frames.bags.sqlite_storage import SqliteStorage
@@ -166,7 +166,8 @@ class Bag:
         from rosbags.rosbag2.reader import DirectoryReader
 
         readers = []
-        if (self.path / "metadata.yaml").exists():
+        described = (self.path / "metadata.yaml").exists()
+        if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
             folder = DirectoryReader(self.path)
             folder.open()
             self._reader = folder
@@ -220,9 +221,6 @@ def _open_bare(file: Path) -> Any:
             f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
         )
     whole = file.suffix != ".mcap" or _is_whole_mcap(file)
-    if not whole and not library_of(file).startswith(OUR_LIBRARY):
-        # of a copy that is cut short the whole is somewhere: better than what is here
-        raise InputError(f"{file}: the MCAP file is truncated; copy it again or `mcap recover` it")
     reader = kinds[file.suffix](file) if whole else CutMcapReader(file)
     reader.open()
     return reader
@@ -233,8 +231,8 @@ def _what_is_missing(reader: Any) -> str:
         return ""
     lost = f"; {reader.lost_bytes / 1e3:.3g} kB behind it are lost" if reader.lost_bytes else ""
     return (
-        f"{reader.path.name} ends early, as when recording is cut off: it is here up to its last "
-        f"whole chunk{lost}"
+        f"{reader.path.name} ends early, as when recording or copying is cut off: it is here up "
+        f"to its last whole chunk{lost}"
     )
 
 

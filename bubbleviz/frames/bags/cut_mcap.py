@@ -1,4 +1,4 @@
-"""An MCAP file without its end: what our recorder left behind when killed, or on a full disk.
+"""An MCAP file without its end: of a recorder that was killed, a full disk, or a copy cut short.
 
 mcap is imported with the first such file: the window starts without it.
 """
@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 MAGIC = b"\x89MCAP0\r\n"
-OUR_LIBRARY = "bubbleviz"
-"""What the header of a file names that our recorder wrote: chunk by chunk, each with its index."""
 
 
 class CutConnection(NamedTuple):
@@ -36,7 +34,8 @@ class CutMcapReader:
     """Finds what is whole in an MCAP file that ends early, as rosbags' reader does in others.
 
     Reads the file once up to where it ends; decompresses only the chunks that bring a topic not
-    seen before. A last chunk whose indexes are missing is left out.
+    seen before, or have no index. A last chunk whose indexes are missing is left out. Without
+    chunks it is whole up to the last whole message.
 
     Parameters
     ----------
@@ -68,27 +67,34 @@ class CutMcapReader:
         schemas: dict[int, str] = {}
         channels: dict[int, tuple[str, str]] = {}
         counts: Counter[int] = Counter()
-        chunk, start, end = None, 0, len(MAGIC)
+        chunk, start, end, indexed = None, 0, len(MAGIC), True
         with self.path.open("rb") as stream, suppress(McapError, struct.error):
             for record in StreamReader(stream, emit_chunks=True).records:
                 inside = [record]
+                if chunk is not None and not (indexed or isinstance(record, MessageIndex)):
+                    inside = [*breakup_chunk(chunk, validate_crc=True), record]
+                    self.chunks.append(CutChunk(start, {}))
+                    self.data_end, indexed = end, True
                 if isinstance(record, Chunk):
-                    chunk, start = record, end
+                    chunk, start, indexed = record, end, False
                 elif isinstance(record, MessageIndex) and chunk is not None:
                     if not self.chunks or self.chunks[-1].chunk_start_offset != start:
                         self.chunks.append(CutChunk(start, {}))
                     self.chunks[-1].message_index_offsets[record.channel_id] = end
                     counts[record.channel_id] += len(record.records)
-                    self.data_end = stream.tell()
+                    self.data_end, indexed = stream.tell(), True
                     if record.channel_id not in channels:
-                        inside = breakup_chunk(chunk, validate_crc=True)
+                        found = breakup_chunk(chunk, validate_crc=True)
+                        inside = [each for each in found if not isinstance(each, Message)]
                 elif isinstance(record, Message):
-                    raise ValueError("it has no chunks, and no end")
+                    self.data_end = stream.tell()
                 for each in inside:
                     if isinstance(each, Schema):
                         schemas[each.id] = each.name
                     elif isinstance(each, Channel):
                         channels[each.id] = each.topic, schemas.get(each.schema_id, "")
+                    elif isinstance(each, Message):
+                        counts[each.channel_id] += 1
                 end = stream.tell()
         self.lost_bytes = self.path.stat().st_size - self.data_end
         self.connections = [
@@ -98,13 +104,3 @@ class CutMcapReader:
 
     def close(self) -> None:
         """Nothing is open."""
-
-
-def library_of(path: Path) -> str:
-    """What wrote an MCAP file, by its header; empty where that cannot be read."""
-    from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
-
-    with path.open("rb") as stream, suppress(McapError, struct.error, UnicodeDecodeError):
-        return str(getattr(next(StreamReader(stream).records), "library", ""))
-    return ""

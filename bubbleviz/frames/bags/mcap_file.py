@@ -10,7 +10,6 @@ from typing import Any
 import bubbleviz
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import cannot_write, refuse_existing
-from bubbleviz.frames.bags.cut_mcap import OUR_LIBRARY
 from bubbleviz.frames.bags.rosbag2_metadata import BagFacts, metadata_yaml
 from bubbleviz.frames.message_encoding import ros2_types
 
@@ -91,7 +90,7 @@ class McapFile:
         self._writer: Any = Writer(
             self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD
         )
-        self._writer.start("ros2", f"{OUR_LIBRARY} {bubbleviz.__version__}")
+        self._writer.start("ros2", f"bubbleviz {bubbleviz.__version__}")
         self.sync()
         _sync_folder(self._file.parent)
 

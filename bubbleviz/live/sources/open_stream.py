@@ -24,9 +24,14 @@ DEFAULT_PREFIX = "/bubble"
 """Of the topics of a source that has none itself."""
 
 
+def is_simulated(text: str) -> bool:
+    """Tell a simulation from what measures, or has measured."""
+    return text.strip().startswith("synthetic:")
+
+
 def patience_s(text: str) -> float:
     """How long the first message of a source may take, s: all of a simulation is made before it."""
-    return SIMULATED_S if text.startswith("synthetic:") else FIRST_MESSAGE_S
+    return SIMULATED_S if is_simulated(text) else FIRST_MESSAGE_S
 
 
 def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStream:

@@ -187,3 +187,13 @@ def test_a_truth_beside_a_recording_that_is_not_its_own_is_told(
     assert driver.window.message.isVisible()
     assert "sim.npz: is the truth of another recording" in driver.window.message.label.text()
     assert not says_iou(driver)
+
+
+def test_a_recording_that_ends_early_says_so(
+    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((files / "sim.mcap").read_bytes()[:-40])
+    driver = drive(recording(cut), sensor)
+    driver.wait(driver.window.message.isVisible)
+    assert "cut.mcap ends early" in driver.window.message.label.text()

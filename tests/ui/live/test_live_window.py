@@ -20,6 +20,7 @@ from rosbags.highlevel import AnyReader
 from window_driver import texts
 
 from bubbleviz.calibration.pressure_zero import ENOUGH
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.source_status import STALE_AFTER_S
@@ -57,7 +58,10 @@ def key(bench: Bench, name: Qt.Key, *modifiers: Qt.KeyboardModifier) -> None:
 def test_frames_are_followed_and_nothing_of_two_sensors_is_there(open_bench: Open) -> None:
     live = connected(open_bench)
     live.wait(lambda: live.window.live.state.text().endswith("Hz"))
-    assert "live" in live.window.live.state.text() and "messages" in live.window.live.counts.text()
+    assert (
+        "simulated" in live.window.live.state.text()
+        and "messages" in live.window.live.counts.text()
+    )
     assert not live.window.live.sensors and live.window.pair.second is None
     assert live.window.pair.drawing is None
     import threading
@@ -85,6 +89,28 @@ def test_standing_still_and_back_to_now(open_bench: Open) -> None:
     live.window.playback.now.click()
     live.follow(2)
     assert not live.state.frozen and live.shown > back + 5
+
+
+def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
+    """In the bar and in the title, for each kind of source and whatever becomes of it."""
+    bench = open_bench()
+    word, title, bar = bench.window.live.state, bench.window.windowTitle, bench.window.live
+    port, name = free_port(), sensor_file(bench.folder)
+    with robot(port):
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", name))
+        bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text() and " (live) " in title())
+        bench.window.playback.freeze.click()
+        assert ">&nbsp;frozen&nbsp;<" in word.text() and " (frozen) " in title()
+        bench.wait(lambda: word.text().endswith("Hz"))
+        assert "live" not in word.text()
+        bench.window.playback.now.click()
+    bench.wait(lambda: " (stale) " in title() or " (reconnecting) " in title())
+    bar.leave.click()
+    assert ">&nbsp;disconnected&nbsp;<" in word.text() and " (disconnected) " in title()
+    assert word.isVisible() and not bar.leave.isVisible() and not bar.record.isVisible()
+    bench.connect(single(SYNTHETIC, name))
+    bench.wait(lambda: ">&nbsp;simulated&nbsp;<" in word.text() and " (simulated) " in title())
+    assert bar.leave.isVisible() and bar.record.isVisible()
 
 
 def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(
@@ -254,17 +280,24 @@ def test_a_frozen_view_shows_one_frame_everywhere(open_bench: Open) -> None:
         live.window.playback.now.click()
 
 
+def dents() -> list[Frame]:
+    """A few presses; the last frame is one."""
+    source = DentSource(robot_sensor())
+    count = len(source)
+    return [replace(source[k % count], index=k, time_s=k / 30.0) for k in range(5 * count)]
+
+
 def test_a_source_that_ended_leaves_one_frame_everywhere(open_bench: Open) -> None:
     live = open_bench()
-    source = DentSource(robot_sensor())
     with RecordingWriter(live.folder / "dents.mcap") as writer:
-        for k in range(5 * len(source)):  # the last one is a press
-            writer.write(replace(source[k % len(source)], index=k, time_s=k / 30.0))
+        for frame in dents():
+            writer.write(frame)
     live.window.panels["threshold"].show()
     ends = single(f"replay:{live.folder / 'dents.mcap'}", sensor_file(live.folder))
     live.live_controller.connect_to(ends)
     live.wait(lambda: live.live_controller.run is not None)
     live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
+    live.wait(lambda: live.shown >= 0)
     live.wait(lambda: texts(live)[0].startswith("contact"))
     live.wait(lambda: one_frame_everywhere(live))
 
@@ -386,6 +419,37 @@ def test_the_dialog_offers_what_the_robot_has(open_bench: Open) -> None:
         dialog.accept()
         bench.follow(3)
     assert bench.run.preset.sensors[0].sensor == name
+
+
+def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = open_bench()
+    from bubbleviz_ui.live.connect_dialog import REPLAY, ConnectDialog
+
+    path, file = bench.folder / "dents.mcap", sensor_file(bench.folder)
+    with RecordingWriter(path) as writer:
+        for frame in dents():
+            writer.write(frame)
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
+    monkeypatch.setattr("bubbleviz.frames.sensor_matching.preset_names", lambda _: [file])
+    dialog = ConnectDialog(bench.window, bench.live_controller, None)
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    dialog.place.setEditText(str(path))
+    dialog.sensor.setCurrentIndex(dialog.sensor.findText("pico_flexx_75mm"))
+    dialog.accept()
+    bench.wait(bench.window.message.isVisible)
+    assert bench.window.message.label.text().endswith(
+        "images are 64×48 pixels but the camera of sensor pico_flexx_75mm has 224×171; choose the "
+        "sensor file of this camera"
+    )
+    assert bench.live_controller.run is None and bench.live_controller.connection is None
+    dialog.browse_sensor.click()
+    assert dialog.sensor.currentText() == file
+    dialog.sensor.setCurrentIndex(dialog.sensor.findText("automatic", Qt.MatchFlag.MatchStartsWith))
+    dialog.accept()
+    bench.wait(lambda: bench.live_controller.run is not None)
+    assert bench.run.preset.sensors[0].sensor == file
 
 
 def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:

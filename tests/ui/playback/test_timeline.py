@@ -183,10 +183,11 @@ def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
 
 def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
     driver = drive(playing=True, live=True)
-    panel = driver.window.playback
+    panel, title = driver.window.playback, driver.window.windowTitle
     driver.wait(lambda: driver.state.frame > 2)
+    assert " (simulated) " in title()
     driver.bot.mouseClick(panel.freeze, LEFT)
-    assert driver.state.frozen
+    assert driver.state.frozen and " (frozen) " in title()
     frame, now = driver.state.frame, driver.state.now
     driver.wait(lambda: driver.state.now >= now + 5)
     assert driver.state.frame == frame and driver.state.playing
@@ -195,6 +196,7 @@ def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
     assert np.all(seen == rgb(theme.FORCE), axis=2).any()
     key(driver, Qt.Key.Key_N)
     assert not driver.state.frozen and driver.state.frame == driver.state.now
+    assert " (simulated) " in title()
     driver.bot.mouseClick(panel.timeline, LEFT, pos=at(panel.timeline, 40))
     assert driver.state.frozen and driver.state.frame == 40  # looking back freezes, too
     driver.state.set_playing(False)

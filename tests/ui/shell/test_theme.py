@@ -17,6 +17,7 @@ from PySide6.QtGui import QColor, QImage
 from PySide6.QtWidgets import QApplication, QLabel, QWidget
 from window_driver import Driver
 
+from bubbleviz_ui.live.live_bar import BADGES
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
 
@@ -98,6 +99,8 @@ def test_text_can_be_read(colours: theme.Colours) -> None:
         assert contrast(QColor(colours.dim), QColor(ground)) > 4.5
     for grade in (colours.good, colours.usable, colours.doubtful):
         assert contrast(QColor(grade), QColor(colours.panel)) > 4.0
+    for badge in BADGES.values():
+        assert contrast(QColor(theme.ON_BADGE), QColor(badge)) > 4.5
     assert contrast(QColor(colours.on_accent), QColor(colours.accent)) > 4.5
 
 

@@ -210,8 +210,10 @@ class Server:
             remarks.append(gas_warning(frame, sensor))
         remark = " ".join(f"{text}." for text in remarks if text)
         marks = source.marks() if isinstance(source, Recording) else ()
+        # a live source that does not grow is the press that the window loops
+        simulated = source.simulated if isinstance(source, LiveFrames) else request.live
         facts = SourceFacts(
-            source.name, sensor.name, source.times_s, request.live, grows, remark, marks
+            source.name, sensor.name, source.times_s, request.live, grows, remark, marks, simulated
         )
         numbers = _kept_numbers(session, result)
         inspection = _look(session, result, request.demand)

@@ -21,15 +21,17 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 from bubbleviz.files.preset_files import preset_names, presets_folder
 from bubbleviz.frames.depth_topics import IMAGE, POINT_CLOUD
+from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.live.session_preset import SessionPreset, load_session
 from bubbleviz.live.sources.live_source import OfferedTopic
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.source_discovery import Discovery
-from bubbleviz_ui.shell.file_dialogs import file_to_open
+from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
 from bubbleviz_ui.shell.layouts import fill
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
@@ -47,6 +49,7 @@ PLACES = {
     SYNTHETIC: "What is pressed in; empty: the built-in press",
     TOGETHER: "A session preset or file with two sensors",
 }
+AUTOMATIC = "automatic: the preset with images of that size"
 WAIT_MS = 400
 """How long typing must rest before what was typed is looked at."""
 NAME = Qt.ItemDataRole.UserRole
@@ -76,7 +79,10 @@ class ConnectDialog(QDialog):
         self.sensor = QComboBox()
         self.sensor.setToolTip("The sensor file of that camera and membrane")
         for name in _sensors(sensor_name):
-            self.sensor.addItem(name)
+            self.sensor.addItem(AUTOMATIC if name == AUTO else name, name)
+        self.browse_sensor = QPushButton("Browse…")
+        self.browse_sensor.setAutoDefault(False)
+        self.browse_sensor.setToolTip("Choose a sensor file")
         self.source = QLineEdit()
         self.source.setReadOnly(True)
         self.source.setToolTip("The same for bubbleviz open --source")
@@ -121,8 +127,9 @@ class ConnectDialog(QDialog):
     def _preset(self) -> SessionPreset:
         if self.kind.currentData() == TOGETHER:
             return load_session(self.place.currentText().strip())
-        name = self.sensor.currentText()
-        load_sensor(name)
+        name = self.sensor.currentData()
+        if name != AUTO:
+            load_sensor(name)
         return single(self.uri, name)
 
     def _lay_out(self) -> None:
@@ -132,7 +139,8 @@ class ConnectDialog(QDialog):
         form.addRow("From", self.kind)
         form.addRow("Where", where)
         form.addRow("Depth images", self.topics)
-        form.addRow("Sensor", self.sensor)
+        self._sensor_row = fill(QHBoxLayout(), (self.sensor, 1), self.browse_sensor)
+        form.addRow("Sensor", self._sensor_row)
         form.addRow("Source", self.source)
         fill(QVBoxLayout(self), form, self.problem, self.buttons)
 
@@ -143,6 +151,7 @@ class ConnectDialog(QDialog):
         self.sensor.currentIndexChanged.connect(lambda _: self._look())
         self.topics.currentItemChanged.connect(lambda *_: self._show_source())
         self.browse.clicked.connect(self._browse)
+        self.browse_sensor.clicked.connect(self._browse_sensor)
         self._discovery.found.connect(self._on_found)
         self.buttons.accepted.connect(self.accept)
         self.buttons.rejected.connect(self.reject)
@@ -157,7 +166,7 @@ class ConnectDialog(QDialog):
             line.setPlaceholderText(PLACES[kind])
         self.browse.setVisible(kind in (REALSENSE, REPLAY, TOGETHER))
         self._form.setRowVisible(self.topics, kind in (ZENOH, REPLAY))
-        self._form.setRowVisible(self.sensor, kind != TOGETHER)
+        self._form.setRowVisible(self._sensor_row, kind != TOGETHER)
         self._look()
 
     def _look(self) -> None:
@@ -171,7 +180,8 @@ class ConnectDialog(QDialog):
             self._discovery.stop()
             return
         try:
-            sensor = load_sensor(self.sensor.currentText())
+            name = self.sensor.currentData()
+            sensor = load_sensor(SYNTHETIC_SENSOR if name == AUTO else name)
         except InputError as error:
             self.problem.setText(str(error))
             return
@@ -213,11 +223,18 @@ class ConnectDialog(QDialog):
             self.place.setEditText(str(path))
             self._look()
 
+    def _browse_sensor(self) -> None:
+        path = file_to_open(self, "Sensor file", SENSOR_FILES, of="sensor")
+        if path is not None:
+            if self.sensor.findData(str(path)) < 0:
+                self.sensor.addItem(str(path), str(path))
+            self.sensor.setCurrentIndex(self.sensor.findData(str(path)))
+
 
 def _sensors(present: str | None) -> list[str]:
     """Sensor files to choose from, the present one first."""
     names = preset_names("sensors")
-    return list(dict.fromkeys([*([present] if present else []), *names]))
+    return list(dict.fromkeys([*([present] if present else []), AUTO, *names]))
 
 
 def _offered_places(kind: str) -> list[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from PySide6.QtCore import QObject, Signal
 
@@ -10,6 +12,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.live.live_session import LiveSession
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
+from bubbleviz.live.sources.auto_sensor import sensor_for_source
+from bubbleviz.live.sources.open_stream import is_simulated
 from bubbleviz.progress import Progress
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.live_frames import LiveFrames
@@ -76,23 +80,30 @@ class Connection(QObject):
         """How far it is, in a few words."""
         session = self._session
         if session is None:
-            return "connecting"
+            return "starting"
         stream = next((e.stream for e in session.sensors if not e.stream.counters().frames), None)
         return "starting" if stream is None else _waiting_for(stream)
 
     def _connected(self, progress: Progress) -> LiveRun:
+        waiting = partial(progress, "waiting", 0.0)  # cancelled by this
+        self.preset = _with_sensors(self.preset, waiting)
         session = LiveSession(self.preset, self._pre_roll_s)
         session.__enter__()
         self._session = session
         frames = tuple(
-            LiveFrames(_title(self.preset, k), each.stream, each.zero)
+            LiveFrames(
+                _title(self.preset, k),
+                each.stream,
+                each.zero,
+                simulated=is_simulated(each.place.source),
+            )
             for k, each in enumerate(session.sensors)
         )
         try:
-            for source in frames:
+            for source, each in zip(frames, session.sensors, strict=True):
                 while not source.came(LOOK_S):
-                    progress("waiting", 0.0)  # cancelled by this
-                    _check(source.stream)
+                    waiting()
+                    _check(source.stream, each.place.sensor)
         except BaseException:
             session.__exit__()
             raise
@@ -132,7 +143,19 @@ def _title(preset: SessionPreset, number: int) -> str:
     return place.source if len(preset.sensors) == 1 else f"{preset.title}, {place.name}"
 
 
-def _check(stream: LiveStream) -> None:
+def _with_sensors(preset: SessionPreset, waiting: Callable[[], None]) -> SessionPreset:
+    """The preset with the names of sensors that were left to the size of the images."""
+    places = tuple(
+        place.model_copy(
+            update={"sensor": sensor_for_source(place.source, place.sensor, waiting=waiting)}
+        )
+        for place in preset.sensors
+    )
+    return preset.model_copy(update={"sensors": places})
+
+
+def _check(stream: LiveStream, sensor_name: str) -> None:
+    stream.check_size(stream.name, sensor_name)
     if stream.source.link() == "ended" and not stream.counters().frames:
         why = stream.source.problem() or stream.counters().problem or "it ended without an image"
         raise InputError(f"{stream.name}: {why}")

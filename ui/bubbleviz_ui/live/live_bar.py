@@ -1,4 +1,4 @@
-"""Live bar: how the source is doing, and what one does with it. Hidden while nothing is live."""
+"""Live bar: how the source is doing, and what one does with it. Hidden where nothing was live."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout
 
 from bubbleviz.live.counters import Counters
-from bubbleviz.live.source_status import State, Status
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.record_controls import RecordControls
+from bubbleviz_ui.model.source_facts import Badge
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
-DOTS: dict[State, str] = {
+BADGES: dict[Badge, str] = {
     "connecting": theme.BLUE,
     "live": theme.GREEN,
+    "frozen": theme.BLUE,
+    "simulated": theme.YELLOW,
     "stale": theme.ORANGE,
     "reconnecting": theme.ORANGE,
-    "ended": theme.UNKNOWN,
+    "ended": theme.NEUTRAL,
+    "disconnected": theme.NEUTRAL,
 }
-"""Colour of the dot for each state of a source."""
+"""Colour of the badge with each word."""
 
 SENSOR_TIP = "The panels show this sensor (B: the other)"
 RATE_LOOKS = 11
@@ -69,11 +72,13 @@ class LiveBar(QFrame):
         self.show_all()
 
     def show_all(self) -> None:
-        """Another session is connected, or none."""
-        run = self._live.run
-        self.setVisible(run is not None or self._live.connection is not None)
-        for widget in (self.record, self.zero, self.publish):
+        """Another session is connected, or none; another source is open."""
+        run, waits = self._live.run, self._live.connection is not None
+        left = self._live.state.badge == "disconnected"
+        self.setVisible(run is not None or waits or left)
+        for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
+        self.leave.setVisible(run is not None or waits)
         self.leave.setText("Disconnect" if run is not None else "Cancel")
         self._make_sensors()
         self._counted = None
@@ -83,13 +88,15 @@ class LiveBar(QFrame):
         """Write how everything is doing now."""
         live = self._live
         if live.sensor is None:
-            self.counts.setText("")
             if live.connection is not None:
-                self._say_state("connecting", live.connection.text())
+                self._say("connecting", live.connection.text())
+            else:
+                self._say(live.state.badge)
             return
         self.record.show_now()
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters()
-        self._say_state(status.state, self._with_rate(status, counters.frames))
+        badge = live.state.badge or status.state  # a recording is open until the first image
+        self._say(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
         self._say_doubts()
         self._counts = "  ·  ".join([*counted(counters), self._zero_text(), *_problem(counters)])
@@ -118,6 +125,8 @@ class LiveBar(QFrame):
         live = self._live
         live.changed.connect(self.show_all)
         live.looked.connect(self.show_now)
+        live.state.source_changed.connect(self.show_all)
+        live.state.frozen_changed.connect(self.show_now)
         self.zero.clicked.connect(live.zero_now)
         self.publish.clicked.connect(live.toggle_publishing)
         self.leave.clicked.connect(live.disconnect_all)
@@ -153,19 +162,20 @@ class LiveBar(QFrame):
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
 
-    def _say_state(self, state: State, text: str) -> None:
-        self.state.setText(f'<span style="color:{DOTS[state]}">●</span> {text}')
+    def _say(self, badge: Badge, text: str = "") -> None:
+        colours = f"background-color:{BADGES[badge]}; color:{theme.ON_BADGE}" if badge else ""
+        self.state.setText(f'<b style="{colours}">&nbsp;{badge}&nbsp;</b>&nbsp; {text}')
 
-    def _with_rate(self, status: Status, frames: int) -> str:
-        """Words for a state; a live one has the rate at which images come."""
+    def _rate_text(self, frames: int) -> str:
+        """The rate at which images come; empty until it is known."""
         now = time.monotonic()
         if self._counted is None or frames < self._counted[-1][1]:
             self._counted = deque([(now, frames)], maxlen=RATE_LOOKS)
         self._counted.append((now, frames))
         then, before = self._counted[0]
-        if status.state != "live" or now - then < RATE_FROM_S:
-            return status.text
-        return f"live {self._units.rate.text((frames - before) / (now - then))}"
+        if now - then < RATE_FROM_S:
+            return ""
+        return self._units.rate.text((frames - before) / (now - then))
 
     _counted: deque[tuple[float, int]] | None = None
 

@@ -112,6 +112,7 @@ class LiveController(QObject):
         self.publishing.stop()
         self._pair.end()
         run, self.run = self.run, None
+        self.state.set_link("disconnected")
         if run is not None:
             self._jobs.run(lambda _: run.close())  # after the recording, which has the same thread
             self.changed.emit()
@@ -172,6 +173,8 @@ class LiveController(QObject):
 
     def _look(self) -> None:
         self._due = False
+        if self.sensor is not None:
+            self.state.set_link(self.sensor.stream.status().state)
         self.publishing.diagnose()
         self.looked.emit()
 

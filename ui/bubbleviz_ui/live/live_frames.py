@@ -40,10 +40,14 @@ class LiveFrames:
     stream : LiveStream
         Started; whoever started it stops it.
     zero : PressureZero
+    simulated : bool
+        Of a simulation.
     """
 
-    def __init__(self, name: str, stream: LiveStream, zero: PressureZero) -> None:
-        self.name, self.stream, self.zero = name, stream, zero
+    def __init__(
+        self, name: str, stream: LiveStream, zero: PressureZero, *, simulated: bool = False
+    ) -> None:
+        self.name, self.stream, self.zero, self.simulated = name, stream, zero, simulated
         self._epoch_ns = 0
         self._kept: deque[Frame] = deque()
         self._bytes = 0

@@ -12,7 +12,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz_ui.model.choices import PATCH_CHOICES, Choices
 from bubbleviz_ui.model.frame_history import History
-from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.source_facts import Badge, Link, SourceFacts
 from bubbleviz_ui.model.units import SYSTEMS, Units
 
 
@@ -27,6 +27,8 @@ class SessionState(QObject):
         The cursor moved: the frame, and whether playback moved it or a person.
     playing_changed, frozen_changed : Signal
         Playback started or stopped; the view of a live source stands still or goes on.
+    link_changed : Signal
+        What is connected is doing otherwise.
     choices_changed : Signal
         The user chose something: the names of the fields of `Choices` that differ, a frozenset.
     range_changed, markers_changed : Signal
@@ -41,6 +43,8 @@ class SessionState(QObject):
     playing : bool
     frozen : bool
         The cursor stays while the live source goes on.
+    link : str
+        How what is connected is doing.
     now : int
         Frame a live source is at.
     play_range : (int, int) or None
@@ -56,6 +60,7 @@ class SessionState(QObject):
     frame_changed = Signal(int, bool)
     playing_changed = Signal(bool)
     frozen_changed = Signal(bool)
+    link_changed = Signal()
     choices_changed = Signal(object)
     range_changed = Signal()
     markers_changed = Signal()
@@ -68,6 +73,7 @@ class SessionState(QObject):
         self.frame = 0
         self.playing = False
         self.frozen = False
+        self.link: Link = "disconnected"
         self.now = 0
         self.play_range: tuple[int, int] | None = None
         self.markers: tuple[int, ...] = ()
@@ -141,6 +147,18 @@ class SessionState(QObject):
         self.frozen_changed.emit(frozen)
         if not frozen:
             self.seek(self.now, by_playback=True)
+
+    @property
+    def badge(self) -> Badge:
+        """What one looks at, in one word; empty for a recording, or nothing."""
+        facts = self.facts
+        return "" if facts is None else facts.badge(self.link, frozen=self.frozen)
+
+    def set_link(self, link: Link) -> None:
+        """Take how what is connected is doing."""
+        if link != self.link:
+            self.link = link
+            self.link_changed.emit()
 
     def choose_range(self, frames: tuple[int, int] | None) -> None:
         """Play only from one frame to another."""

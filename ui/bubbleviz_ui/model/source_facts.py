@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+
+from bubbleviz.live.source_status import State
+
+Link = State | Literal["disconnected"]
+"""How what is connected is doing; disconnected while nothing is."""
+Badge = Link | Literal["", "frozen", "simulated"]
+"""The one word that tells what one looks at; empty for a recording."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,8 @@ class SourceFacts:
         What the user should know about it; empty for nothing.
     marks : tuple of (int, str)
         Frames marked when it was recorded, with the text of each.
+    simulated : bool
+        Its live frames are a simulation's.
     """
 
     title: str
@@ -36,6 +46,7 @@ class SourceFacts:
     grows: bool = False
     remark: str = ""
     marks: tuple[tuple[int, str], ...] = ()
+    simulated: bool = False
 
     @property
     def frames(self) -> int:
@@ -47,3 +58,13 @@ class SourceFacts:
         """Mean frame rate of the camera, Hz; NaN for a single frame."""
         span = float(self.times_s[-1] - self.times_s[0]) if self.frames else 0.0
         return (self.frames - 1) / span if span > 0 else float("nan")
+
+    def badge(self, link: Link, *, frozen: bool) -> Badge:
+        """Say in one word what one looks at; what is connected counts for frames from there."""
+        if not self.live:
+            return ""
+        if self.grows and link != "live":
+            return link
+        if frozen:
+            return "frozen"
+        return "simulated" if self.simulated else "live"

@@ -14,6 +14,8 @@ from PySide6.QtWidgets import QFileDialog, QWidget
 from bubbleviz.files.output_files import free_name
 from bubbleviz_ui.model.messages import UserMessage
 
+SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
+
 
 def file_to_open(
     parent: QWidget, title: str, kinds: str = "", *, of: str, at_first: Path | None = None

@@ -29,7 +29,12 @@ from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
-from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save, folder_to_open
+from bubbleviz_ui.shell.file_dialogs import (
+    SENSOR_FILES,
+    file_to_open,
+    file_to_save,
+    folder_to_open,
+)
 from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
@@ -288,8 +293,7 @@ class Menus:
             self._window.controller.opening.recording(path)
 
     def _open_sensor(self) -> None:
-        kinds = "Sensor files (*.toml);;All files (*)"
-        path = file_to_open(self._bar, "Open sensor", kinds, of="sensor")
+        path = file_to_open(self._bar, "Open sensor", SENSOR_FILES, of="sensor")
         if path is not None:
             self._window.controller.opening.sensor_file(path)
 

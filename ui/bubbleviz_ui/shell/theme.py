@@ -33,6 +33,10 @@ BETWEEN = "#e8edf2"
 GAP = "#e5484d"
 BLUE, ORANGE, GREEN = "#4c9fe8", "#f0883e", "#35c07a"
 """Curves; told apart with any colour vision, on dark and on light."""
+YELLOW = "#f2c14e"
+"""What is simulated."""
+ON_BADGE = "#0b1118"
+"""Words on a badge of a colour that is the same in every theme."""
 
 
 @dataclass(frozen=True)
