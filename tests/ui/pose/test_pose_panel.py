@@ -25,6 +25,7 @@ from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 
 LEFT = Qt.MouseButton.LeftButton
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5
 
@@ -65,6 +66,13 @@ class Bench:
         box.activated.emit(box.currentIndex())
         obj = lambda: self.panel.session.obj  # noqa: E731
         self.driver.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
+
+    def key(
+        self, which: Qt.Key, held: Qt.KeyboardModifier = Qt.KeyboardModifier.NoModifier
+    ) -> None:
+        with self.driver.bot.waitActive(self.window):
+            self.window.activateWindow()
+        self.driver.bot.keyClick(self.window, which, held)
 
     def fit(self) -> None:
         self.click(self.panel.once)
@@ -126,11 +134,35 @@ def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
     assert bench.text("state") == "found"
     place = bench.window.scene.object.place
     assert place is not None and np.linalg.norm(place[:3, 3] - TRUE) < 3e-3
-    with bench.driver.bot.waitActive(bench.window):
-        bench.window.activateWindow()
-    bench.driver.bot.keyClick(bench.window, Qt.Key.Key_X)
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     assert panel.session.pose is None
     bench.driver.wait(lambda: bench.text("state") == "not fitted yet")
+
+
+def test_poses_that_were_forgotten_are_brought_back(bench: Bench) -> None:
+    bench.choose("frustum")
+    bench.click(bench.panel.track)
+    session, stack = bench.panel.session, bench.window.undo_stack
+    for frame in (1, 2):
+        bench.driver.seek(frame)
+    bench.driver.wait(lambda: {1, 2} <= session.rows.keys())
+    rows, steps = dict(session.rows), stack.index()
+    place = bench.window.scene.object.place
+    bench.key(Qt.Key.Key_X)  # beside Z: no key of anything
+    assert stack.index() == steps and session.rows == rows
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
+    bench.driver.settle()
+    assert not session.rows and not bench.panel.track.isChecked()
+    assert bench.window.scene.object.place is None and stack.index() == steps + 1
+    bench.key(Qt.Key.Key_Z, CTRL)
+    assert session.rows == rows and bench.panel.track.isChecked()
+    assert np.array_equal(bench.window.scene.object.place, place)
+    bench.driver.seek(3)  # tracked on
+    bench.driver.wait(lambda: 3 in session.rows)
+    assert session.rows[3].status == "ok"
+    bench.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    bench.driver.wait(lambda: bench.text("state") == "not fitted yet")
+    assert not session.rows and not bench.panel.track.isChecked()
 
 
 def test_tracking_runs_only_when_asked_and_exports(

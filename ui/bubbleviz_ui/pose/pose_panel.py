@@ -127,7 +127,7 @@ class PosePanel(QWidget):
         self.here.setToolTip("Take the pose that is shown as the start")
         self.track.setCheckable(True)
         self.track.setToolTip("Follow the object from frame to frame")
-        self.reset.setToolTip("Forget every pose and stop tracking (X)")
+        self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
         options(self.stage, {2: "both stages", 1: "stage one"})
         self.stage.setToolTip("Which result the object is drawn at")
 

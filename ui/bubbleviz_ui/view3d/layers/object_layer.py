@@ -52,7 +52,11 @@ class ObjectLayer(Layer):
         """Draw the pose of a result; what it has none of stays where it was."""
         pose = picture.result.pose
         if pose is not None:
-            self.put(shown_place(pose, picture.choices.pose_stage), lost=pose.status != "ok")
+            self.put_pose(pose, picture.choices.pose_stage)
+
+    def put_pose(self, pose: Pose, stage: int) -> None:
+        """Place it at a stage of a pose, in the colour of its status."""
+        self.put(shown_place(pose, stage), lost=pose.status != "ok")
 
     def put(self, T_B_O: np.ndarray | None, *, lost: bool = False) -> None:
         """Place it at a pose (4, 4), or nowhere."""
