@@ -286,7 +286,7 @@ class MainWindow(QMainWindow):
             "compare": scrolled(self.compare),
             "tools": scrolled(self.tools),
             "sensor": scrolled(self.sensor),
-            "pose": self.pose,
+            "pose": scrolled(self.pose),
             "calibration": self.gamma0,
             "plots": self.plots,
             "images": self.images,

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QApplication, QWidget
+from scipy.spatial.transform import Rotation
 from window_driver import Driver, axes_corner, in_view
 
 from bubbleviz.rigid_object import load_object
@@ -117,6 +118,50 @@ def test_fit_once_shows_the_object_and_says_how_well(bench: Bench) -> None:
     assert bench.text("open") == "shift along 2 and turn about 1 axis"
     fit = bench.window.scene.layers["fit"]
     assert isinstance(fit, FitLayer) and fit.points.visibility and fit.arrows.visibility
+
+
+def test_the_pose_is_read_selected_and_copied(bench: Bench) -> None:
+    """In numbers of the units that are chosen; the object keeps a frame of its own."""
+    panel = bench.panel
+    assert bench.text("place") == bench.text("turn") == "–" and not panel.copy.isEnabled()
+    bench.choose("frustum")
+    bench.fit()
+    pose = panel.session.pose
+    assert pose is not None
+    T = pose.T_B_O
+    bench.driver.wait(lambda: bench.text("place") != "–")
+    assert bench.text("place") == ", ".join(f"{1e3 * each:.2f} mm" for each in T[:3, 3])
+    turns = [float(each.removesuffix("°")) for each in bench.text("turn").split(", ")]
+    assert np.allclose(Rotation.from_euler("xyz", turns, degrees=True).as_matrix(), T[:3, :3],
+                       atol=3e-3)  # fmt: skip
+    label = panel.values["place"]
+    bench.driver.bot.mouseDClick(label, LEFT, pos=QPoint(6, label.height() // 2))
+    assert label.hasSelectedText()
+    bench.click(panel.copy)
+    head, place, turn, _, *rows = QApplication.clipboard().text().splitlines()
+    assert head == "T_B_O, object to bubble frame: found"
+    assert place.startswith("position x y z, m: ")
+    assert np.allclose(np.array(place.split()[-3:], float), T[:3, 3], atol=1e-9)
+    w, x, y, z = (
+        float(each) for each in turn.removeprefix("quaternion w x y z, no unit: ").split()
+    )
+    assert np.allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), T[:3, :3], atol=1e-7)
+    assert np.allclose(np.array([row.split() for row in rows], float), T, atol=1e-9)
+    bench.driver.state.choose(length_unit="m")
+    bench.driver.wait(lambda: bench.text("place").endswith(" m"))
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
+    bench.driver.wait(lambda: bench.text("place") == "–")
+    assert not panel.copy.isEnabled()
+
+
+def test_the_panel_fits_a_small_screen(bench: Bench) -> None:
+    bench.choose("frustum")
+    bench.fit()
+    window, curves = bench.window, bench.panel.findChild(Curves)
+    assert curves is not None and curves.isVisible()
+    window.resize(1024, 700)
+    bench.driver.settle()
+    assert (window.width(), window.height()) == (1024, 700)
 
 
 def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:

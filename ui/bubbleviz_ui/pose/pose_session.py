@@ -19,6 +19,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Failed, Followed, FollowRequest, Opened
 from bubbleviz_ui.model.choices import POSE_CHOICES
 from bubbleviz_ui.model.undo import SettingsHistory
+from bubbleviz_ui.pose.pose_text import known_pose
 
 FileUnit = Literal["m", "mm"]
 
@@ -115,7 +116,7 @@ class PoseSession(QObject):
             return
         pose, self.rows = found.pose, dict(found.rows)
         self.pose, start = pose, self.start
-        if found.track and pose is not None and np.isfinite(pose.T_B_O).all():
+        if found.track and known_pose(pose):
             start = pose.T_B_O
         choices = self._state.choices
         self._controller.follow(choices.pose_object, choices.pose_unit, start, fit=False)
