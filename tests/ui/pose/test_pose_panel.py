@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QApplication, QWidget
 from scipy.spatial.transform import Rotation
-from window_driver import Driver, axes_corner, in_view
+from window_driver import Driver, axes_corner, idle, in_view
 
+from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -256,6 +258,39 @@ def test_rmse_is_in_the_unit_of_length_on_an_axis_of_its_own(bench: Bench) -> No
         fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
         assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
         assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
+
+
+def test_curves_have_no_line_across_what_is_lost_or_was_left_out(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lose(monkeypatch, 1)
+    bench.choose("frustum")
+    bench.click(bench.panel.track)
+    session = bench.panel.session
+    bench.driver.wait(lambda: 0 in session.rows)
+    for frame in (1, 2, 4):
+        bench.driver.seek(frame)
+        bench.driver.wait(lambda frame=frame: frame in session.rows)
+    assert [row.status for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
+    bench.driver.wait(lambda: idle(bench.panel))
+    curves = bench.panel.findChild(Curves)
+    assert curves is not None
+    for curve in curves.frames:
+        drawn = curve.line.getOriginalDataset()[1]
+        assert np.isfinite(drawn).tolist() == [True, False, True, False, True]
+        assert curve.line.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
+
+
+def lose(monkeypatch: pytest.MonkeyPatch, lost: int) -> None:
+    """Have a frame without depth."""
+    seen = SyntheticSource.__getitem__
+
+    def blinded(source: SyntheticSource, index: int) -> Frame:
+        frame = seen(source, index)
+        blank = np.full_like(frame.depth_m, np.nan)
+        return replace(frame, depth_m=blank) if index == lost else frame
+
+    monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
 
 
 def test_a_fit_leaves_out_the_parts_that_are_too_small(bench: Bench) -> None:

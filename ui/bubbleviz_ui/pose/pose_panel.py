@@ -270,8 +270,9 @@ class PosePanel(QWidget):
             curves.draw_iterations(pose.stage_one.history, pose.stage_two.history)
         rows = [self.session.rows[k] for k in sorted(self.session.rows)]
         if rows:
-            times = np.array([row.time_s for row in rows])
-            curves.draw_frames(times, np.array([(row.fitness, row.rmse_m) for row in rows]))
+            numbers, times = np.array([(row.frame, row.time_s) for row in rows]).T
+            values = np.array([(row.fitness, row.rmse_m) for row in rows])
+            curves.draw_frames(numbers, times, values)
 
     def _made_curves(self) -> Curves:
         if self._curves is None:
