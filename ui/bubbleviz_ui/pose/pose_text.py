@@ -40,7 +40,7 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     elif pose is None:
         texts["state"] = "not fitted yet"
     else:
-        texts["state"] = STATES[pose.status]
+        texts["state"] = state_words(pose)
     if known_pose(pose):
         texts["place"], texts["turn"] = _place(pose.T_B_O, units), _turn(pose.T_B_O)
     if pose is None or pose.stage_one is None or pose.stage_two is None:
@@ -55,6 +55,12 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     return texts
 
 
+def state_words(pose: Pose) -> str:
+    """What became of it, and whether the contact leaves a direction open."""
+    left = int(np.count_nonzero(~pose.determined)) if pose.status == "ok" else 0
+    return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
+
+
 def known_pose(pose: Pose | None) -> TypeGuard[Pose]:
     """Whether there is one, be it of an earlier frame."""
     return pose is not None and bool(np.isfinite(pose.T_B_O).all())
@@ -65,7 +71,7 @@ def copied_pose(pose: Pose) -> str:
     x, y, z, qx, qy, qz, qw = pose_numbers(pose.T_B_O)
     return "\n".join(
         [
-            f"T_B_O, object to bubble frame: {STATES[pose.status]}",
+            f"T_B_O, object to bubble frame: {state_words(pose)}",
             f"position x y z, m: {_digits((x, y, z))}",
             f"quaternion w x y z, no unit: {_digits((qw, qx, qy, qz))}",
             "matrix 4×4, translation in m:",
