@@ -64,6 +64,16 @@ class PressureZero:
         """Begin anew with the contact-free frames that come; the present offset stays till then."""
         self._free, self._asked = [], True
 
+    @property
+    def rest_pa(self) -> float | None:
+        """Measured without contact, Pa; None until it is known."""
+        return None if self.offset_pa is None else self.offset_pa + self.reference_pa
+
+    def restore(self, rest_pa: float | None, *, waiting: bool) -> None:
+        """Return to an earlier `rest_pa`, and to having waited for another or not."""
+        self.offset_pa = None if rest_pa is None else rest_pa - self.reference_pa
+        self._free, self._asked = [], waiting
+
     def learn(self, raw_pressure_pa: float | None, *, contact_free: bool) -> None:
         """Take note of a frame's measured pressure, Pa, as it was before `applied`.
 

@@ -141,10 +141,10 @@ class MainWindow(QMainWindow):
         self.gamma0 = Gamma0Panel(
             Calibration(controller, self.undo_stack), state.units, self.playback.strip
         )
-        self.pose = PosePanel(state, PoseSession(controller))
+        self.pose = PosePanel(state, PoseSession(controller, self.settings))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
         self.pair = SensorPair(controller, self.scene, self.view)
-        self.live_controller = LiveController(controller, self.pair)
+        self.live_controller = LiveController(controller, self.pair, self.settings)
         self.live = LiveBar(self.live_controller, state.units)
         self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
@@ -286,7 +286,7 @@ class MainWindow(QMainWindow):
             "compare": scrolled(self.compare),
             "tools": scrolled(self.tools),
             "sensor": scrolled(self.sensor),
-            "pose": self.pose,
+            "pose": scrolled(self.pose),
             "calibration": self.gamma0,
             "plots": self.plots,
             "images": self.images,

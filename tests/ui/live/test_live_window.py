@@ -231,14 +231,23 @@ def test_the_zero_of_the_gas_pressure_is_learned_again_on_request(open_bench: Op
         zero.learn(zero.reference_pa + 250.0, contact_free=True)
     live.window.live.show_now()
     assert "gas zero +250 Pa" in live.window.live.counts.toolTip()
-    key(live, Qt.Key.Key_Z)
+    key(live, Qt.Key.Key_Z)  # no key of anything: it is beside Ctrl+Z
+    assert not zero.waiting
+    key(live, Qt.Key.Key_G, CTRL, SHIFT)
     assert zero.waiting
     live.window.live.show_now()
     assert "waiting for a rest" in live.window.live.counts.toolTip()
+    for _ in range(ENOUGH):
+        zero.learn(zero.reference_pa + 400.0, contact_free=True)
+    key(live, Qt.Key.Key_Z, CTRL)
+    live.window.live.show_now()
+    assert "gas zero +250 Pa" in live.window.live.counts.toolTip() and not zero.waiting
+    key(live, Qt.Key.Key_Z, CTRL, SHIFT)
+    assert zero.waiting
 
 
 def test_another_sensor_file_moves_the_zero_of_the_gas_pressure(open_bench: Open) -> None:
-    """Else its own gauge pressure is read as contact, or hides it, until somebody presses Z."""
+    """Else its own gauge pressure is read as contact, or hides it, until somebody zeroes it."""
     live = connected(open_bench)
     zero = live.run.session.sensors[0].zero
     zero.zero_now()

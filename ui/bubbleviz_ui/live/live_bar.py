@@ -58,7 +58,9 @@ class LiveBar(QFrame):
         self.state = QLabel()
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
-        self.zero = self._button("Zero gas", "Take the gas pressure's zero from the next rest (Z)")
+        self.zero = self._button(
+            "Zero gas", "Take the gas pressure's zero from the next rest (Ctrl+Shift+G)"
+        )
         self.publish = self._button("Publish", "")
         self.publish.setCheckable(True)
         self.publish.setToolTip("Patch, force, pose and diagnostics over Zenoh, this computer only")

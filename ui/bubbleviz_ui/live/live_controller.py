@@ -20,6 +20,7 @@ from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.result_text import doubt_text
+from bubbleviz_ui.model.undo import SettingsHistory
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""
@@ -47,9 +48,10 @@ class LiveController(QObject):
     changed = Signal()
     said = Signal(object)
 
-    def __init__(self, controller: Controller, pair: SensorPair) -> None:
+    def __init__(self, controller: Controller, pair: SensorPair, settings: SettingsHistory) -> None:
         super().__init__()
         self._controller, self._pair, self.state = controller, pair, controller.state
+        self._settings = settings
         self._jobs = Jobs("live")
         self.recording, self.publishing = Recording(self._jobs), Publishing()
         self.connection: Connection | None = None
@@ -142,9 +144,16 @@ class LiveController(QObject):
         self.choose(1 - self.chosen)
 
     def zero_now(self) -> None:
-        """Take the gas pressure's zero from the next contact-free frames."""
-        if self.sensor is not None:
-            self.sensor.zero.zero_now()
+        """Take the gas pressure's zero from the next contact-free frames; undo brings it back."""
+        if self.sensor is None:
+            return
+        zero = self.sensor.zero
+        rest_pa, waiting = zero.rest_pa, zero.waiting
+
+        def ask(anew: bool) -> None:
+            zero.zero_now() if anew else zero.restore(rest_pa, waiting=waiting)
+
+        self._settings.push("gas pressure zero", ask, False, True)
 
     def close(self) -> None:
         """End everything; a recording is whole when this returns."""

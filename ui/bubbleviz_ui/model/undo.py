@@ -164,7 +164,7 @@ class SettingsHistory:
             if not self._quiet and each.last != old:
                 number = isinstance(old, int | float) and not isinstance(old, bool)
                 gesture = (each.text, self._present_gesture()) if number else None
-                self._push(each.text, each.apply, old, each.last, gesture)
+                self.push(each.text, each.apply, old, each.last, gesture)
 
     def _on_choices(self, names: frozenset[str]) -> None:
         before, self._choices = self._choices, self._state.choices
@@ -176,7 +176,7 @@ class SettingsHistory:
         text = Choices.words("view_from" if "view_from" in names else min(names))
         drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
         gesture = (names, self._present_gesture()) if drags else None
-        self._push(text, self._choose, old, new, gesture)
+        self.push(text, self._choose, old, new, gesture)
 
     def _choose(self, values: dict[str, Any]) -> None:
         self._state.choose(**values)
@@ -188,9 +188,11 @@ class SettingsHistory:
         self._changed_s = now
         return self._gesture
 
-    def _push(
+    def push(
         self, text: str, apply: Callable[[Any], None], old: Any, new: Any, gesture: Hashable = None
     ) -> None:
+        """Make a value the present one, as a step of its own; see `Change`."""
+
         def quietly(value: Any) -> None:
             with self.unrecorded():
                 apply(value)

@@ -129,7 +129,7 @@ class TimePlot:
             curve.setData(
                 times,
                 values * scale,
-                symbol="o" if _alone(values) else None,
+                symbol="o" if alone(values) else None,
                 symbolBrush=self.trace.curves[name],
                 symbolPen=None,
             )
@@ -214,7 +214,7 @@ class Band:
             item.setData(*thinned(times_s, edge, window_s))
 
 
-def _alone(values: np.ndarray) -> bool:
+def alone(values: np.ndarray) -> bool:
     """Whether lines would hide frames whose neighbours are not known."""
     known = np.isfinite(values)
     count = int(np.count_nonzero(known))

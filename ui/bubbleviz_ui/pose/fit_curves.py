@@ -10,6 +10,7 @@ from PySide6.QtGui import QColor
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.panels.time_plot import alone
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 HEIGHT = 109
@@ -44,9 +45,11 @@ class Curves(PlotHost):
         both = np.concatenate([one, two])
         self._draw(self.iterations, np.arange(len(both)), both, len(one))
 
-    def draw_frames(self, time_s: np.ndarray, values: np.ndarray) -> None:
-        """Fitness, and rmse in m, (f, 2) of frames."""
-        self._draw(self.frames, time_s, values, None)
+    def draw_frames(self, numbers: np.ndarray, time_s: np.ndarray, values: np.ndarray) -> None:
+        """Fitness, and rmse in m, (f, 2) of frames by their numbers; no line across others."""
+        breaks = np.flatnonzero(np.diff(numbers) > 1) + 1
+        times = np.insert(time_s, breaks, time_s[breaks])
+        self._draw(self.frames, times, np.insert(values, breaks, np.nan, axis=0), None)
 
     def clear(self) -> None:
         """Draw nothing."""
@@ -56,13 +59,12 @@ class Curves(PlotHost):
     def _draw(
         self, curves: tuple[Curve, Curve], x: np.ndarray, values: np.ndarray, change: int | None
     ) -> None:
-        known = np.isfinite(values).all(axis=1)
         for k, unit in enumerate((self._units.share, self._units.length)):
-            curves[k].draw(x[known], values[known, k], unit, change)
+            curves[k].draw(x, values[:, k], unit, change)
 
 
 class Curve:
-    """One quantity in its unit; the last value is written above.
+    """One quantity in its unit; the last known value is written above.
 
     Attributes
     ----------
@@ -75,18 +77,23 @@ class Curve:
         self._name, self._colour = name, colour
         self.frame = PlotFrame(below)
         self.frame.box.setMouseEnabled(x=False, y=False)
-        self.line = pg.PlotDataItem(pen=pg.mkPen(colour, width=1))
+        self.line = pg.PlotDataItem(
+            pen=pg.mkPen(colour, width=1), connect="finite",
+            symbolSize=4, symbolBrush=colour, symbolPen=None,
+        )  # fmt: skip
         self.change = pg.InfiniteLine()
         self.frame.box.addItem(self.line)
         self.frame.box.addItem(self.change, ignoreBounds=True)
 
     def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
-        """Draw values (k,) in SI, with a line where the second stage begins."""
-        self.line.setData(x, unit.of(1.0) * values)
+        """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
+        symbol = "o" if alone(values) else None
+        self.line.setData(x, unit.of(1.0) * values, symbol=symbol)
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
-        last = f" {unit.text(float(values[-1]))}" if len(values) else ""
+        known = values[np.isfinite(values)]
+        last = f" {unit.text(float(known[-1]))}" if len(known) else ""
         self.frame.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
 
     def paint(self, dim: QColor, text: QColor) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import QObject
 
+from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.pose.pose_gizmo import Gizmo
 from bubbleviz_ui.pose.pose_panel import PosePanel
@@ -26,6 +27,7 @@ class PoseOverlay:
         self._view, self._scene, self._panel = view, scene, panel
         self._obj: RigidObject | None = None
         self._start: np.ndarray | None = None
+        self._pose: Pose | None = None
         self.gizmo = Gizmo(view, self._on_dragged)
         self._wires = [
             panel.session.changed.connect(lambda: self._on_changed()),
@@ -47,7 +49,9 @@ class PoseOverlay:
             layer.set_object(session.obj)
         if (session.start is not self._start and session.start is not None) or session.pose is None:
             layer.put(session.start)
-        self._start = session.start
+        elif session.pose is not self._pose:
+            layer.put_pose(session.pose, self._panel.stage.currentData())
+        self._start, self._pose = session.start, session.pose
         self._view.refresh()
 
     def _on_gizmo(self, on: bool) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, QTimer, Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent
+from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -30,7 +30,7 @@ from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.pose.fit_curves import Curves
-from bubbleviz_ui.pose.pose_text import pose_words
+from bubbleviz_ui.pose.pose_text import NUMBERS, copied_pose, known_pose, pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
 from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save
 from bubbleviz_ui.shell.layouts import fill
@@ -41,10 +41,6 @@ if TYPE_CHECKING:
 
 MESHES = f"Meshes ({' '.join('*' + suffix for suffix in SUFFIXES)});;All files (*)"
 NONE, FROM_FILE = "none", "from a file…"
-NUMBERS = {
-    "state": "Status", "fit": "Both stages", "first": "Stage one", "open": "Not determined",
-    "spread": "Deviation", "time": "Time",
-}  # fmt: skip
 EVERY_MS = 150
 """Numbers and curves are written this often: nobody reads faster."""
 
@@ -79,6 +75,8 @@ class PosePanel(QWidget):
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")
         self.stage = QComboBox()
+        self.copy = QPushButton("Copy")
+        self.copy.setToolTip("T_B_O as text: position in m, quaternion w x y z, 4×4 matrix")
         self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
         self.csv.setToolTip("Poses found so far, T_B_O in m, as POSES.csv")
         self.tum.setToolTip("Poses found so far in the TUM format of trajectories, m")
@@ -127,7 +125,7 @@ class PosePanel(QWidget):
         self.here.setToolTip("Take the pose that is shown as the start")
         self.track.setCheckable(True)
         self.track.setToolTip("Follow the object from frame to frame")
-        self.reset.setToolTip("Forget every pose and stop tracking (X)")
+        self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
         options(self.stage, {2: "both stages", 1: "stage one"})
         self.stage.setToolTip("Which result the object is drawn at")
 
@@ -146,6 +144,7 @@ class PosePanel(QWidget):
         form.setHorizontalSpacing(12)
         for name, title in NUMBERS.items():
             form.addRow(title, self.values[name])
+        form.insertRow(3, "T_B_O", self.copy)
         form.addRow("Shown", self.stage)
         column.addLayout(form)
         self._room = QVBoxLayout()
@@ -153,6 +152,9 @@ class PosePanel(QWidget):
         for name, value in self.values.items():
             value.setObjectName(f"pose_{name}")
             value.setWordWrap(True)
+            value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.values["place"].setToolTip("Of T_B_O: the object's origin in the bubble frame B")
+        self.values["turn"].setToolTip("Of T_B_O: turns about fixed x, then y, then z of B")
 
     def _connect(self) -> None:
         session, state = self.session, self._state
@@ -166,6 +168,7 @@ class PosePanel(QWidget):
         self.once.clicked.connect(lambda: session.fit_once())
         self.track.clicked.connect(lambda on: session.track(on))
         self.reset.clicked.connect(lambda: session.reset())
+        self.copy.clicked.connect(lambda: self._copy())
         self.csv.clicked.connect(lambda: self._export("csv"))
         self.tum.clicked.connect(lambda: self._export("tum"))
         session.changed.connect(lambda: self._on_changed())
@@ -177,8 +180,13 @@ class PosePanel(QWidget):
 
     def _start_here(self) -> None:
         pose = self.session.pose
-        if pose is not None and np.isfinite(pose.T_B_O).all():
+        if known_pose(pose):
             self.use_start(pose.T_B_O)
+
+    def _copy(self) -> None:
+        pose = self.session.pose
+        if known_pose(pose):
+            QGuiApplication.clipboard().setText(copied_pose(pose))
 
     def _on_object(self) -> None:
         name = self.object.currentData()
@@ -239,8 +247,9 @@ class PosePanel(QWidget):
         self.unit.setEnabled(idle)
         for widget in (self.search, self.start, self.once, self.track, self.reset, self.move_it):
             widget.setEnabled(idle and has)
-        known = session.pose is not None and bool(np.isfinite(session.pose.T_B_O).all())
+        known = known_pose(session.pose)
         self.here.setEnabled(idle and has and known)
+        self.copy.setEnabled(known)
         for button in (self.csv, self.tum):
             button.setEnabled(idle and bool(session.rows))
         self.track.setChecked(self._state.choices.pose_track)
@@ -261,8 +270,9 @@ class PosePanel(QWidget):
             curves.draw_iterations(pose.stage_one.history, pose.stage_two.history)
         rows = [self.session.rows[k] for k in sorted(self.session.rows)]
         if rows:
-            times = np.array([row.time_s for row in rows])
-            curves.draw_frames(times, np.array([(row.fitness, row.rmse_m) for row in rows]))
+            numbers, times = np.array([(row.frame, row.time_s) for row in rows]).T
+            values = np.array([(row.fitness, row.rmse_m) for row in rows])
+            curves.draw_frames(numbers, times, values)
 
     def _made_curves(self) -> Curves:
         if self._curves is None:

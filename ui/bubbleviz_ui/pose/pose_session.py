@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -16,8 +18,20 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Failed, Followed, FollowRequest, Opened
 from bubbleviz_ui.model.choices import POSE_CHOICES
+from bubbleviz_ui.model.undo import SettingsHistory
+from bubbleviz_ui.pose.pose_text import known_pose
 
 FileUnit = Literal["m", "mm"]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What there is of an object in a session of the solver, for undo."""
+
+    session: int
+    pose: Pose | None = None
+    rows: Mapping[int, PoseRow] = field(default_factory=dict)
+    track: bool = False
 
 
 class PoseSession(QObject):
@@ -41,8 +55,9 @@ class PoseSession(QObject):
 
     changed = Signal()
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, settings: SettingsHistory) -> None:
         super().__init__()
+        self._settings = settings
         self._controller, self._state = controller, controller.state
         self.obj: RigidObject | None = None
         self.start: np.ndarray | None = None
@@ -89,10 +104,24 @@ class PoseSession(QObject):
         self.changed.emit()
 
     def reset(self) -> None:
-        """Forget every pose and stop tracking; object and start stay."""
-        self._state.choose(pose_track=False)
-        self._forget()
-        self._follow(fit=False)
+        """Forget every pose and stop tracking, as a step for undo; object and start stay."""
+        session, track = self._controller.client.session, self._state.choices.pose_track
+        if self.pose is not None or self.rows or track:
+            found = _Found(session, self.pose, self.rows, track)
+            self._settings.push("reset pose", self._use, found, _Found(session))
+
+    def _use(self, found: _Found) -> None:
+        """Show these poses, and track on from the last; nothing where another source is open."""
+        if found.session != self._controller.client.session:
+            return
+        pose, self.rows = found.pose, dict(found.rows)
+        self.pose, start = pose, self.start
+        if found.track and known_pose(pose):
+            start = pose.T_B_O
+        choices = self._state.choices
+        self._controller.follow(choices.pose_object, choices.pose_unit, start, fit=False)
+        self._state.choose(pose_track=found.track)
+        self.changed.emit()  # last: the choice has the last result drawn once more, with its pose
 
     def export(self, path: Path, form: Literal["csv", "tum"]) -> int:
         """Write the poses found so far; count of lines.

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 
+from bubbleviz.files.pose_reader import angles_of_pose, pose_numbers
 from bubbleviz.pose.observability import open_axes
 from bubbleviz.result import Pose, Stage
 from bubbleviz_ui.model.units import NOTHING, Units
@@ -13,6 +15,11 @@ from bubbleviz_ui.model.units import NOTHING, Units
 if TYPE_CHECKING:
     from bubbleviz_ui.pose.pose_session import PoseSession
 
+NUMBERS = {
+    "state": "Status", "place": "x, y, z", "turn": "rx, ry, rz", "fit": "Both stages",
+    "first": "Stage one", "open": "Not determined", "spread": "Deviation", "time": "Time",
+}  # fmt: skip
+"""Titles of the texts by name."""
 STATES = {
     "ok": "found",
     "lost": "lost; the last good pose is kept",
@@ -25,7 +32,7 @@ STATES = {
 def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     """Texts of the panel by name."""
     pose = session.pose
-    texts = dict.fromkeys(("state", "fit", "first", "open", "spread", "time"), NOTHING)
+    texts = dict.fromkeys(NUMBERS, NOTHING)
     if session.busy:
         texts["state"] = "fitting…"
     elif session.obj is None:
@@ -33,7 +40,9 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     elif pose is None:
         texts["state"] = "not fitted yet"
     else:
-        texts["state"] = STATES[pose.status]
+        texts["state"] = state_words(pose)
+    if known_pose(pose):
+        texts["place"], texts["turn"] = _place(pose.T_B_O, units), _turn(pose.T_B_O)
     if pose is None or pose.stage_one is None or pose.stage_two is None:
         return texts
     texts["fit"], texts["first"] = _stage(pose.stage_two, units), _stage(pose.stage_one, units)
@@ -44,6 +53,44 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     ms = pose.stage_one.ms, pose.stage_two.ms
     texts["time"] = f"{units.duration.text(ms[0])} + {units.duration.text(ms[1])}"
     return texts
+
+
+def state_words(pose: Pose) -> str:
+    """What became of it, and whether the contact leaves a direction open."""
+    left = int(np.count_nonzero(~pose.determined)) if pose.status == "ok" else 0
+    return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
+
+
+def known_pose(pose: Pose | None) -> TypeGuard[Pose]:
+    """Whether there is one, be it of an earlier frame."""
+    return pose is not None and bool(np.isfinite(pose.T_B_O).all())
+
+
+def copied_pose(pose: Pose) -> str:
+    """T_B_O as lines of text with units, for other programs."""
+    x, y, z, qx, qy, qz, qw = pose_numbers(pose.T_B_O)
+    return "\n".join(
+        [
+            f"T_B_O, object to bubble frame: {state_words(pose)}",
+            f"position x y z, m: {_digits((x, y, z))}",
+            f"quaternion w x y z, no unit: {_digits((qw, qx, qy, qz))}",
+            "matrix 4×4, translation in m:",
+            *(_digits(row) for row in pose.T_B_O),
+        ]
+    )
+
+
+def _digits(numbers: Iterable[float]) -> str:
+    return " ".join(f"{round(float(number), 9) + 0.0:.9f}" for number in numbers)
+
+
+def _place(T_B_O: np.ndarray, units: Units) -> str:
+    return ", ".join(units.length.text(float(place)) for place in T_B_O[:3, 3])
+
+
+def _turn(T_B_O: np.ndarray) -> str:
+    angles = np.degrees(angles_of_pose(T_B_O)).round(1) + 0.0  # no "-0.0"
+    return ", ".join(f"{angle:.1f}°" for angle in angles)
 
 
 def _stage(stage: Stage, units: Units) -> str:

@@ -156,7 +156,7 @@ class Menus:
         self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
         self._add(menu, "&Publish results / stop", live.toggle_publishing, "Ctrl+Shift+R")
         self._add(menu, "Publish &at…", self._publish_at)
-        self._add(menu, "Gas pressure &zero now", live.zero_now, "Z")
+        self._add(menu, "Gas pressure &zero now", live.zero_now, "Ctrl+Shift+G")
         self._add(menu, "The &other sensor", live.choose_other, "B")
 
     def _view(self, menu: QMenu) -> None:
@@ -168,7 +168,7 @@ class Menus:
         self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
         for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
             self._add(menu, title, partial(window.tools.use_tool, tool))
-        self._add(menu, "Reset p&ose", window.pose.session.reset, "X")
+        self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
         scenes = menu.addMenu("&Scene")
         for name in preset_names("scenes"):
             preset = load_scene(name)

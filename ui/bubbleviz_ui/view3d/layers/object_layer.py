@@ -12,7 +12,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
-FOUND, LOST = theme.GREEN, theme.GAP
+FOUND, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
 OPACITY = 0.45  # so that the membrane shows behind it
 
 
@@ -52,14 +52,19 @@ class ObjectLayer(Layer):
         """Draw the pose of a result; what it has none of stays where it was."""
         pose = picture.result.pose
         if pose is not None:
-            self.put(shown_place(pose, picture.choices.pose_stage), lost=pose.status != "ok")
+            self.put_pose(pose, picture.choices.pose_stage)
 
-    def put(self, T_B_O: np.ndarray | None, *, lost: bool = False) -> None:
+    def put_pose(self, pose: Pose, stage: int) -> None:
+        """Place it at a stage of a pose, in the colour of how well it is known."""
+        known = FOUND if pose.determined.all() else UNDETERMINED
+        self.put(shown_place(pose, stage), known if pose.status == "ok" else LOST)
+
+    def put(self, T_B_O: np.ndarray | None, colour: str = FOUND) -> None:
         """Place it at a pose (4, 4), or nowhere."""
         self.place = T_B_O if T_B_O is not None and np.isfinite(T_B_O).all() else None
         if self.place is not None:
             self.actor.user_matrix = self.place
-            self.actor.prop.color = LOST if lost else FOUND
+            self.actor.prop.color = colour
         self._has(self._has_mesh and self.place is not None)
 
 
