@@ -7,14 +7,13 @@ from functools import partial
 
 import numpy as np
 import pytest
-from fakes import FIRST_CONTACT, FRAMES, DentSource
+from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QInputDialog
 from window_driver import Driver
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -28,14 +27,6 @@ LEFT = Qt.MouseButton.LeftButton
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 NONE = Qt.KeyboardModifier.NoModifier
 BELOW, ABOVE = RULER + 8, RULER // 2
-
-
-class GappySource(DentSource):
-    """Lacks three frames after its fifth."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        super().__init__(sensor)
-        self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
 
 
 def pixels(timeline: Timeline) -> np.ndarray:
@@ -97,7 +88,7 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
 def test_gaps_and_markers_are_seen(drive: Drive) -> None:
     driver = drive(GappySource)
     timeline = driver.window.playback.timeline
-    assert [(g.after_frame, g.missing) for g in timeline.gaps] == [(5, 3)]
+    assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
     before = pixels(timeline)
     assert np.all(before == rgb(theme.GAP), axis=2)[RULER + 3, round(timeline.x_of(5.5)) - 1]
     assert not np.all(before == rgb(theme.DARK.marker), axis=2).any()
@@ -216,7 +207,6 @@ def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
     assert sum(a.nbytes for a in state.history.values.values()) < 8e6
     timeline = Timeline(state)
     timeline.resize(900, timeline.height())
-    timeline.show_source()
     seen = np.all(pixels(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
     assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_of(18_000)) < 2
     assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+
+from bubbleviz.frames.gaps import Gap, find_gaps
+
+OUTAGE_S = 0.5
+"""A source that grows leaves frames out whenever the solver is busy: less is no gap in it."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,12 @@ class SourceFacts:
     def frames(self) -> int:
         """Count the frames."""
         return len(self.times_s)
+
+    @cached_property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Where frames are missing."""
+        gaps = find_gaps(self.times_s)
+        return tuple(gap for gap in gaps if not self.grows or gap.duration_s > OUTAGE_S)
 
     @property
     def rate_hz(self) -> float:

@@ -7,7 +7,7 @@ from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QHelpEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from bubbleviz.frames.gaps import Gap, find_gaps
+from bubbleviz.frames.gaps import Gap
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, UNTRUSTED
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -39,8 +39,6 @@ class Timeline(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self._gaps: tuple[Gap, ...] = ()
-        self._known: SourceFacts | None = None
         self._holding: int | None = None
         self._dragged: tuple[int, int] | None = None
         self.setObjectName("timeline")
@@ -48,18 +46,6 @@ class Timeline(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setMouseTracking(True)
-
-    def show_source(self) -> None:
-        """Take another source: where frames are missing in it."""
-        facts = self._state.facts
-        if facts is not self._known and facts is not None:
-            self._known, self._gaps = facts, find_gaps(facts.times_s)
-        self.update()
-
-    @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """Places where frames are missing."""
-        return self._gaps
 
     def x_of(self, frame: float) -> float:
         """Where a frame lies, screen pixels."""
@@ -124,13 +110,14 @@ class Timeline(QWidget):
 
     def words(self, frame: int) -> str:
         """What is known about a frame."""
-        if self._facts is None:
+        facts = self._facts
+        if facts is None:
             return ""
-        time_text = self._state.units.time.text(float(self._facts.times_s[frame]))
+        time_text = self._state.units.time.text(float(facts.times_s[frame]))
         parts = [f"frame {frame} · {time_text}", WORDS[int(self._state.history.contact[frame])]]
-        parts += [f"{g.missing} missing after it" for g in self._gaps if g.after_frame == frame]
+        parts += [f"{g.missing} missing after it" for g in facts.gaps if g.after_frame == frame]
         if frame in self._state.markers:
-            notes = [text for at, text in self._facts.marks if at == frame]
+            notes = [text for at, text in facts.marks if at == frame]
             parts.append(": ".join(["marked", *filter(None, ["; ".join(notes)])]))
         help_text = "Click or drag: seek. Drag above (or with Shift): range to play"
         return f"{' · '.join(parts)}\n{help_text}; double-click there: all"
@@ -145,7 +132,7 @@ class Timeline(QWidget):
             self._paint_contact(painter)
             self._paint_ticks(painter)
             self._paint_times(painter, self._facts.times_s)
-            self._paint_gaps(painter)
+            self._paint_gaps(painter, self._facts.gaps)
             self._paint_range(painter)
             self._paint_markers(painter)
             self._paint_cursor(painter)
@@ -196,8 +183,8 @@ class Timeline(QWidget):
                 painter.drawText(QPointF(left, RULER - 4), text)
                 end = left + width
 
-    def _paint_gaps(self, painter: QPainter) -> None:
-        for gap in self._gaps:
+    def _paint_gaps(self, painter: QPainter, gaps: tuple[Gap, ...]) -> None:
+        for gap in gaps:
             x = self.x_of(gap.after_frame + 0.5)
             painter.fillRect(QRectF(x - 1, RULER, 2, BAND), QColor(theme.GAP))
 
