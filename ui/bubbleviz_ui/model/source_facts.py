@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from bubbleviz.frames.gaps import Gap, find_gaps
+from bubbleviz_ui.model.time_axis import TimeAxis
 
 OUTAGE_S = 0.5
 """A source that grows leaves frames out whenever the solver is busy: less is no gap in it."""
@@ -53,6 +54,11 @@ class SourceFacts:
         """Where frames are missing."""
         gaps = find_gaps(self.times_s)
         return tuple(gap for gap in gaps if not self.grows or gap.duration_s > OUTAGE_S)
+
+    @cached_property
+    def axis(self) -> TimeAxis:
+        """Where its frames lie on a timeline."""
+        return TimeAxis(self.times_s)
 
     @property
     def rate_hz(self) -> float:
