@@ -62,3 +62,11 @@ class DentSource:
 
     def close(self) -> None:
         self.closed = True
+
+
+class GappySource(DentSource):
+    """Lacks three frames after its fifth."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        super().__init__(sensor)
+        self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fakes import FIRST_CONTACT, DentSource
+from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
@@ -18,6 +18,7 @@ from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.diagnostics.kappa_curve import KAPPAS, kappa_curve
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.gaps import find_gaps
 from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.sensor import Sensor
 from bubbleviz.study.error_metrics import iou
@@ -122,6 +123,22 @@ def test_analysis_is_cancelled_and_seeking_stays_possible(drive: Drive, press: F
     assert 0 < len(missing) < 20_000 and len(missing) - len(after) < 40
     driver.seek(300)
     assert len(after) - 2 <= len(driver.state.history.missing(frozenset({"patch"})))
+
+
+def test_curves_and_bands_break_where_frames_are_missing(drive: Drive) -> None:
+    driver = drive(GappySource)
+    panel = opened(driver, "force", "residual")
+    driver.bot.mouseClick(panel.analyse, LEFT)
+    driver.wait(lambda: len(driver.state.history.missing(frozenset({"estimate", "patch"}))) == 0)
+    force, residual = panel.plots["force"], panel.plots["residual"]
+    for read in (lambda: force.data["force_n"], lambda: residual.data["residual_m"]):
+        driver.wait(lambda read=read: np.count_nonzero(np.isfinite(read()[1])) == FRAMES)
+        times, values = read()
+        assert list(np.flatnonzero(np.isnan(values))) == [6]
+        np.testing.assert_array_equal(np.delete(times, 6), driver.state.facts.times_s)
+    band = force.bands["force_n"]
+    for edge in (band.low, band.high):
+        np.testing.assert_array_equal(edge.getOriginalDataset()[0], times)
 
 
 def test_a_click_seeks_and_the_cursor_and_the_numbers_follow(drive: Drive) -> None:
@@ -246,6 +263,17 @@ def test_thin_curves_keep_every_peak() -> None:
     assert x[np.nanargmax(y)] == pytest.approx(times[17_123], abs=1.0)
     x, y = thinned(times, values, (570.0, 572.0))
     assert len(x) < 70 and 17_123 / 30 in x
+
+
+def test_thin_curves_break_at_gaps() -> None:
+    frame = np.arange(36_000)
+    times = frame / 30.0 + 60.0 * (frame > 17_123)
+    gaps = find_gaps(times)
+    x, y = thinned(times, np.ones(36_000), (0.0, 1300.0), gaps)
+    (broken,) = np.flatnonzero(np.isnan(y))
+    assert x[broken - 1] <= times[17_123] < x[broken] == x[broken + 1] == times[17_124]
+    for window_s in ((0.0, 100.0), (700.0, 1300.0)):
+        assert np.isfinite(thinned(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
 def test_times_need_no_pixels(sensor: Sensor) -> None:

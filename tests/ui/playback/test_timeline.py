@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
-from fakes import FIRST_CONTACT, FRAMES, DentSource
+from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QInputDialog
+from pytestqt.qtbot import QtBot
 from window_driver import Driver
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.sensor import Sensor
+from bubbleviz.frames.gaps import TimeAxis
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -30,14 +32,6 @@ NONE = Qt.KeyboardModifier.NoModifier
 BELOW, ABOVE = RULER + 8, RULER // 2
 
 
-class GappySource(DentSource):
-    """Lacks three frames after its fifth."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        super().__init__(sensor)
-        self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
-
-
 def pixels(timeline: Timeline) -> np.ndarray:
     """What the timeline shows, (h, w, 3)."""
     image = timeline.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
@@ -46,7 +40,7 @@ def pixels(timeline: Timeline) -> np.ndarray:
     return rows.reshape(image.height(), image.width(), 3).copy()
 
 
-def at(timeline: Timeline, frame: float, y: int = BELOW) -> QPoint:
+def at(timeline: Timeline, frame: int, y: int = BELOW) -> QPoint:
     return QPoint(round(timeline.x_of(frame)), y)
 
 
@@ -59,7 +53,7 @@ def key(driver: Driver, which: Qt.Key, modifier: Qt.KeyboardModifier = NONE) -> 
 def drag(driver: Driver, first: int, last: int, y: int) -> None:
     timeline = driver.window.playback.timeline
     driver.bot.mousePress(timeline, LEFT, pos=at(timeline, first, y))
-    driver.bot.mouseMove(timeline, at(timeline, (first + last) / 2, y))
+    driver.bot.mouseMove(timeline, at(timeline, (first + last) // 2, y))
     driver.bot.mouseMove(timeline, at(timeline, last, y))
     driver.bot.mouseRelease(timeline, LEFT, pos=at(timeline, last, y))
 
@@ -98,9 +92,12 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
 def test_gaps_and_markers_are_seen(drive: Drive) -> None:
     driver = drive(GappySource)
     timeline = driver.window.playback.timeline
-    assert [(g.after_frame, g.missing) for g in timeline.gaps] == [(5, 3)]
+    assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
     before = pixels(timeline)
-    assert np.all(before == rgb(theme.GAP), axis=2)[RULER + 3, round(timeline.x_of(5.5)) - 1]
+    red = np.flatnonzero(np.all(before == rgb(theme.GAP), axis=2).any(axis=0))
+    left, right = timeline.x_of(5), timeline.x_of(6)
+    assert left < red.min() < left + 0.2 * (right - left)
+    assert right > red.max() > right - 0.2 * (right - left)
     assert not np.all(before == rgb(theme.DARK.marker), axis=2).any()
     driver.seek(9)
     key(driver, Qt.Key.Key_M)
@@ -114,6 +111,41 @@ def test_gaps_and_markers_are_seen(drive: Drive) -> None:
     key(driver, Qt.Key.Key_M)
     assert driver.state.markers == (3,)
     assert "3 missing after it" in timeline.words(5) and "marked" in timeline.words(3)
+
+
+def test_an_outage_is_as_wide_as_it_was_long(drive: Drive) -> None:
+    driver = drive(GappySource)
+    timeline, times = driver.window.playback.timeline, driver.state.facts.times_s
+    places = np.array([timeline.x_of(k) for k in range(FRAMES)])
+    np.testing.assert_allclose(np.diff(places) / np.diff(times), np.ptp(places) / np.ptp(times))
+    left, right = places[5], places[6]
+    for share, frame in ((0.4, 5), (0.6, 6)):
+        driver.bot.mouseClick(
+            timeline, LEFT, pos=QPoint(round(left + share * (right - left)), BELOW)
+        )
+        assert driver.state.frame == frame
+
+
+def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot: QtBot) -> None:
+    state, busy = SessionState(), 0.1
+    times = np.arange(20) / 30.0 + busy * (np.arange(20) > 9)
+    facts = SourceFacts("live", "dome", times, live=True, grows=True)
+    state.open(facts, playing=True)
+    timeline = Timeline(state)
+    qtbot.addWidget(timeline)
+    timeline.resize(900, timeline.height())
+    assert not np.all(pixels(timeline) == rgb(theme.GAP), axis=2).any()
+    state.history.grow(21)
+    state.grow(replace(facts, times_s=np.append(times, times[-1] + 2.0)))
+    red = np.flatnonzero(np.all(pixels(timeline) == rgb(theme.GAP), axis=2).any(axis=0))
+    assert timeline.x_of(19) < red.min() < red.max() < timeline.x_of(20)
+    assert np.ptp(red) > 500 and "missing after it" in timeline.words(19)
+
+
+def test_a_replay_that_begins_again_is_laid_out_lap_after_lap() -> None:
+    axis = TimeAxis(np.tile(np.arange(5) / 10.0, 3))
+    np.testing.assert_allclose(axis.places, np.linspace(0.0, 1.0, 15))
+    assert list(axis.nearest(axis.places)) == list(range(15))
 
 
 def test_keys_and_buttons_jump_in_time(drive: Drive) -> None:
@@ -219,7 +251,6 @@ def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
     assert sum(a.nbytes for a in state.history.values.values()) < 8e6
     timeline = Timeline(state)
     timeline.resize(900, timeline.height())
-    timeline.show_source()
     seen = np.all(pixels(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
     assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_of(18_000)) < 2
     assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)
@@ -228,9 +259,11 @@ def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
 def test_one_contact_frame_is_never_lost_among_thousands() -> None:
     contact = np.full(36_000, FREE, np.int8)
     contact[12_345] = CONTACT
+    frame = np.arange(36_000)
+    axis = TimeAxis(frame / 30.0 + 900.0 * (frame > 20_000))
     for width in (100, 777, 1000):
-        assert np.count_nonzero(columns(contact, width) == CONTACT) == 1
-    assert list(columns(np.array([0, 1], np.int8), 4)) == [0, 0, 1, 1]
+        assert np.count_nonzero(columns(contact, axis, width) == CONTACT) == 1
+    assert list(columns(np.array([0, 1], np.int8), TimeAxis(np.arange(2.0)), 4)) == [0, 0, 1, 1]
 
 
 def test_what_is_missing_depends_on_what_is_asked() -> None:

@@ -15,6 +15,7 @@ from bubbleviz.calibration.reports.verdict import Verdict, judge
 from bubbleviz.calibration.rest.collected_frames import CollectedFrames
 from bubbleviz.calibration.sensor_comparison import Comparison, compare
 from bubbleviz.calibration.workbench import Draft, Settings, Workbench
+from bubbleviz.frames.gaps import TimeAxis
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor
 
@@ -42,8 +43,8 @@ class Answer:
     ----------
     work : Work
     draft : Draft
-    frames : int
-        Of the source.
+    axis : TimeAxis
+        Where the frames of the source lie on the timeline.
     last : BeforeAfter or None
     local_tension : (H, W) array or None
         N/m.
@@ -55,25 +56,30 @@ class Answer:
 
     work: Work
     draft: Draft
-    frames: int = 0
+    axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))
     last: BeforeAfter | None = None
     local_tension: np.ndarray | None = None
     verdict: Verdict | None = None
     comparison: Comparison | None = None
     compared_with: Sensor | None = None
 
+    @property
+    def frames(self) -> int:
+        """Count the frames of the source."""
+        return len(self.axis)
+
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
     """Do the work and everything that is shown of it; runs in the calibration thread."""
     draft = bench.work(work.settings, progress)
-    frames = len(bench.source)
+    axis = TimeAxis(bench.source.times_s)
     if draft.found is None:
-        return Answer(work, draft, frames)
+        return Answer(work, draft, axis)
     progress("pictures", 0.0)
     return Answer(
         work,
         draft,
-        frames,
+        axis,
         last=before_after(draft.found),
         local_tension=local_tension_image(draft.found),
         verdict=judge(draft.found),

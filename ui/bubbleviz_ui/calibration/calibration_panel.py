@@ -236,7 +236,7 @@ class Gamma0Panel(QWidget):
             self.verdict.setText(verdict.summary)
             self.verdict.setStyleSheet(f"color: {getattr(theme.of(self), verdict.grade)}")
         recorded = calibration.work.collected is None and not calibration.live
-        self.strip.set_ranges(answer.frames, answer.draft.ranges)
+        self.strip.set_ranges(answer.axis, answer.draft.ranges)
         self.strip.setVisible(recorded and bool(answer.draft.ranges))
 
     def _state(self, number: int) -> StepState:

@@ -82,8 +82,8 @@ class FramesPage(Page):
     def show_answer(self, answer: Answer) -> None:
         """Show the ranges and what they rest on."""
         ranges = self.ranges(answer)
-        self.strip.set_ranges(answer.frames, ranges)
-        self.plot.show_scores(answer.draft.contact_free)
+        self.strip.set_ranges(answer.axis, ranges)
+        self.plot.show_scores(answer.draft.contact_free, answer.axis)
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))
         count = len(numbers(ranges))

@@ -8,6 +8,7 @@ from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QWidget
 
 from bubbleviz.calibration.rest.contact_free import SIGNIFICANT, ContactFree
+from bubbleviz.frames.gaps import TimeAxis
 from bubbleviz_ui.playback.range_strip import MARGIN
 from bubbleviz_ui.shell import theme
 
@@ -31,11 +32,12 @@ class ScorePlot(QWidget):
             f" pressure; dashed: {SIGNIFICANT:g} σ, beyond which it is contact"
         )
         self._scores: dict[str, np.ndarray] = {}
+        self._axis = TimeAxis(np.zeros(0))
 
-    def show_scores(self, found: ContactFree | None) -> None:
-        """Show the scores of a search; None: nothing."""
+    def show_scores(self, found: ContactFree | None, axis: TimeAxis) -> None:
+        """Show the scores of a search of frames on an axis; None: nothing."""
         self.setVisible(found is not None)
-        self._scores = {}
+        self._scores, self._axis = {}, axis
         if found is not None:
             both = {"depth": found.depth_score, "gas pressure": found.pressure_score}
             self._scores = {name: each for name, each in both.items() if each is not None}
@@ -60,10 +62,10 @@ class ScorePlot(QWidget):
         for number, (name, score) in enumerate(self._scores.items()):
             painter.setPen(QColor(COLOURS[name]))
             painter.drawText(QPointF(MARGIN + 70 + 60 * number, 16), name)
-            wide = (self.width() - 2 * MARGIN) / max(len(score) - 1, 1)
+            wide = self.width() - 2 * MARGIN
             points = [
-                QPointF(MARGIN + k * wide, self._y(float(value), highest))
-                for k, value in enumerate(score)
+                QPointF(MARGIN + place * wide, self._y(float(value), highest))
+                for place, value in zip(self._axis.places, score, strict=True)
             ]
             painter.drawPolyline(QPolygonF(points))
         painter.end()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.frames.gaps import Gap
 from bubbleviz.frames.measured_force import measured_force
 from bubbleviz.pipeline import Product
 from bubbleviz.result import TRUSTED
@@ -154,17 +157,26 @@ def grown(values: np.ndarray, count: int, fill: float) -> np.ndarray:
 
 
 def thinned(
-    times_s: np.ndarray, values: np.ndarray, window_s: tuple[float, float], most: int = 1500
+    times_s: np.ndarray,
+    values: np.ndarray,
+    window_s: tuple[float, float],
+    gaps: Sequence[Gap] = (),
+    most: int = 1500,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points of a curve inside a window of time, with nothing lost that one would see.
 
-    Beyond `most` frames their lowest and highest known values stand for each few of them.
+    Beyond `most` frames their lowest and highest known values stand for each few of them. A NaN in
+    each of the gaps breaks the curve there.
     """
     first = max(int(np.searchsorted(times_s, window_s[0])) - 1, 0)
     last = min(int(np.searchsorted(times_s, window_s[1], "right")) + 1, len(times_s))
     times_s, values = times_s[first:last], values[first:last]
-    if len(values) <= 2 * most:
-        return times_s, values
-    starts = np.linspace(0, len(values), most, endpoint=False).astype(np.int64)
-    ends = (np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts))
-    return np.repeat(times_s[starts], 2), np.column_stack(ends).ravel()
+    after = np.array([gap.after_frame + 1 - first for gap in gaps], np.int64)
+    after = after[(after > 0) & (after < len(values))]
+    if len(values) > 2 * most:
+        even = np.linspace(0, len(values), most, endpoint=False).astype(np.int64)
+        starts = np.union1d(even, after)
+        ends = (np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts))
+        times_s, values = np.repeat(times_s[starts], 2), np.column_stack(ends).ravel()
+        after = 2 * np.searchsorted(starts, after)
+    return np.insert(times_s, after, times_s[after]), np.insert(values, after, np.nan)

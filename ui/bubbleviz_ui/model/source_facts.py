@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
+from bubbleviz.frames.gaps import Gap, TimeAxis, find_gaps
 from bubbleviz.live.source_status import State
 
 Link = State | Literal["disconnected"]
 """How what is connected is doing; disconnected while nothing is."""
 Badge = Link | Literal["", "frozen", "simulated"]
 """The one word that tells what one looks at; empty for a recording."""
+OUTAGE_S = 0.5
+"""A source that grows leaves frames out whenever the solver is busy: less is no gap in it."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,17 @@ class SourceFacts:
     def frames(self) -> int:
         """Count the frames."""
         return len(self.times_s)
+
+    @cached_property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Where frames are missing."""
+        gaps = find_gaps(self.times_s)
+        return tuple(gap for gap in gaps if not self.grows or gap.duration_s > OUTAGE_S)
+
+    @cached_property
+    def axis(self) -> TimeAxis:
+        """Where its frames lie on a timeline."""
+        return TimeAxis(self.times_s)
 
     @property
     def rate_hz(self) -> float:

@@ -182,7 +182,7 @@ class PlotsPanel(QWidget):
             self._follow(float(facts.times_s[-1]))
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
-                plot.draw(facts.times_s, self._state.history, self._state.units)
+                plot.draw(facts, self._state.history, self._state.units)
         self._draw_cursor()
         self._show_statistics()
 

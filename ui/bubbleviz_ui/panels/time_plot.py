@@ -12,6 +12,7 @@ import numpy as np
 from PySide6.QtGui import QColor
 
 from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, History, thinned
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.shell import theme
@@ -118,14 +119,14 @@ class TimePlot:
             self.box.addItem(curve)
         self.box.addItem(self.cursor, ignoreBounds=True)
 
-    def draw(self, times_s: np.ndarray, history: History, units: Units) -> None:
+    def draw(self, facts: SourceFacts, history: History, units: Units) -> None:
         """Draw what is known, in the operator's unit."""
         self._history = history
         scale = self.trace.unit(units).of(1.0)
         for name, curve in self.curves.items():
             low, high = self.box.viewRange()[0]
             known = history.of(name)
-            times, values = thinned(times_s, known, (low, high))
+            times, values = thinned(facts.times_s, known, (low, high), facts.gaps)
             curve.setData(
                 times,
                 values * scale,
@@ -135,7 +136,7 @@ class TimePlot:
             )
             if name in self.bands:
                 half = history.of(self.trace.bands[name])
-                self.bands[name].draw(times_s, known * scale, half * scale, (low, high))
+                self.bands[name].draw(facts, known * scale, half * scale, (low, high))
 
     def show_all(self, times_s: np.ndarray) -> None:
         """Show all of time."""
@@ -204,14 +205,14 @@ class Band:
 
     def draw(
         self,
-        times_s: np.ndarray,
+        facts: SourceFacts,
         values: np.ndarray,
         half: np.ndarray,
         window_s: tuple[float, float],
     ) -> None:
         """Draw values ± half widths, (F,), in the operator's unit."""
         for edge, item in ((values - half, self.low), (values + half, self.high)):
-            item.setData(*thinned(times_s, edge, window_s))
+            item.setData(*thinned(facts.times_s, edge, window_s, facts.gaps))
 
 
 def alone(values: np.ndarray) -> bool:

@@ -139,7 +139,7 @@ class PlaybackPanel(QWidget):
         self.now.clicked.connect(lambda: state.freeze(False))
 
     def _on_source(self) -> None:
-        self.timeline.show_source()
+        self.timeline.update()
         self._show_all()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:

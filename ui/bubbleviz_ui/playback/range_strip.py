@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 from PySide6.QtCore import QEvent, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from bubbleviz.calibration.rest.frame_ranges import Ranges, tidy
+from bubbleviz.frames.gaps import TimeAxis
 from bubbleviz_ui.shell import theme
 
 HEIGHT = 16
@@ -47,20 +49,20 @@ class RangeStrip(QWidget):
             "Contact-free frames. Drag an end, or an empty place for another range;"
             " keys: Space next end, ← → move it (↑ ↓ by 10), Delete takes the range out"
         )
-        self.frames = 0
+        self._axis = TimeAxis(np.zeros(0))
         self.ranges: Ranges = ()
         self._moving: Ranges | None = None
         self._handle: Handle = (0, 1)
         self._from: int | None = None
 
-    def set_ranges(self, frames: int, ranges: Ranges) -> None:
-        """Show ranges of a source of so many frames."""
-        self.frames, self.ranges, self._moving = frames, ranges, None
+    def set_ranges(self, axis: TimeAxis, ranges: Ranges) -> None:
+        """Show ranges of a source whose frames lie on an axis."""
+        self._axis, self.ranges, self._moving = axis, ranges, None
         self.update()
 
     def x_of(self, frame: int) -> float:
         """Where a frame lies, screen pixels."""
-        return MARGIN + frame / max(self.frames - 1, 1) * (self.width() - 2 * MARGIN)
+        return MARGIN + float(self._axis.places[frame]) * (self.width() - 2 * MARGIN)
 
     def sizeHint(self) -> QSize:
         """As high as a timeline."""
@@ -99,7 +101,7 @@ class RangeStrip(QWidget):
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Take hold of an end, or begin a new range."""
-        if event.button() != Qt.MouseButton.LeftButton or not self.frames:
+        if event.button() != Qt.MouseButton.LeftButton or not len(self._axis):
             return
         handle = self._near(event.position().x())
         if handle is not None:
@@ -119,7 +121,7 @@ class RangeStrip(QWidget):
             return
         if self._from is not None:
             ends = sorted((self._from, self._frame(x)))
-            self._moving = tidy([*self.ranges, (ends[0], ends[1] + 1)], self.frames)
+            self._moving = tidy([*self.ranges, (ends[0], ends[1] + 1)], len(self._axis))
         elif self._moving is not None:
             self._moving = self._moved(self.ranges, self._handle, self._frame(x))
         self.update()
@@ -151,8 +153,7 @@ class RangeStrip(QWidget):
         painter.end()
 
     def _frame(self, x: float) -> int:
-        share = (x - MARGIN) / max(self.width() - 2 * MARGIN, 1)
-        return min(max(round(share * (self.frames - 1)), 0), self.frames - 1)
+        return int(self._axis.nearest((x - MARGIN) / max(self.width() - 2 * MARGIN, 1)))
 
     def _near(self, x: float) -> Handle | None:
         distances = {
@@ -177,7 +178,7 @@ class RangeStrip(QWidget):
         number, end = handle
         start, stop = ranges[number]
         moved = (start, max(frame, start) + 1) if end else (min(frame, stop - 1), stop)
-        return tidy([r for k, r in enumerate(ranges) if k != number] + [moved], self.frames)
+        return tidy([r for k, r in enumerate(ranges) if k != number] + [moved], len(self._axis))
 
     def _tell(self, ranges: Ranges, what: str) -> None:
         if ranges != self.ranges:

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QHelpEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtGui import (
+    QBrush,
+    QColor,
+    QHelpEvent,
+    QMouseEvent,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPolygonF,
+)
 from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from bubbleviz.frames.gaps import Gap, find_gaps
+from bubbleviz.frames.gaps import Gap, TimeAxis
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, UNTRUSTED
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -20,6 +29,8 @@ BAND = 22
 """Height of the lower band, which has the frames."""
 TICK_PIXELS = 5
 """Frames nearer to each other than this share a tick."""
+NARROW = 4
+"""A gap no wider than this is one line, screen pixels; a wider one is hatched."""
 LABEL_PIXELS = 70  # px for one time
 STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600)
 WORDS = {
@@ -31,7 +42,7 @@ WORDS = {
 
 
 class Timeline(QWidget):
-    """Frames from left to right; click or drag below to seek, drag above for a range to play.
+    """Frames by their time; click or drag below to seek, drag above for a range to play.
 
     Its cost does not grow with the frames: contact is gathered to one value a screen column.
     """
@@ -39,8 +50,6 @@ class Timeline(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self._gaps: tuple[Gap, ...] = ()
-        self._known: SourceFacts | None = None
         self._holding: int | None = None
         self._dragged: tuple[int, int] | None = None
         self.setObjectName("timeline")
@@ -49,26 +58,13 @@ class Timeline(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setMouseTracking(True)
 
-    def show_source(self) -> None:
-        """Take another source: where frames are missing in it."""
-        facts = self._state.facts
-        if facts is not self._known and facts is not None:
-            self._known, self._gaps = facts, find_gaps(facts.times_s)
-        self.update()
-
-    @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """Places where frames are missing."""
-        return self._gaps
-
-    def x_of(self, frame: float) -> float:
+    def x_of(self, frame: int) -> float:
         """Where a frame lies, screen pixels."""
-        return MARGIN + frame / max(self._frames - 1, 1) * self._span
+        return MARGIN + float(self._axis.places[frame]) * self._span
 
     def frame_at(self, x: float) -> int:
         """Frame nearest to a place."""
-        share = (x - MARGIN) / max(self._span, 1)
-        return min(max(round(share * (self._frames - 1)), 0), max(self._frames - 1, 0))
+        return int(self._axis.nearest((x - MARGIN) / self._span))
 
     def sizeHint(self) -> QSize:
         """As wide as there is room."""
@@ -124,13 +120,14 @@ class Timeline(QWidget):
 
     def words(self, frame: int) -> str:
         """What is known about a frame."""
-        if self._facts is None:
+        facts = self._facts
+        if facts is None:
             return ""
-        time_text = self._state.units.time.text(float(self._facts.times_s[frame]))
+        time_text = self._state.units.time.text(float(facts.times_s[frame]))
         parts = [f"frame {frame} · {time_text}", WORDS[int(self._state.history.contact[frame])]]
-        parts += [f"{g.missing} missing after it" for g in self._gaps if g.after_frame == frame]
+        parts += [f"{g.missing} missing after it" for g in facts.gaps if g.after_frame == frame]
         if frame in self._state.markers:
-            notes = [text for at, text in self._facts.marks if at == frame]
+            notes = [text for at, text in facts.marks if at == frame]
             parts.append(": ".join(["marked", *filter(None, ["; ".join(notes)])]))
         help_text = "Click or drag: seek. Drag above (or with Shift): range to play"
         return f"{' · '.join(parts)}\n{help_text}; double-click there: all"
@@ -144,15 +141,15 @@ class Timeline(QWidget):
         if self._frames and self._facts is not None:
             self._paint_contact(painter)
             self._paint_ticks(painter)
-            self._paint_times(painter, self._facts.times_s)
-            self._paint_gaps(painter)
+            self._paint_times(painter)
+            self._paint_gaps(painter, self._facts.gaps)
             self._paint_range(painter)
             self._paint_markers(painter)
             self._paint_cursor(painter)
         painter.end()
 
     def _paint_contact(self, painter: QPainter) -> None:
-        known = columns(self._state.history.contact, max(int(self._span), 1))
+        known = columns(self._state.history.contact, self._axis, int(self._span))
         ends = np.flatnonzero(np.diff(known)) + 1
         colours = {
             FREE: theme.of(self).free,
@@ -166,19 +163,18 @@ class Timeline(QWidget):
 
     def _paint_ticks(self, painter: QPainter) -> None:
         step = 1
-        while step * self._span < TICK_PIXELS * (self._frames - 1):
+        while step * self._axis.step * self._span < TICK_PIXELS:
             step *= 10
         bottom = float(RULER + BAND)
         lines = [
-            QLineF(x, bottom - (9 if k % (10 * step) == 0 else 5), x, bottom)
-            for k in range(0, self._frames, step)
-            for x in (self.x_of(k),)
+            QLineF(x, bottom - (5 if k % 10 else 9), x, bottom)
+            for k, x in enumerate(MARGIN + self._axis.places[::step] * self._span)
         ]
         painter.setPen(QPen(QColor(theme.of(self).dim), 1))
         painter.drawLines(lines)
 
-    def _paint_times(self, painter: QPainter, times_s: np.ndarray) -> None:
-        span_s = float(times_s[-1] - times_s[0])
+    def _paint_times(self, painter: QPainter) -> None:
+        span_s = self._axis.span_s
         most = max(self._span / LABEL_PIXELS, 1)
         step = next((s for s in STEPS_S if span_s / s <= most), STEPS_S[-1])
         painter.setPen(QColor(theme.of(self).dim))
@@ -187,8 +183,7 @@ class Timeline(QWidget):
         painter.setFont(font)
         end = -1e9
         for at_s in np.arange(0.0, span_s + 1e-9, step):
-            frame = int(np.searchsorted(times_s - times_s[0], at_s - 1e-9))
-            text, x = f"{at_s:g} s", self.x_of(min(frame, self._frames - 1))
+            text, x = f"{at_s:g} s", MARGIN + at_s / (span_s or 1.0) * self._span
             width = painter.fontMetrics().horizontalAdvance(text)
             left = min(x + 3, self.width() - width - 2)
             if left > end + 6:
@@ -196,10 +191,15 @@ class Timeline(QWidget):
                 painter.drawText(QPointF(left, RULER - 4), text)
                 end = left + width
 
-    def _paint_gaps(self, painter: QPainter) -> None:
-        for gap in self._gaps:
-            x = self.x_of(gap.after_frame + 0.5)
-            painter.fillRect(QRectF(x - 1, RULER, 2, BAND), QColor(theme.GAP))
+    def _paint_gaps(self, painter: QPainter, gaps: tuple[Gap, ...]) -> None:
+        field, hatched = QColor(theme.of(self).field), Qt.BrushStyle.BDiagPattern
+        for gap in gaps:
+            left, right = self.x_of(gap.after_frame), self.x_of(gap.after_frame + 1)
+            wide = max(right - left - self._axis.step * self._span, 2.0)
+            place = QRectF(0.5 * (left + right - wide), RULER, wide, BAND)
+            painter.fillRect(place, field)
+            style = hatched if wide > NARROW else Qt.BrushStyle.SolidPattern
+            painter.fillRect(place, QBrush(QColor(theme.GAP), style))
 
     def _paint_range(self, painter: QPainter) -> None:
         frames = self._dragged or self._state.play_range
@@ -246,8 +246,12 @@ class Timeline(QWidget):
         return self._facts.frames if self._facts is not None else 0
 
     @property
+    def _axis(self) -> TimeAxis:
+        return self._facts.axis if self._facts is not None else TimeAxis(np.zeros(0))
+
+    @property
     def _span(self) -> float:
-        return float(self.width() - 2 * MARGIN)
+        return float(max(self.width() - 2 * MARGIN, 1))
 
     def _other_end(self, x: float) -> int | None:
         """The end of the range that stays when the one near `x` is dragged."""
@@ -260,7 +264,6 @@ class Timeline(QWidget):
         return None
 
 
-def columns(contact: np.ndarray, width: int) -> np.ndarray:
+def columns(contact: np.ndarray, axis: TimeAxis, width: int) -> np.ndarray:
     """Highest state (width,) of the frames (F,) that share each screen column."""
-    place = np.arange(width) / max(width - 1, 1) * (len(contact) - 1)
-    return np.maximum.reduceat(contact, np.floor(place + 0.5).astype(np.int64))
+    return np.maximum.reduceat(contact, axis.nearest(np.linspace(0.0, 1.0, width)))
