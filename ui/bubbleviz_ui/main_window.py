@@ -324,6 +324,7 @@ class MainWindow(QMainWindow):
         watch("keys", keys.edited, lambda: keys.changed, keys.use)
         for text, box in self.gamma0.boxes.items():
             self.settings.watch_box(text, box)
+        self.playback.timeline.range_drawn.connect(self._play_range)
         self.gamma0.painted.connect(self._paint)
         self.status.asked.connect(self.show_costs)
         self._rates.timeout.connect(self.show_rates)
@@ -335,6 +336,12 @@ class MainWindow(QMainWindow):
         self.state.playing_changed.connect(self._write_numbers)
         self.state.frozen_changed.connect(self._write_numbers)
         self.state.choices_changed.connect(self._on_choices)
+
+    def _play_range(self, frames: tuple[int, int]) -> None:
+        """Play what was dragged on the timeline again and again."""
+        with self.settings.one_step("range"):
+            self.state.choose_range(frames)
+            self.state.choose(loop=True)
 
     def _connect_messages(self) -> None:
         for said in (
