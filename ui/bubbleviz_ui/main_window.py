@@ -148,6 +148,7 @@ class MainWindow(QMainWindow):
         self.live = LiveBar(self.live_controller, state.units)
         self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
+        self._source: object = None
         self._export: ExportDialog | None = None
         self.importing = Jobs("import")
         self._import: ImportDialog | None = None
@@ -403,6 +404,9 @@ class MainWindow(QMainWindow):
         self.gamma0.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
+        if opened.request.open_source is not self._source:  # of the same, who is at a box stays
+            self._source = opened.request.open_source
+            self.view.setFocus()
         self.message.drop_warnings()
         if opened.facts.remark:
             self.messages.tell(UserMessage("warning", opened.facts.remark))
