@@ -148,6 +148,7 @@ class MainWindow(QMainWindow):
         self.live = LiveBar(self.live_controller, state.units)
         self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
+        self._source: object = None
         self._export: ExportDialog | None = None
         self.importing = Jobs("import")
         self._import: ImportDialog | None = None
@@ -324,6 +325,7 @@ class MainWindow(QMainWindow):
         watch("keys", keys.edited, lambda: keys.changed, keys.use)
         for text, box in self.gamma0.boxes.items():
             self.settings.watch_box(text, box)
+        self.playback.timeline.range_drawn.connect(self._play_range)
         self.gamma0.painted.connect(self._paint)
         self.status.asked.connect(self.show_costs)
         self._rates.timeout.connect(self.show_rates)
@@ -337,6 +339,12 @@ class MainWindow(QMainWindow):
         self.state.playing_changed.connect(self._write_numbers)
         self.state.frozen_changed.connect(self._write_numbers)
         self.state.choices_changed.connect(self._on_choices)
+
+    def _play_range(self, frames: tuple[int, int]) -> None:
+        """Play what was dragged on the timeline again and again."""
+        with self.settings.one_step("range"):
+            self.state.choose_range(frames)
+            self.state.choose(loop=True)
 
     def _connect_messages(self) -> None:
         for said in (
@@ -407,6 +415,9 @@ class MainWindow(QMainWindow):
         self.gamma0.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
+        if opened.request.open_source is not self._source:  # of the same, who is at a box stays
+            self._source = opened.request.open_source
+            self.view.setFocus()
         self.message.drop_warnings()
         if opened.facts.remark:
             self.messages.tell(UserMessage("warning", opened.facts.remark))

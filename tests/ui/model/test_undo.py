@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
+import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
@@ -14,6 +16,7 @@ from window_driver import Driver, idle
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.rigid_object import load_object
 from bubbleviz.study.object_shapes import ply_bytes
+from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.undo import LAYOUT
@@ -273,6 +276,26 @@ def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
     assert panel.b.nodes.value() == 0 and panel.b.options().nodes is None
     assert panel.b.options() == EstimatorOptions("linear")
     assert panel.a.options() == EstimatorOptions()  # the defaults are the estimator's
+
+
+def test_an_arrow_held_in_a_box_of_compare_is_one_step(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)  # held, however slow the machine
+    driver = drive(frame=6)
+    driver.window.panels["compare"].show()
+    column, stack = driver.window.compare.b, driver.window.undo_stack
+    before = stack.index()
+    for box in (column.nodes, column.pressure_scale):
+        box.setFocus()
+        for _ in range(4):
+            driver.bot.keyClick(box, Qt.Key.Key_Up)
+    assert column.nodes.value() == 400 and stack.index() == before + 2
+    undo(driver, column.nodes)
+    assert column.nodes.value() == 400
+    assert column.options().pressure_scale == EstimatorOptions().pressure_scale
+    undo(driver, column.nodes)
+    assert column.nodes.value() == 0
 
 
 def test_boxes_of_the_calibration_are_undone(drive: Drive) -> None:

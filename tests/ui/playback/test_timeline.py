@@ -200,6 +200,18 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
     driver.settle()
 
 
+def test_a_range_that_is_dragged_is_one_step_where_loop_is_off(drive: Drive) -> None:
+    driver = drive(DentSource)
+    key(driver, Qt.Key.Key_L)
+    drag(driver, 3, 6, ABOVE)
+    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
+    assert driver.window.undo_stack.index() == 2
+    key(driver, Qt.Key.Key_Z, CTRL)
+    assert driver.state.play_range is None and not driver.state.choices.loop
+    key(driver, Qt.Key.Key_Z, CTRL | SHIFT)
+    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
+
+
 def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
     slow = partial(DentSource, slow_s=0.04)  # as ten frames are to take at the fastest speed
     driver = drive(slow)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PySide6.QtCore import QTimer
+from fakes import DentSource
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QAction, QImage
 from PySide6.QtWidgets import (
     QApplication,
@@ -15,10 +16,14 @@ from PySide6.QtWidgets import (
     QFileDialog,
     QLineEdit,
     QMessageBox,
+    QWidget,
 )
 from window_driver import Driver
 
 from bubbleviz.files.defaults import SESSION_SUFFIX
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
 
 Drive = Callable[..., Driver]
 
@@ -41,9 +46,10 @@ def typed(driver: Driver, start: Callable[[], None], name: str) -> list[str]:
         elif isinstance(dialog, QFileDialog) and not seen:
             seen.append("dialog")
             dialog.findChild(QLineEdit).setText(name)  # typed, it would be completed
-            save = dialog.findChild(QDialogButtonBox).button(QDialogButtonBox.StandardButton.Save)
+            kind, box = QDialogButtonBox.StandardButton, dialog.findChild(QDialogButtonBox)
+            done = box.button(kind.Save) or box.button(kind.Open)
             # not here: a question would wait in it, and this timer with that
-            QTimer.singleShot(0, save.click)
+            QTimer.singleShot(0, done.click)
         elif isinstance(dialog, QDialog) and "dialog" in seen:
             dialog.reject()
 
@@ -74,6 +80,41 @@ def test_a_session_named_without_its_suffix_is_not_replaced_unasked(
     assert precious.read_text() == "precious"
     assert typed(driver, save.trigger, str(tmp_path / "other")) == ["dialog"]
     assert (tmp_path / f"other{SESSION_SUFFIX}").is_file()
+
+
+def test_space_plays_what_was_opened_by_the_dialog(
+    drive: Drive, sensor: Sensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(parent: QWidget, title: str, folder: str, kinds: str) -> tuple[str, str]:
+        dialog = QFileDialog(parent, title, folder, kinds)
+        chosen = dialog.selectedFiles() if dialog.exec() else [""]
+        dialog.deleteLater()
+        return chosen[0], ""
+
+    # Qt's own dialog lives on its stack, where Python must not hold it
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
+    source = DentSource(sensor)
+    with RecordingWriter(tmp_path / "press.mcap") as writer:
+        for k in range(len(source)):
+            writer.write(source[k])
+    driver = drive()
+    loop, state = driver.window.playback.loop, driver.state
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    loop.setFocus()  # as by Tab; Space there is a click on it
+    typed(driver, action(driver, "Open recording…").trigger, str(tmp_path / "press.mcap"))
+    driver.wait(lambda: state.facts.title == "press.mcap")
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.wait(lambda: QApplication.focusWidget() is not None)
+    state.set_playing(False)
+    driver.bot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
+    assert state.playing and loop.isChecked() == state.choices.loop == Choices().loop
+    state.set_playing(False)
+    loop.setFocus()
+    state.choose(solver="fast")  # the same source, solved anew: who is at a box stays there
+    driver.settle()
+    assert QApplication.focusWidget() is loop
 
 
 @pytest.mark.parametrize("name", ["shot", "shot.v2"])

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Generic, TypeVar
 
 from PySide6.QtCore import Qt, SignalInstance
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
 from PySide6.QtWidgets import QWidget
 
-from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.session_state import SessionState
 
 T = TypeVar("T")
@@ -175,7 +175,10 @@ class SettingsHistory:
         new = {name: getattr(self._state.choices, name) for name in names}
         text = Choices.words("view_from" if "view_from" in names else min(names))
         drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
-        gesture = (names, self._present_gesture()) if drags else None
+        part: Hashable = names if drags else None
+        if names == {"compared"}:
+            part = _number_compared(before.compared, self._state.choices.compared)
+        gesture = None if part is None else (part, self._present_gesture())
         self.push(text, self._choose, old, new, gesture)
 
     def _choose(self, values: dict[str, Any]) -> None:
@@ -198,6 +201,18 @@ class SettingsHistory:
                 apply(value)
 
         self._stack.push(Change(text, quietly, old, new, gesture))
+
+
+def _number_compared(old: Sequence[Setting], new: Sequence[Setting]) -> Hashable:
+    """Which number of which setting differs; None where it is a name, or more than one."""
+    pairs = [
+        (number, field.name, getattr(a, field.name), getattr(b, field.name))
+        for number, (a, b) in enumerate(zip(old, new, strict=True))
+        for field in fields(Setting)
+    ]
+    parts = [(k, name, a, b) for k, name, a, b in pairs if a != b]
+    number, name, a, b = parts[0]
+    return (number, name) if len(parts) == 1 and not isinstance(a or b, str) else None
 
 
 def _is_dragged(value: object) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import (
     QBrush,
     QColor,
@@ -45,7 +45,14 @@ class Timeline(QWidget):
     """Frames by their time; click or drag below to seek, drag above for a range to play.
 
     Its cost does not grow with the frames: contact is gathered to one value a screen column.
+
+    Attributes
+    ----------
+    range_drawn : Signal
+        First and last frame of a range that was dragged.
     """
+
+    range_drawn = Signal(object)
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -99,11 +106,10 @@ class Timeline(QWidget):
             self._state.seek(self.frame_at(x))
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
-        """One drag is one range; from now on it is played again and again."""
+        """One drag is one range."""
         dragged, self._holding, self._dragged = self._dragged, None, None
         if dragged is not None and dragged[0] < dragged[1]:
-            self._state.choose_range(dragged)
-            self._state.choose(loop=True)
+            self.range_drawn.emit(dragged)
         self.update()
 
     def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
