@@ -68,6 +68,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
 @click.option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
 @click.option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
+@click.option("--wait", is_flag=True, help="Start when somebody subscribes.")
 @click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor that synthetic: simulates.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def publish(
@@ -77,6 +78,7 @@ def publish(
     layout: Any,
     domain: int,
     duration: float | None,
+    wait: bool,
     sensor: str,
     as_json: bool,
 ) -> None:
@@ -88,7 +90,13 @@ def publish(
         listen = "tcp/127.0.0.1:7447"
     place = _zenoh_place("--listen", listen, connect)
     summary = publish_source(
-        source, load_sensor(sensor), place, layout=layout, domain=domain, duration_s=duration
+        source,
+        load_sensor(sensor),
+        place,
+        layout=layout,
+        domain=domain,
+        duration_s=duration,
+        wait=wait,
     )
     click.echo(summary.to_json() if as_json else summary.to_text())
 

@@ -146,11 +146,11 @@ def test_bag_without_messages(bench: Bench, command: str, kind: str) -> None:
     bench.refused(command, bench.recording.name)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
-def test_truncated_mcap(bench: Bench, command: str, share: float) -> None:
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_an_mcap_cut_off_in_its_first_chunk(bench: Bench, command: str, share: float) -> None:
     record(bench, GOOD)
     os.truncate(bench.recording, int(bench.recording.stat().st_size * share))
-    bench.refused(command, bench.recording.name, "truncated")
+    bench.refused(command, bench.recording.name, "was cut off before anything")
 
 
 def test_bag_without_depth(bench: Bench, command: str) -> None:

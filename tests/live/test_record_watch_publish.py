@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,9 +19,12 @@ from mcap.reader import make_reader
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -211,6 +215,36 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     assert info.frames >= facts["frames"]
     assert info.wrench is False  # ours is no measurement
     assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= info.frames
+
+
+def listens(port: int) -> bool:
+    with socket.socket() as client:
+        return client.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_a_published_recording_waits_for_its_first_subscriber(
+    tmp_path: Path, eventually: Eventually
+) -> None:
+    path, port = tmp_path / "rec.mcap", free_port()
+    with RecordingWriter(path) as writer:
+        for k in range(40):
+            writer.write(Frame(k, 0.01 * k, np.full((48, 64), 0.1, np.float32)))
+    endpoint = f"tcp/127.0.0.1:{port}"
+    common = ("publish", "--listen", endpoint, "--wait", "--json", "--source")
+    publisher, arrived = start(*common, f"replay:{path}"), list[str]()
+    source = ZenohSource(SessionOptions("test", endpoint))
+    try:
+        eventually(lambda: listens(port))
+        source.start(lambda message: arrived.append(message.type))
+        stdout, stderr = publisher.communicate(timeout=240)
+        eventually(lambda: arrived.count(IMAGE) == 40)
+    finally:
+        source.stop()
+        publisher.kill()
+    assert (publisher.returncode, stderr) == (0, "")
+    assert sum(json.loads(stdout)["sent"].values()) == len(arrived)
+    done = run(*common, "zenoh:")
+    assert done.exit_code == 2 and "leave --wait out" in done.stderr
 
 
 def test_publishing_is_refused_in_one_line() -> None:

@@ -80,6 +80,11 @@ class ZenohPublisher:
         self._publishers[topic, kind].put(payload, attachment=attachment)
 
     @property
+    def subscribed(self) -> int:
+        """To how many of the announced topics somebody subscribes."""
+        return sum(each.matching_status.matching for each in self._publishers.values())
+
+    @property
     def connected(self) -> bool:
         """Whether anybody is there."""
         return connected(self._session)
