@@ -138,6 +138,25 @@ def test_the_numbers_under_the_mouse_follow_the_frame(drive: Drive) -> None:
     assert panel.lines[2].text() != before and "p_c 0.00 kPa" in panel.lines[2].text()
 
 
+def test_residuals_have_the_colours_of_the_3d_view_in_both_themes(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    panel = opened(driver, "residual", "change", "depth")
+    cloud = driver.window.scene.layers["cloud"].actor.mapper
+    middles = set()
+    for name in ("dark", "light"):
+        driver.state.choose(theme=name)
+        driver.settle()
+        colours = cloud.lookup_table.values[:, :3]
+        for picture in ("residual", "change"):
+            np.testing.assert_array_equal(panel.cells[picture].item.lut[:, :3], colours)
+        lowest = ",".join(map(str, colours[0]))
+        assert f"rgb({lowest})" in panel.cells["residual"].text
+        middles.add(f"rgb({','.join(map(str, panel.cells['residual'].item.lut[128, :3]))})")
+        assert not np.array_equal(panel.cells["depth"].item.lut[:, :3], colours)
+    driver.state.choose(theme="system")
+    assert len(middles) == 2
+
+
 def test_only_chosen_images_are_computed(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts
