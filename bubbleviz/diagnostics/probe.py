@@ -34,6 +34,8 @@ class Probed:
         Row and column at which the camera sees it.
     displacement_m, pressure_pa : float
         u and p_c of the node; NaN without an estimate.
+    residual_m : float
+        Measured less modelled range of the pixel; NaN where the result has none.
     """
 
     pixel: Pixel | None
@@ -44,6 +46,7 @@ class Probed:
     node_pixel: tuple[float, float]
     displacement_m: float
     pressure_pa: float
+    residual_m: float
 
 
 class Probe:
@@ -95,6 +98,7 @@ class Probe:
             node_pixel=self._seen_at(nodes[node]),
             displacement_m=float(estimate.displacement_m[node]) if estimate else np.nan,
             pressure_pa=float(estimate.contact_pressure_pa[node]) if estimate else np.nan,
+            residual_m=_residual(pixel, result) if pixel else np.nan,
         )
 
     def _nodes(self, result: Result) -> np.ndarray:
@@ -113,3 +117,12 @@ class Probe:
         T = self._camera.T_B_C
         u, v = self._camera.intrinsics.project((point_m - T[:3, 3]) @ T[:3, :3])
         return float(v), float(u)
+
+
+def _residual(pixel: Pixel, result: Result) -> float:
+    """Residual of the pixel, or of the next one in the cloud where that has fewer, m."""
+    residual, pixels, depth = result.cloud_residual_m, result.cloud_pixels, result.frame.depth_m
+    if residual is None or pixels is None or not np.isfinite(depth[pixel]):
+        return np.nan
+    flat = pixel[0] * depth.shape[1] + pixel[1]
+    return float(residual[min(int(np.searchsorted(pixels, flat)), len(pixels) - 1)])

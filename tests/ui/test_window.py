@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import DentSource, small_sensor
+from fakes import FRAMES, DentSource, small_sensor
 from PySide6.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
 from window_driver import Driver
 
 import bubbleviz
+from bubbleviz.frames.frame import Frame
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -54,6 +56,35 @@ def test_shows_where_the_contact_is(drive: Drive) -> None:
 def test_no_contact_is_neutral(drive: Drive) -> None:
     driver = drive(frame=0)
     assert len(driver.warm_pixels()) == 0
+
+
+class Outlier(DentSource):
+    """One frame early on has the depth of the last, the deepest."""
+
+    def __getitem__(self, index: int) -> Frame:
+        return replace(super().__getitem__(FRAMES - 1 if index == 6 else index), index=index)
+
+
+def test_one_outlier_does_not_fade_the_other_frames(drive: Drive) -> None:
+    driver = drive(Outlier, frame=5)
+
+    def end_pa() -> float:
+        high = driver.window.scene.layers["membrane"].actor.mapper.scalar_range[1]
+        return driver.state.units.pressure.to_si(high)
+
+    def peak_pa(frame: int) -> float:
+        driver.seek(frame)
+        peak = float(driver.window.controller.result.estimate.contact_pressure_pa.max())
+        assert end_pa() >= peak
+        return peak
+
+    usual, outlier = peak_pa(5), peak_pa(6)
+    assert outlier > 2.0 * usual
+    peak_pa(5)
+    assert end_pa() < outlier
+    peaks = [peak_pa(frame) for frame in range(7, FRAMES)]
+    peak_pa(5)
+    assert end_pa() >= sorted([usual, outlier, *peaks])[-3]
 
 
 def test_hiding_the_membrane_takes_its_pixels_away(drive: Drive) -> None:

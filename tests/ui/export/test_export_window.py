@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
@@ -13,13 +14,15 @@ import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource
 from live_bench import Bench as LiveBench
 from live_bench import sensor_file
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QFileDialog, QLabel
-from window_driver import Driver, warm
+from window_driver import Driver, texts, warm
 
+from bubbleviz_ui.export import video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.view3d.tools.still_picture import still
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -167,6 +170,30 @@ def test_a_video_of_the_view_shows_each_frame_of_the_range(bench: Bench, tmp_pat
     assert len(warm(shown[0])) < 20 < len(warm(shown[-1]))  # the dent comes with frame 4
     driver.settle()
     assert driver.window.controller.result.frame.index == 6
+
+
+def test_a_video_says_which_frame_it_shows_unless_told_not_to(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    driver, drawn = bench.driver, list[list[str]]()
+
+    def watched(*args: Any) -> np.ndarray:
+        drawn.append([text for text in texts(driver) if text.startswith("frame")])
+        return still(*args)
+
+    monkeypatch.setattr(video_export, "still", watched)
+    driver.state.choose(picture_size=(320, 240))
+    driver.state.choose_range((2, 3))
+    bench.export("Video of the view", tmp_path / "said.mp4")
+    assert drawn == [["frame 2 · 0.067 s"], ["frame 3 · 0.100 s"]]
+    assert not [text for text in texts(driver) if text.startswith("frame")]
+    driver.bot.mouseClick(bench.dialog.captioned, LEFT, pos=QPoint(10, 8))
+    bench.export("Video of the view", tmp_path / "silent.mp4")
+    assert drawn[2:] == [[], []]
+    said, silent = (pictures(tmp_path / f"{name}.mp4")[0] for name in ("said", "silent"))
+    assert np.abs(said.astype(int) - silent)[-24:, 100:-100].max() > 60
+    bench.dialog.kind.setCurrentIndex(0)
+    assert not bench.dialog.captioned.isVisible()
 
 
 def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None:

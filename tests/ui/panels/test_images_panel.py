@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver, canvas, hover, idle, in_view, near
+from window_driver import Driver, canvas, hover, idle, in_view, near, texts
 
 from bubbleviz.diagnostics.probe import Probe
 from bubbleviz_ui.engine import sensor_client
@@ -90,10 +90,43 @@ def test_a_place_in_3d_is_marked_in_the_images(drive: Drive) -> None:
     driver.wait(lambda: driver.window.hover.place is None)
 
 
-def test_nothing_is_picked_while_nobody_looks(drive: Drive) -> None:
+def test_nothing_is_picked_while_playing_unless_images_are_open(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
-    hover(driver.window.view, driver.window.view.rect().center())
+    middle = driver.window.view.rect().center()
+    hover(driver.window.view, middle)
+    driver.wait(lambda: driver.window.hover.place is not None)
+    driver.state.set_playing(True)
+    assert driver.window.hover.place is None
+    hover(driver.window.view, middle)
     assert driver.window.hover.place is None and idle(driver.window.pointing)
+    driver.window.panels["images"].show()
+    driver.wait(lambda: "images" in driver.state.choices.panels)
+    hover(driver.window.view, middle)
+    driver.wait(lambda: driver.window.hover.place is not None)
+    driver.state.set_playing(False)
+
+
+def test_pointing_at_the_membrane_shows_its_numbers_without_a_panel(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    assert "images" not in driver.state.choices.panels
+    result = driver.window.controller.result
+    pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
+    nodes = driver.pipeline.mesh.deformed(moved)
+    place = in_view(driver, nodes[int(pressure.argmax())])
+    hover(driver.window.view, place)
+    driver.wait(lambda: driver.window.hover.place is not None)
+    found = driver.window.hover.place
+    row, column = found.pixel
+    seen = result.cloud_pixels == row * result.frame.depth_m.shape[1] + column
+    (residual,) = result.cloud_residual_m[seen]
+    shown = f" p_c {1e-3 * pressure[found.node]:.2f} kPa \n u {1e3 * moved[found.node]:.2f} mm \n"
+    shown += f" residual {1e3 * residual:.3f} mm \n node {found.node} "
+    assert shown in texts(driver)
+    driver.settle()
+    assert not near(driver.window.view.pixels(), in_view(driver, found.node_m), NODE)
+    hover(driver.window.view, QPoint(3, 3))
+    driver.wait(lambda: driver.window.hover.place is None)
+    assert shown not in texts(driver)
 
 
 def test_the_numbers_under_the_mouse_follow_the_frame(drive: Drive) -> None:
@@ -103,6 +136,25 @@ def test_the_numbers_under_the_mouse_follow_the_frame(drive: Drive) -> None:
     before = panel.lines[2].text()
     driver.seek(3)
     assert panel.lines[2].text() != before and "p_c 0.00 kPa" in panel.lines[2].text()
+
+
+def test_residuals_have_the_colours_of_the_3d_view_in_both_themes(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    panel = opened(driver, "residual", "change", "depth")
+    cloud = driver.window.scene.layers["cloud"].actor.mapper
+    middles = set()
+    for name in ("dark", "light"):
+        driver.state.choose(theme=name)
+        driver.settle()
+        colours = cloud.lookup_table.values[:, :3]
+        for picture in ("residual", "change"):
+            np.testing.assert_array_equal(panel.cells[picture].item.lut[:, :3], colours)
+        lowest = ",".join(map(str, colours[0]))
+        assert f"rgb({lowest})" in panel.cells["residual"].text
+        middles.add(f"rgb({','.join(map(str, panel.cells['residual'].item.lut[128, :3]))})")
+        assert not np.array_equal(panel.cells["depth"].item.lut[:, :3], colours)
+    driver.state.choose(theme="system")
+    assert len(middles) == 2
 
 
 def test_only_chosen_images_are_computed(drive: Drive) -> None:

@@ -10,7 +10,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from window_driver import Driver, drawn_points, in_view, near
+from window_driver import Driver, drawn_points, in_view, near, texts
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -105,6 +105,27 @@ def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
     before = tools.reading[2].text()
     driver.seek(2)
     assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
+
+
+def test_a_place_is_picked_without_the_panel_until_escape(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.window.panels["tools"].hide()
+    driver.window.shortcuts.actions["View › Pick a place"].trigger()
+    pressure = driver.window.controller.result.estimate.contact_pressure_pa
+    node = nodes(driver)[int(np.argmax(pressure))]
+    driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
+    found = driver.window.tools.picked.place
+
+    def written() -> list[str]:
+        return [text for text in texts(driver) if f"node {found.node}" in text]
+
+    assert found is not None and f"p_c {1e-3 * found.pressure_pa:.2f} kPa" in written()[0]
+    driver.state.choose(pressure_unit="Pa")
+    assert f"p_c {found.pressure_pa:.0f} Pa" in written()[0]
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(driver.window, Qt.Key.Key_Escape)
+    assert driver.window.tools.picked.place is None and not written()
 
 
 def test_dragging_is_no_click(drive: Drive) -> None:

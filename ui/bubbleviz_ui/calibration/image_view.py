@@ -10,7 +10,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz_ui.model.units import NOTHING, Unit
-from bubbleviz_ui.panels.image_cell import MAPS, ImageCell, Kind, Picture
+from bubbleviz_ui.panels.image_cell import ImageCell, Kind, Picture
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.layouts import fill
 
@@ -69,6 +69,8 @@ class ImageView(QWidget):
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Take the theme's colours."""
+        self._cell.paint(dim, text)
+        self._bar.setColorMap(self._cell.map)
         axis = self._bar.getAxis("bottom")
         axis.setPen(dim)
         axis.setTextPen(text)
@@ -78,7 +80,7 @@ class ImageView(QWidget):
 
         self._cell = ImageCell(Picture("", self._kind), head=0.0)
         self._bar = pg.ColorBarItem(
-            colorMap=MAPS[self._kind],
+            colorMap=self._cell.map,
             width=BAR,
             orientation="h",
             interactive=False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import (
+    QCheckBox,
     QComboBox,
     QDialog,
     QFormLayout,
@@ -67,6 +68,9 @@ class ExportDialog(QDialog):
         self.step = StepBox(minimum=1, maximum=MOST_STEP, prefix="every ", suffix=" frame")
         self.step.setSpecialValueText("every frame")
         self.step.setToolTip("Leave frames out: every 2nd, every 3rd …")
+        self.captioned = QCheckBox("Frame number and time in the picture")
+        self.captioned.setChecked(True)
+        self.captioned.setToolTip("Written at the bottom of every picture of the video")
         self.about = QLabel(wordWrap=True)
         self.about.setObjectName("dim")
         self.said = QLabel(wordWrap=True)
@@ -104,7 +108,7 @@ class ExportDialog(QDialog):
         form.addRow("What", self.kind)
         form.addRow("Frames", which)
         buttons = fill(QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.export)
-        fill(QVBoxLayout(self), form, self.about, self.said, 1, buttons)
+        fill(QVBoxLayout(self), form, self.captioned, self.about, self.said, 1, buttons)
 
     def _connect(self) -> None:
         exporting = self._exporting
@@ -136,7 +140,8 @@ class ExportDialog(QDialog):
 
     def _show(self) -> None:
         why_not, busy = self._exporting.why_not(), self._exporting.busy
-        for widget in (self.kind, self.frames, self.step):
+        self.captioned.setVisible(self.chosen.is_video)
+        for widget in (self.kind, self.frames, self.step, self.captioned):
             widget.setEnabled(not busy)
         self.export.setEnabled(not busy and not why_not)
         self.progress.setVisible(busy)
@@ -162,7 +167,8 @@ class ExportDialog(QDialog):
         title = f"Export {kind.title.lower()}" if kind.suffixes else "Name of a new folder"
         path, chosen = new_file(self, title, proposed, kind.filters, of="export")
         if path is not None:
-            self._exporting.start(kind, frames, kind.named(path, chosen))
+            named, captioned = kind.named(path, chosen), self.captioned.isChecked()
+            self._exporting.start(kind, frames, named, captioned=captioned)
 
     def _on_progress(self, step: str, done: float) -> None:
         self.progress.setFormat(f"{step} %p %")

@@ -91,15 +91,20 @@ class Exporting(QObject):
         rate = float("nan") if facts is None else facts.rate_hz / step * self._state.choices.speed
         return min(max(rate, 1.0), 120.0) if rate > 0.0 else STILL_FPS
 
-    def start(self, kind: Kind, frames: range, path: Path) -> None:
-        """Export frames as a kind to a file, or a new folder, of that name."""
+    def start(self, kind: Kind, frames: range, path: Path, *, captioned: bool = True) -> None:
+        """Export frames as a kind to a file, or a new folder, of that name.
+
+        With `captioned` a video has frame number and time in its pictures.
+        """
         open_source, sensor = self._controller.opening.source, self._controller.sensor
         if self.busy or open_source is None or sensor is None or not frames:
             return
         choices = self._state.choices
         if kind.is_video:
             size, fps = choices.picture_size, self.fps(frames.step)
-            self._video = VideoExport(self._controller, self._view, frames, size, path, fps)
+            self._video = VideoExport(
+                self._controller, self._view, frames, size, path, fps, captioned=captioned
+            )
             job: Job = self._video.write
         else:
             poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}

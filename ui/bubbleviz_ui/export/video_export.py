@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from queue import Empty, Full, Queue
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
+from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz_ui.view3d.scene_text import write_in
 from bubbleviz_ui.view3d.tools.still_picture import still
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 WAITING = 2
 """Pictures that may wait for the encoder; 1920×1080 has 6 MB."""
+CAPTION_SIZE = 16  # px
 LOOK_S = 0.1
 """How often the writer looks whether it is still wanted."""
 
@@ -35,6 +38,8 @@ class VideoExport(QObject):
         Width and height, pixels.
     path : Path
     fps : float
+    captioned : bool
+        Write frame number and time into the pictures.
     """
 
     _taken = Signal()
@@ -47,10 +52,13 @@ class VideoExport(QObject):
         size: tuple[int, int],
         path: Path,
         fps: float,
+        *,
+        captioned: bool,
     ) -> None:
         super().__init__()
         self._controller, self._state, self._view = controller, controller.state, view
         self._frames, self._size, self._path, self._fps = frames, size, path, fps
+        self._caption = _caption(view) if captioned else None
         self._drawn = 0
         self._pictures: Queue[np.ndarray] = Queue(WAITING)
         self._before = self._state.frame
@@ -102,8 +110,32 @@ class VideoExport(QObject):
             self._state.seek(wanted)
             return
         try:
-            self._pictures.put_nowait(still(self._view, *self._size))
+            self._pictures.put_nowait(self._still(wanted))
         except Full:
             return
         self._drawn += 1
         QTimer.singleShot(0, self._go_on)
+
+    def _still(self, frame: int) -> np.ndarray:
+        """Picture of the view, with its frame and time where they are wanted."""
+        caption, facts = self._caption, self._state.facts
+        if caption is None or facts is None:
+            return still(self._view, *self._size)
+        time_text = self._state.units.time.text(float(facts.times_s[frame]))
+        caption.SetInput(f"frame {frame} · {time_text}")
+        self._view.renderer.AddViewProp(caption)
+        try:
+            return still(self._view, *self._size)
+        finally:
+            self._view.renderer.RemoveViewProp(caption)
+
+
+def _caption(view: View) -> Any:
+    """Text at the bottom of the picture, where nothing else is written."""
+    caption = vtkTextActor()
+    style, place = caption.GetTextProperty(), caption.GetPositionCoordinate()
+    write_in(view, style, CAPTION_SIZE)
+    style.SetJustificationToCentered()
+    place.SetCoordinateSystemToNormalizedViewport()
+    place.SetValue(0.5, 0.015)
+    return caption

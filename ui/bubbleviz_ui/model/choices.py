@@ -99,7 +99,7 @@ class Choices:
     section_flipped : bool
         The other side is drawn.
     pressure_max_pa, residual_max_m : float or None
-        Upper ends of the colour ranges; None: the largest value seen, rounded up.
+        Upper ends of the colour ranges; None: by the frames seen, see `HeldRanges`.
     pose_object : str or None
         Object to look for: preset or mesh file; None for none.
     pose_unit : {"m", "mm"} or None

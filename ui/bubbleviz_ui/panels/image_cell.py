@@ -16,10 +16,11 @@ from bubbleviz_ui.model.units import NOTHING, Unit, Units
 from bubbleviz_ui.panels.plot_frame import HEAD
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.theme import NODE
+from bubbleviz_ui.view3d.colour_maps import residual_colours
 from bubbleviz_ui.view3d.scale_ranges import rounded_up
 
 Kind = Literal["range", "around zero", "mask"]
-MAPS = {"range": "viridis", "around zero": "CET-D1", "mask": "CET-L1"}
+MAPS = {"range": "viridis", "mask": "CET-L1"}
 """Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
 BLOCKS = 5
 """Squares of colour that stand for the scale in the text above."""
@@ -47,6 +48,15 @@ PICTURES = MappingProxyType(
 """What the panel can show, by name."""
 
 
+def colour_map(kind: Kind, colours: theme.Colours) -> Any:
+    """Map of pyqtgraph; what is around zero has the colours of residuals in the 3-D view."""
+    import pyqtgraph as pg  # 0.2 s later than the window
+
+    if kind == "around zero":
+        return pg.ColorMap(None, residual_colours(colours.cloud))
+    return pg.colormap.get(MAPS[kind])
+
+
 class ImageCell:
     """An image with a line of text above and marks on it.
 
@@ -55,6 +65,11 @@ class ImageCell:
     picture : Picture
     head : float
         Room for the text, screen pixels.
+
+    Attributes
+    ----------
+    map : pyqtgraph.ColorMap
+        In the theme's colours.
     """
 
     def __init__(self, picture: Picture, head: float = 2 * HEAD - 3) -> None:
@@ -63,10 +78,10 @@ class ImageCell:
         self.picture = picture
         self.image: np.ndarray | None = None
         self._held: tuple[float, float] | None = None
+        self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         self.item = pg.ImageItem(axisOrder="row-major")
-        self._map = pg.colormap.get(MAPS[picture.kind])
-        self.item.setLookupTable(self._map.getLookupTable(nPts=256))
+        self.map = colour_map(picture.kind, theme.DARK)
         self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
         self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
@@ -95,7 +110,8 @@ class ImageCell:
         low, high = self._range(ends)
         unit = None if self.picture.unit is None else self.picture.unit(units)
         self.show(image, low, high)
-        self._write(f"{self.picture.title}<br>{self.legend(low, high, unit)}")
+        self._scale = (low, high, unit)
+        self._write(f"{self.picture.title}<br>{self.legend(*self._scale)}")
 
     def clear(self) -> None:
         """Show nothing."""
@@ -124,9 +140,12 @@ class ImageCell:
             self.node.setData([column + 0.5], [row + 0.5])
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colour of text."""
+        """Take the theme's colours."""
+        self.map = colour_map(self.picture.kind, theme.with_text(text))
+        self.item.setLookupTable(self.map.getLookupTable(nPts=256))
         self.words.setAttr("color", text.name())
-        self.words.setText(self.text)
+        if self._scale is not None and self.image is not None:
+            self._write(f"{self.picture.title}<br>{self.legend(*self._scale)}")
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
         """Ends of the colours: they grow with the data and never shrink."""
@@ -143,7 +162,7 @@ class ImageCell:
 
     def legend(self, low: float, high: float, unit: Unit | None) -> str:
         """Scale of the colours, as HTML; yes and no without a unit."""
-        colours = self._map.getLookupTable(nPts=BLOCKS)[:, :3]
+        colours = self.map.getLookupTable(nPts=BLOCKS)[:, :3]
         blocks = "".join(f'<span style="color:rgb({r},{g},{b})">█</span>' for r, g, b in colours)
         if unit is None:
             no, yes = (f"rgb({','.join(map(str, colours[k]))})" for k in (0, -1))

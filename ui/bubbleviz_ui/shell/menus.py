@@ -168,6 +168,7 @@ class Menus:
         self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
         for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
             self._add(menu, title, partial(window.tools.use_tool, tool))
+        self._add(menu, "&Clear what was picked", partial(window.tools.use_tool, "turn"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
         scenes = menu.addMenu("&Scene")
         for name in preset_names("scenes"):

@@ -152,7 +152,12 @@ LIGHT = Colours(
 
 def of(widget: QWidget) -> Colours:
     """Theme that a widget has now."""
-    return DARK if widget.palette().color(QPalette.ColorRole.Text).lightness() > 127 else LIGHT
+    return with_text(widget.palette().color(QPalette.ColorRole.Text))
+
+
+def with_text(colour: QColor) -> Colours:
+    """Theme that has text of this colour."""
+    return DARK if colour.lightness() > 127 else LIGHT
 
 
 def chosen(theme: ThemeName, scheme: Qt.ColorScheme) -> Colours:

@@ -14,7 +14,7 @@ EVERY_MS = 30
 
 
 class Pointing(QObject):
-    """Picks while the images panel is open; else nobody wants to know.
+    """Picks while the mouse moves over the view; during playback only for the images panel.
 
     Parameters
     ----------
@@ -32,12 +32,21 @@ class Pointing(QObject):
         self._due.timeout.connect(self._pick)
         view.moved.connect(self._on_moved)
         view.left.connect(self._on_left)
+        state.playing_changed.connect(self._on_playing)
         hover.changed.connect(scene.mark)
+
+    @property
+    def _wanted(self) -> bool:
+        return not self._state.playing or "images" in self._state.choices.panels
 
     def _on_moved(self, x: float, y: float) -> None:
         self._at = (x, y)
-        if "images" in self._state.choices.panels and not self._due.isActive():
+        if self._wanted and not self._due.isActive():
             self._due.start()
+
+    def _on_playing(self) -> None:
+        if not self._wanted:
+            self._on_left()
 
     def _on_left(self) -> None:
         self._due.stop()

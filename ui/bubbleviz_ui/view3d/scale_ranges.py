@@ -1,9 +1,10 @@
-"""Ends of the colour and length scales: the user's, else the largest seen, rounded up."""
+"""Ends of the colour and length scales: the user's, else by what was seen, rounded up."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from bubbleviz_ui.model.choices import Choices
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
 """The pressure scale starts at this share of the gauge pressure: noise must not look strong."""
+OUTLIERS = 2
+"""Frames whose pressure may be beyond the scale while others are shown."""
 RESIDUAL_TIMES_RMS = 3.0  # covers 99.7 % of Gaussian noise
 SMALLEST_FORCE_N = 2.0  # N, end of the axis before there is any contact
 SMALLEST_RESIDUAL_M = 1e-4  # m, a depth camera's noise
@@ -35,15 +38,20 @@ def rounded_up(value: float) -> float:
 
 
 class HeldRanges:
-    """Scales that grow with the data and never shrink, so colours stay comparable."""
+    """Scales that grow with the data and never shrink, so colours stay comparable.
+
+    That of pressure covers the frame that is shown, and all that were seen but the highest two.
+    """
 
     def __init__(self) -> None:
         self._held = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+        self._peaks_pa: dict[int, float] = {}
 
     def set_sensor(self, sensor: Sensor) -> None:
         """Begin anew for another source."""
         start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
         self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+        self._peaks_pa = {}
 
     def take(self, result: Result, choices: Choices) -> Ranges:
         """Scales to draw a result with."""
@@ -57,15 +65,23 @@ class HeldRanges:
             force = float(np.linalg.norm(result.trusted_patch.force_n))
         held = self._held
         self._held = Ranges(
-            _grown(held.pressure_pa, pressure),
+            _grown(held.pressure_pa, self._usual_peak(result.frame.index, pressure)),
             _grown(held.residual_m, residual),
             _grown(held.force_n, force),
         )
         return Ranges(
-            choices.pressure_max_pa or self._held.pressure_pa,
+            choices.pressure_max_pa or _grown(self._held.pressure_pa, pressure),
             choices.residual_max_m or self._held.residual_m,
             self._held.force_n,
         )
+
+    def _usual_peak(self, frame: int, peak_pa: float) -> float:
+        """Highest pressure of the frames seen, Pa, the `OUTLIERS` highest left out."""
+        if math.isfinite(peak_pa):
+            self._peaks_pa[frame] = max(peak_pa, self._peaks_pa.get(frame, 0.0))
+        highest = sorted(self._peaks_pa.items(), key=itemgetter(1))[-1 - OUTLIERS :]
+        self._peaks_pa = dict(highest)
+        return highest[0][1] if len(highest) > OUTLIERS else 0.0
 
 
 def _grown(held: float, seen: float) -> float:

@@ -13,6 +13,7 @@ from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
+from bubbleviz_ui.view3d.layers.place_text import PlaceText
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
 from bubbleviz_ui.view3d.picker import Picker
@@ -50,6 +51,7 @@ class Scene:
         self._sensor: Sensor | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.marks = ProbeMarks(view)
+        self._text = PlaceText(view, units)
         cut = [layer.actor for layer in self.layers.values() if layer.cut]
         self.section = Section(view, self._surface, cut)
         on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
@@ -141,8 +143,10 @@ class Scene:
         self._view.refresh()
 
     def mark(self, place: Probed | None) -> None:
-        """Light up a place, its node where it is drawn."""
-        self.marks.show(place, self.drawn_node(place))
+        """Write the numbers of a place at it; light it up where images show it, too."""
+        drawn_m = self.drawn_node(place)
+        self._text.show(place, drawn_m)
+        self.marks.show(place if "images" in self._choices.panels else None, drawn_m)
 
     def drawn_node(self, place: Probed | None) -> np.ndarray | None:
         """Where the node of a place is drawn, (3,) in B; None without a place."""

@@ -34,6 +34,7 @@ from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
 from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.view3d.layers.place_text import PlaceText
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -74,7 +75,7 @@ class ViewTools(QWidget):
         self.distance = Distance(view)
         self.turntable = Turntable(view)
         self.picked = Hover(controller)
-        self._marks = ProbeMarks(view)
+        self._marks, self._text = ProbeMarks(view), PlaceText(view, state.units)
         self._reach_m = 0.1
         self._make_buttons()
         self._make_settings()
@@ -92,7 +93,9 @@ class ViewTools(QWidget):
         for name in ("top", "side", "front"):
             self.views[name].setToolTip(f"Look from the {name}, in the bubble frame B")
         self.tools["turn"].setToolTip("Drag turns the scene, the wheel goes nearer")
-        self.tools["pick"].setToolTip("Click on the membrane or a point: numbers that stay")
+        self.tools["pick"].setToolTip(
+            "Click on the membrane or a point: its numbers stay until Esc"
+        )
         self.tools["distance"].setToolTip("Click on two points; a third begins anew")
         group = QButtonGroup(self)
         for button in self.tools.values():
@@ -193,7 +196,9 @@ class ViewTools(QWidget):
         self._say()
 
     def _on_picked(self, place: Probed | None) -> None:
-        self._marks.show(place, self._scene.drawn_node(place))
+        drawn_m = self._scene.drawn_node(place)
+        self._marks.show(place, drawn_m)
+        self._text.show(place, drawn_m)
         self._say()
 
     def _say(self) -> None:
@@ -232,7 +237,7 @@ class ViewTools(QWidget):
         self.section_text.setText(f"at {length.text(choices.section_at_m)}")
         for control in (self.section_at, self.flipped):
             control.setEnabled(choices.section_axis is not None)
-        self._say()
+        self._on_picked(self.picked.place)
 
     # -- pictures -----------------------------------------------------------------------------
 

@@ -1,0 +1,66 @@
+"""Numbers of a place, written beside it in the 3-D view."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from vtkmodules.vtkRenderingCore import vtkTextActor
+
+from bubbleviz.diagnostics.probe import Probed
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scene_text import write_in
+
+SIZE = 13  # px
+OPACITY = 0.75
+"""Of the ground below the text: what is behind it stays in sight."""
+
+
+class PlaceText:
+    """A few short lines that stay at their place however the scene is turned."""
+
+    def __init__(self, view: View, units: Units) -> None:
+        self._view, self._units = view, units
+        self._actor = vtkTextActor()
+        self._actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
+        self._actor.SetVisibility(False)
+        style = self._actor.GetTextProperty()
+        write_in(view, style, SIZE)
+        style.SetBackgroundOpacity(OPACITY)
+        view.follow_theme(self._paint)
+        view.renderer.AddViewProp(self._actor)
+
+    def show(self, place: Probed | None, drawn_m: np.ndarray | None) -> None:
+        """Write the numbers of a place at `drawn_m` (3,), where its node is drawn; or nothing."""
+        self._actor.SetVisibility(place is not None)
+        if place is not None and drawn_m is not None:
+            self._actor.SetInput(beside(place, self._units))
+            self._actor.GetPositionCoordinate().SetValue(*drawn_m)
+            at, style = self._view.place_of(drawn_m), self._actor.GetTextProperty()
+            # towards the middle of the view, where there is room
+            right = at.x() > self._view.width() / 2
+            style.SetJustificationToRight() if right else style.SetJustificationToLeft()
+            low = at.y() > self._view.height() / 2
+            up, down = style.SetVerticalJustificationToBottom, style.SetVerticalJustificationToTop
+            up() if low else down()
+        self._view.refresh()
+
+    def _paint(self, colours: theme.Colours) -> None:
+        ground = (c / 255 for c in rgb(colours.field))
+        self._actor.GetTextProperty().SetBackgroundColor(*ground)
+
+
+def beside(place: Probed, units: Units) -> str:
+    """Lines about a place, in the operator's units; the residual only where it is known."""
+    lines = [
+        f"p_c {units.pressure.text(place.pressure_pa)}",
+        f"u {units.length.text(place.displacement_m)}",
+        f"residual {units.fine_length.text(place.residual_m)}",
+        f"node {place.node}",
+    ]
+    if math.isnan(place.residual_m):
+        del lines[2]
+    return "\n".join(f" {line} " for line in lines)
