@@ -161,7 +161,7 @@ class Menus:
         for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
             self._add(look, title, partial(window.scene.look, viewpoint), f"Ctrl+{number}")
         self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
-        for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
+        for tool, title in (("probe", "&Probe a place"), ("distance", "Measure a &distance")):
             self._add(menu, title, partial(window.tools.use_tool, tool))
         self._add(menu, "Reset p&ose", window.pose.session.reset, "X")
         scenes = menu.addMenu("&Scene")
