@@ -19,7 +19,7 @@ _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
         1.0,
         {"force_magnitude_n": "|force|", "measured_force_n": "wrench", "force_z_n": "z"},
     ),
-    ("gas pressure change, Pa", 1.0, {"gas_pressure_change_pa": ""}),
+    ("gas pressure change p_v, Pa", 1.0, {"gas_pressure_change_pa": ""}),
     ("patch area, mm²", 1e6, {"patch_area_m2": ""}),
     (
         "centre of pressure, mm",

@@ -146,7 +146,7 @@ def test_a_sample_is_taken_out_and_the_rest_is_kept(bench: Bench) -> None:
     bench.click(panel.steps.button(0))
     panel.frames.first.setValue(5)
     panel.frames.last.setValue(9)
-    bench.click(panel.frames.take_out)
+    bench.click(panel.frames.remove)
     after = panel.calibration.answer.draft
     assert after.ranges == ((0, 5), (10, before.ranges[0][1]))
     assert not set(range(5, 10)) & set(after.samples.frames)
@@ -159,6 +159,7 @@ def test_thresholds_move_the_mask_and_nothing_else(bench: Bench) -> None:
     bench.identify()
     panel, before = bench.panel, bench.panel.calibration.answer.draft
     bench.click(panel.steps.button(1))
+    assert " effective frames of " in panel.pixels.numbers.text("frames")
     shown, said = panel.pixels.view.image, panel.pixels.numbers.text("used")
     panel.pixels.deviations.box.setValue(1.0)
     bench.done()

@@ -82,13 +82,14 @@ def test_standing_still_and_back_to_now(open_bench: Open) -> None:
     back = live.state.frame - 5
     live.state.seek(back)
     live.wait(lambda: live.shown == back)
-    assert live.state.frozen
+    frozen = live.window.shortcuts.actions["Playback › Freeze a live source"]
+    assert live.state.frozen and frozen.isChecked()
     frames = live.state.facts.frames
     live.messages_come(20)
     assert live.shown == back and live.state.facts.frames <= frames + 2
     live.window.playback.now.click()
     live.follow(2)
-    assert not live.state.frozen and live.shown > back + 5
+    assert not live.state.frozen and live.shown > back + 5 and not frozen.isChecked()
 
 
 def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
@@ -133,6 +134,8 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
     live.follow(15)
     pressed_ns = time.time_ns()
     live.record()
+    recording = live.window.shortcuts.actions["Live › Record"]
+    assert recording.isChecked()
     key(live, Qt.Key.Key_M)
     key(live, Qt.Key.Key_M, SHIFT)
     live.wait(controls.note.isVisible)
@@ -142,6 +145,7 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
     live.window.live.show_now()
     assert "MB waiting" in controls.progress.text() and "00:0" in controls.progress.text()
     path = live.stop()
+    assert not recording.isChecked()
     found = contents(path)
     numbers = np.array([message.sequence for message in found[IMAGE]])
     assert np.array_equal(numbers, np.arange(numbers[0], numbers[-1] + 1))

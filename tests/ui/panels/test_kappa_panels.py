@@ -160,7 +160,7 @@ def test_small_parts_are_listed_and_left_out(drive: Drive) -> None:
     driver.bot.keyClicks(panel.least, f"{1e6 * areas[1] + 1:.0f}")
     driver.bot.keyClick(panel.least, Qt.Key.Key_Return)
     driver.wait(lambda: result().patch.area_m2 == pytest.approx(areas[0]))
-    assert column(panel, 3) == ["contact"] + ["left out"] * (len(areas) - 1)
+    assert column(panel, 3) == ["contact"] + ["removed"] * (len(areas) - 1)
     assert driver.pipeline.counts["estimate"] == solved
     np.testing.assert_array_equal(result().patch.force_n, force)
     driver.seek(CONTACT + 1)  # it stays left out

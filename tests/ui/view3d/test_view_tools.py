@@ -83,7 +83,7 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     assert tools.reading[0].text().endswith(" m")
     driver.bot.mouseClick(driver.window.view, LEFT, pos=where[0])
     assert tools.distance.length_m is None
-    driver.bot.mouseClick(tools.tools["turn"], LEFT)
+    driver.bot.mouseClick(tools.tools["rotate"], LEFT)
     driver.settle()
     assert of_colour(driver.window.view.pixels(), GREEN) == 0
 
@@ -93,7 +93,7 @@ def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
     tools = opened(driver)
     driver.window.scene.look("top")
     driver.settle()
-    driver.bot.mouseClick(tools.tools["pick"], LEFT)
+    driver.bot.mouseClick(tools.tools["probe"], LEFT)
     pressure = driver.window.controller.result.estimate.contact_pressure_pa
     node = nodes(driver)[int(np.argmax(pressure))]
     driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
@@ -131,7 +131,7 @@ def test_a_place_is_picked_without_the_panel_until_escape(drive: Drive) -> None:
 def test_dragging_is_no_click(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     tools = opened(driver)
-    driver.bot.mouseClick(tools.tools["pick"], LEFT)
+    driver.bot.mouseClick(tools.tools["probe"], LEFT)
     view, middle = driver.window.view, driver.window.view.rect().center()
     driver.bot.mousePress(view, LEFT, pos=middle)
     driver.bot.mouseMove(view, middle + QPoint(40, 0))
@@ -277,7 +277,7 @@ def test_docks_become_tabs_and_the_window_keeps_its_size(drive: Drive) -> None:
 def test_no_text_of_the_tools_is_clipped(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     tools = opened(driver)
-    tools.use_tool("pick")
+    tools.use_tool("probe")
     tools.picked.at_pixel(24, 44)
     driver.state.choose(length_unit="m", pressure_unit="psi", section_axis="x")
     QApplication.processEvents()

@@ -51,18 +51,18 @@ class FramesPage(Page):
         self.said = QLabel(wordWrap=True)
         self.first, self.last = QSpinBox(), QSpinBox()
         self.add = QPushButton("Add")
-        self.take_out = QPushButton("Take out")
+        self.remove = QPushButton("Remove")
         self.find_again = QPushButton("Find again")
         self.first.setToolTip("First frame of a contact-free range to add")
         self.last.setToolTip("Last frame of a contact-free range to add")
         self.add.setToolTip("Add these frames to the contact-free ones")
-        self.take_out.setToolTip("Take these frames out of the contact-free ones")
+        self.remove.setToolTip("Remove these frames from the contact-free ones")
         self.find_again.setToolTip("Search the recording for contact-free frames anew")
         self.collect = CollectBox(calibration, units)
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
         self.add.clicked.connect(self._on_add)
-        self.take_out.clicked.connect(self._on_take_out)
+        self.remove.clicked.connect(self._on_remove)
         self.find_again.clicked.connect(
             lambda: calibration.edit("Find contact-free frames", ranges=None, reached=self._least())
         )
@@ -88,7 +88,7 @@ class FramesPage(Page):
             box.setMaximum(max(answer.frames - 1, 0))
         count = len(numbers(ranges))
         live = self.calibration.live
-        for widget in (self.find_again, self.add, self.take_out):
+        for widget in (self.find_again, self.add, self.remove):
             widget.setEnabled(answer.frames > 0)
         self.collect.setVisible(live)
         if not answer.frames:
@@ -113,10 +113,10 @@ class FramesPage(Page):
         more = (self.first.value(), self.last.value() + 1)
         self.set_ranges(tidy([*self.ranges(answer), more], answer.frames), "Add frames")
 
-    def _on_take_out(self) -> None:
+    def _on_remove(self) -> None:
         first, last = self.first.value(), self.last.value()
         left = without(self.ranges(self.calibration.answer), first, last + 1)
-        self.set_ranges(left, f"Take out frames {first}–{last}")
+        self.set_ranges(left, f"Remove frames {first}–{last}")
 
     def _lay_out(self) -> None:
         fill(self.column, self.plot, self.strip, self.said)
@@ -127,7 +127,7 @@ class FramesPage(Page):
             QLabel("to"),
             self.last,
             self.add,
-            self.take_out,
+            self.remove,
             1,
         )
         fill(self.column, row, self.find_again, self.collect, 1)
@@ -141,7 +141,7 @@ class CollectBox(QGroupBox):
         self._calibration, self._units = calibration, units
         self.collector = Collector()
         self.count, self.target = QSpinBox(), QDoubleSpinBox()
-        self.untouched = QCheckBox("Leave out frames with contact")
+        self.untouched = QCheckBox("Skip frames with contact")
         self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
         self.count.setToolTip("Frames of the untouched membrane to collect")
         self.button.setToolTip("Collect frames of the live source")

@@ -43,8 +43,8 @@ class PixelsPage(Page):
         self.numbers = Numbers()
         form = QFormLayout()
         form.addRow("Picture", self.picture)
-        form.addRow("Valid in", self.validity)
-        form.addRow("Deviations", self.deviations)
+        form.addRow("Minimum validity", self.validity)
+        form.addRow("Maximum deviation", self.deviations)
         fill(self.column, self.view, form, self.numbers, 1)
         self.picture.currentIndexChanged.connect(lambda _: self._show_picture(calibration.answer))
         self.validity.changed = lambda v, gesture: calibration.edit(
@@ -83,7 +83,7 @@ class PixelsPage(Page):
             self.numbers.set(reason.replace("_", " "), f"{count} pixels")
         self.numbers.set("one independent sample", f"{statistics.correlated_pixels:.1f} pixels")
         self.numbers.set(
-            "worth", f"{statistics.effective_frames:.1f} of {statistics.frames} frames"
+            "frames", f"{statistics.effective_frames:.1f} effective frames of {statistics.frames}"
         )
 
     def _show_picture(self, answer: Answer) -> None:

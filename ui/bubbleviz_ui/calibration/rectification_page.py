@@ -30,9 +30,9 @@ class RectificationPage(Page):
         super().__init__(calibration, units)
         self.before, self.after = ImageView("around zero"), ImageView("around zero")
         self.levels = QLabel(wordWrap=True)
-        self.add, self.drop = QPushButton("Add a level…"), QPushButton("Take the last out")
+        self.add, self.drop = QPushButton("Add a level…"), QPushButton("Remove the last")
         self.add.setToolTip("Recording of the untouched sensor at another inflation level")
-        self.drop.setToolTip("Take the recording added last out again")
+        self.drop.setToolTip("Remove the recording added last")
         self.vented = QPushButton("Open chamber…")
         self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
         self.numbers = Numbers()
@@ -41,7 +41,7 @@ class RectificationPage(Page):
         self.add.clicked.connect(self._choose_level)
         self.vented.clicked.connect(self._choose_vented)
         self.drop.clicked.connect(
-            lambda: calibration.edit("Take a level out", levels=calibration.settings.levels[:-1])
+            lambda: calibration.edit("Remove a level", levels=calibration.settings.levels[:-1])
         )
 
     def add_level(self, path: Path) -> None:
@@ -97,8 +97,8 @@ class RectificationPage(Page):
         force = found.sensitivity if found is not None else None
         if force is not None:
             per_gauge, per_stretch = 1e3 * force.per_gauge_n_per_pa, 0.1 * force.per_prestretch_n
-            self.numbers.set("dF/dG on the press", f"{per_gauge:+.3f} N per kPa")
-            self.numbers.set("dF/dλ on the press", f"{per_stretch:+.3f} N per 0.1")
+            self.numbers.set("force per gauge pressure", f"{per_gauge:+.3f} N per kPa")
+            self.numbers.set("force per λ", f"{per_stretch:+.3f} N per 0.1")
         rubber = found.rubber if found is not None else None
         if rubber is None:
             self.numbers.set("λ", "not determined: add levels, or press and hold")

@@ -50,20 +50,20 @@ class ValidationPage(Page):
         self.pose = QLineEdit("0 0 0.05 0 0 0 1")
         self.first, self.last = QSpinBox(), QSpinBox()
         self.predict = QPushButton("Predict and compare")
-        self.leave_out = QPushButton("Leave out")
+        self.remove = QPushButton("Remove")
         self.paint = QPushButton("Paint the distances in the 3-D view")
         self.obj.setToolTip("Object that was pressed: a preset or a mesh file")
         self.first.setToolTip("First pressed frame")
         self.last.setToolTip("Last pressed frame")
-        self.predict.setToolTip("Shape the forward model (Eq. 16) predicts, against the measured")
-        self.leave_out.setToolTip("Validate without a part of the contact-free frames")
+        self.predict.setToolTip(
+            "Shape that the forward model predicts (Eq. 16), beside the measured"
+        )
+        self.remove.setToolTip("Remove the validation by this press")
         self.paint.setToolTip("Measured minus predicted range at the points of the membrane")
         self.numbers = Numbers()
         self._lay_out()
         self.predict.clicked.connect(self._on_predict)
-        self.leave_out.clicked.connect(
-            lambda: calibration.edit("Leave the validation out", press=None)
-        )
+        self.remove.clicked.connect(lambda: calibration.edit("Remove the validation", press=None))
         self.paint.clicked.connect(self._paint)
 
     def is_done(self, answer: Answer) -> bool:
@@ -83,7 +83,7 @@ class ValidationPage(Page):
             self.last.setValue(press.stop - 1)
         ready = answer.draft.found is not None and not self.calibration.busy
         self.predict.setEnabled(ready)
-        self.leave_out.setEnabled(press is not None)
+        self.remove.setEnabled(press is not None)
         found = answer.draft.validation
         self.paint.setEnabled(found is not None)
         self.numbers.setVisible(found is not None)
@@ -122,10 +122,10 @@ class ValidationPage(Page):
         self.column.addWidget(self.view)
         form = QFormLayout()
         form.addRow("Object", self.obj)
-        form.addRow("Pose T_B_O", self.pose)
+        form.addRow("Pose", self.pose)
         frames = fill(QHBoxLayout(), self.first, QLabel("to"), self.last, 1)
         form.addRow("Frames", frames)
         self.column.addLayout(form)
-        buttons = fill(QHBoxLayout(), self.predict, self.leave_out)
+        buttons = fill(QHBoxLayout(), self.predict, self.remove)
         fill(self.column, buttons, self.numbers, self.paint, 1)
-        self.pose.setToolTip("x y z qx qy qz qw in m; origin in the middle of the rim plane")
+        self.pose.setToolTip("T_B_O: x y z qx qy qz qw in m; origin in the middle of the rim plane")

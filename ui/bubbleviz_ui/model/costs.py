@@ -14,9 +14,9 @@ from bubbleviz_ui.model.demand import plotted, products
 
 STAGES = {
     "estimate": "Contact pressure (Eq. 23)",
-    "patch": "Contact patch (κ, V-C)",
+    "patch": "Contact patch (section V-C of the paper)",
     "pixel_mask": "Pixels of the patch",
-    "pose": "Pose of the object (VI)",
+    "pose": "Pose of the object (section VI of the paper)",
     "cloud": "Measured points",
     "residual": "Residual of the range",
     "total": "Depth image in → products out",

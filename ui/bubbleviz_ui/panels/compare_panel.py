@@ -35,8 +35,8 @@ BLOCKS = 16
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "solver": ("Model", lambda m, u: m.solver),
     "status": ("Status", lambda m, u: m.status),
-    "total": ("In → out", lambda m, u: u.duration.text(m.total_ms)),
-    "solve": ("Solver", lambda m, u: u.duration.text(m.solve_ms)),
+    "total": ("Total time", lambda m, u: u.duration.text(m.total_ms)),
+    "solve": ("Solver time", lambda m, u: u.duration.text(m.solve_ms)),
     "force": ("Force", lambda m, u: u.force.with_interval(m.force_n, m.force_half_width_n)),
     "area": ("Patch area", lambda m, u: u.area.text(m.area_m2)),
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.residual_m)),
@@ -53,7 +53,9 @@ class Column:
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
         self.solver = options(QComboBox(), {None: "default", **{name: name for name in ESTIMATORS}})
-        self.pressure_scale = QDoubleSpinBox(minimum=0.1, maximum=100.0, singleStep=0.5)
+        self.pressure_scale = QDoubleSpinBox(
+            minimum=0.1, maximum=100.0, singleStep=0.5, suffix=" ×"
+        )
         self.recasts = QSpinBox(minimum=0, maximum=5)
         self.nodes = QSpinBox(singleStep=NODES[2])
         self.nodes.setRange(0, min(NODES[1], MAX_NODES))
@@ -136,20 +138,20 @@ class ComparePanel(QWidget):
             grid.addWidget(QLabel(title), 0, place)
         controls = {
             "Solver": ("solver", "Of the inverse problem: rubber is the exact membrane"),
-            "Prior p_c": (
+            "Pressure prior": (
                 "pressure_scale",
-                "Contact pressure expected, in gauge pressures: the larger, the smaller λ",
+                "Contact pressure expected, in gauge pressures: the larger, the less smoothing",
             ),
-            "Recasts": ("recasts", "How often rays are cast again in a frame"),
+            "Ray-cast passes": ("recasts", "How often rays are cast again within a frame"),
             "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),
-            "Block": ("block", "Side of the squares of pixels that are averaged"),
+            "Pixel binning": ("block", "Side of the squares of pixels that are averaged"),
         }
         for row, (title, (name, tip)) in enumerate(controls.items(), start=1):
             grid.addWidget(QLabel(title), row, 0)
             for place, each in enumerate((self.a, self.b), start=1):
                 control = getattr(each, name)
                 control.setToolTip(tip)
-                control.setMinimumWidth(92)
+                control.setMinimumWidth(84)
                 grid.addWidget(control, row, place)
         for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):
             grid.addWidget(QLabel(title), row, 0)

@@ -41,14 +41,17 @@ class KappaPanel(QWidget):
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
             "By the physics of contact: each patch must somewhere reach the gas pressure.\n"
-            "Untick it to draw the patch where p_c exceeds κ times its mean (V-C)"
+            "Untick it to draw the patch where the contact pressure p_c exceeds κ times its mean"
+            " (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(
             *(round(STEPS_PER_DECADE * math.log10(end)) for end in (LOWEST, HIGHEST))
         )
         self.slider.setPageStep(10)
-        self.slider.setToolTip("κ: threshold as a multiple of the mean contact pressure (V-C)")
+        self.slider.setToolTip(
+            "κ: threshold as a multiple of the mean contact pressure (section V-C of the paper)"
+        )
         self.box = QDoubleSpinBox(minimum=LOWEST, maximum=HIGHEST, decimals=2, prefix="κ = ")
         self.box.setToolTip(self.slider.toolTip())
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)

@@ -19,15 +19,15 @@ TIPS = {
     "frame": "Frame shown and its time in the recording",
     "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane, ± half of"
     " its 95 % interval by depth noise, γ0, gauge pressure and λ",
-    "area": "Area of the contact patch (V-C) on the membrane; the Contact patch panel says by which"
-    " rule",
-    "gas": "Change of the gas pressure against the reference, p_v, by the gas law (Eq. 9)",
+    "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact"
+    " patch panel says by which rule",
+    "gas": "Gas pressure change p_v against the reference: measured, or by the gas law (Eq. 9)",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",
     "solve": "Depth image in → products out, and frames processed in the last second; click: more",
     "latency": "From the stamp of a live frame to its picture: median and 95th percentile",
     "render": "Pictures drawn in the last second",
-    "dropped": "Frames left out on purpose, because a newer one was there",
+    "dropped": "Frames skipped on purpose, because a newer one was there",
 }
 
 
@@ -55,7 +55,7 @@ def widest(units: Units) -> dict[str, str]:
         "frame": "frame 888/888 · 88.888 s",
         "force": f"force {units.force.with_interval(88.88, 8.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
-        "gas": f"Δp gas {units.gas_pressure.text(8888.0, signed=True)}",
+        "gas": f"p_v {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
         "camera": "camera 88.8 Hz",
         "solve": f"solve {units.duration.text(88.8)} · 88.8 Hz",
@@ -117,7 +117,7 @@ class StatusBar(QStatusBar):
             "frame": f"frame {frame.index}{of_all} · {time_text}",
             "force": "force " + force_text(result, units),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
-            "gas": "Δp gas "
+            "gas": "p_v "
             + units.gas_pressure.text(
                 estimate.gas_pressure_change_pa if estimate else None, signed=True
             ),

@@ -33,7 +33,7 @@ ROW = 20
 HEIGHT = 300
 """Of both plots, screen pixels."""
 LARGEST_M2, STEP_M2 = 0.01, 5e-6  # m²: any bubble; 5 mm²
-COLUMNS = ("Area", "Force", "Peak p_c", "")
+COLUMNS = ("Area", "Force", "Peak pressure", "")
 
 
 class ThresholdPanel(QWidget):
@@ -61,7 +61,7 @@ class ThresholdPanel(QWidget):
         state.choices_changed.connect(self._draw)
 
     def _lay_out(self) -> None:
-        row = fill(QHBoxLayout(), QLabel("Leave out parts below"), (self.least, 1))
+        row = fill(QHBoxLayout(), QLabel("Remove parts below"), (self.least, 1))
         table = self.table
         table.setHorizontalHeaderLabels(list(COLUMNS))
         table.verticalHeader().hide()
@@ -108,7 +108,7 @@ class ThresholdPanel(QWidget):
                 units.area.text(part.area_m2),
                 units.force.text(part.force_n),
                 units.pressure.text(part.peak_pa),
-                "contact" if part.area_m2 >= least else "left out",
+                "contact" if part.area_m2 >= least else "removed",
             )
             for column, text in enumerate(texts):
                 item = QTableWidgetItem(text)

@@ -34,6 +34,8 @@ class Trace:
         What the curves are called; empty for a single one.
     bands : mapping
         Half of the 95 % interval by quantity, drawn as a band around its curve.
+    short : str
+        Title above the plot, where the whole one has no room.
     """
 
     title: str
@@ -41,6 +43,7 @@ class Trace:
     curves: dict[str, str]
     words: tuple[str, ...] = ("",)
     bands: Mapping[str, str] = field(default_factory=dict)
+    short: str = ""
 
     @property
     def titles(self) -> dict[str, str]:
@@ -59,10 +62,11 @@ TRACES = MappingProxyType(
             {"force_n": "force_half_width_n"},
         ),
         "gas": Trace(
-            "p_v",
+            "Gas pressure change p_v",
             lambda u: u.gas_pressure,
             {"gas_law_pa": BLUE, "gas_measured_pa": ORANGE},
             ("estimated", "measured"),
+            short="p_v",
         ),
         "area": Trace("Patch area", lambda u: u.area, {"area_m2": BLUE}),
         "center": Trace(
@@ -76,7 +80,7 @@ TRACES = MappingProxyType(
             "Run time",
             lambda u: u.duration,
             {"solve_ms": BLUE, "total_ms": ORANGE},
-            ("solver", "in → out"),
+            ("solver", "total"),
         ),
         "latency": Trace("Latency", lambda u: u.duration, {"latency_ms": BLUE}),
     }
@@ -164,7 +168,8 @@ class TimePlot:
             parts.append(f'<span style="color:{colour}">{f"{word} {number}".strip()}</span>')
         doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
         note = f' <span style="color:{theme.UNTRUSTED}">not to be trusted</span>' if doubt else ""
-        self.frame.write(f"{self.trace.title}: {' · '.join(parts)} {unit.symbol}{note}")
+        title = self.trace.short or self.trace.title
+        self.frame.write(f"{title}: {' · '.join(parts)} {unit.symbol}{note}")
 
     def _at(self, name: str, frame: int) -> float:
         return math.nan if self._history is None else float(self._history.of(name)[frame])

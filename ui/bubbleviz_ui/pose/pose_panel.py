@@ -71,7 +71,9 @@ class PosePanel(QWidget):
         self.move_it = QPushButton("Move in view")
         self.here = QPushButton("Start from here")
         self.once = QPushButton("Fit once")
-        self.once.setToolTip("Both stages of the registration (VI) on this frame")
+        self.once.setToolTip(
+            "Both stages of the registration (section VI of the paper) on this frame"
+        )
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")
         self.stage = QComboBox()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import Qt, qVersion
+from PySide6.QtCore import QObject, Qt, SignalInstance, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import (
     QDockWidget,
@@ -26,7 +26,7 @@ from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import SYSTEMS
-from bubbleviz_ui.panels.binding import bind_option
+from bubbleviz_ui.panels.binding import bind, bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell.file_dialogs import (
@@ -133,17 +133,30 @@ class Menus:
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
             self._add(menu, title, partial(self._change_speed, direction), keys)
-        self._add(menu, "&Every frame / real time", self._change_mode, "E")
-        self._add(menu, "&Loop", lambda: state.choose(loop=not state.choices.loop), "L")
+        bind(self._switch(menu, "&Every frame", "E"), state, "every_frame")
+        bind(self._switch(menu, "&Loop", "L"), state, "loop")
         self._add(menu, "Range begins here", lambda: self._range_end(0), "[")
         self._add(menu, "Range ends here", lambda: self._range_end(1), "]")
         self._add(menu, "Play all frames", lambda: state.choose_range(None), "Backspace")
         menu.addSeparator()
-        self._add(menu, "&Mark this frame", lambda: state.toggle_marker(state.frame), "M")
+        CheckMark(
+            self._switch(menu, "&Mark this frame", "M"),
+            lambda: state.frame in state.markers,
+            lambda _: state.toggle_marker(state.frame),
+            state.markers_changed,
+            state.frame_changed,
+            state.source_changed,
+        )
         self._add(menu, "Next marker", lambda: state.seek_marker(1), "PgDown")
         self._add(menu, "Marker before", lambda: state.seek_marker(-1), "PgUp")
         menu.addSeparator()
-        self._add(menu, "F&reeze a live source", lambda: state.freeze(not state.frozen), "F")
+        CheckMark(
+            self._switch(menu, "F&reeze a live source", "F"),
+            lambda: state.frozen,
+            state.freeze,
+            state.frozen_changed,
+            state.source_changed,
+        )
         self._add(menu, "Back to &now", lambda: state.freeze(False), "N")
 
     def _live(self, menu: QMenu) -> None:
@@ -151,10 +164,20 @@ class Menus:
         self._add(menu, "&Connect…", window.show_connect, "Ctrl+L")
         self._add(menu, "&Disconnect", live.disconnect_all, "Ctrl+Shift+L")
         menu.addSeparator()
-        self._add(menu, "&Record / stop recording", live.toggle_recording, "Ctrl+R")
+        CheckMark(
+            self._switch(menu, "&Record", "Ctrl+R"),
+            lambda: live.recording.busy,
+            lambda _: live.toggle_recording(),
+            live.recording.changed,
+        )
         self._add(menu, "Recordings go &to…", window.live.record.choose_folder)
         self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
-        self._add(menu, "&Publish results / stop", live.toggle_publishing, "Ctrl+Shift+R")
+        CheckMark(
+            self._switch(menu, "&Publish results", "Ctrl+Shift+R"),
+            lambda: live.publishing.on,
+            lambda _: live.toggle_publishing(),
+            live.publishing.changed,
+        )
         self._add(menu, "Publish &at…", self._publish_at)
         self._add(menu, "Gas pressure &zero now", live.zero_now, "Ctrl+Shift+G")
         self._add(menu, "The &other sensor", live.choose_other, "B")
@@ -165,27 +188,45 @@ class Menus:
         look = menu.addMenu("&Look from")
         for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
             self._add(look, title, partial(window.scene.look, viewpoint), f"Ctrl+{number}")
-        self._add(menu, "T&urntable", window.tools.turn.toggle, "T")
-        for tool, title in (("pick", "&Pick a place"), ("distance", "Measure a &distance")):
-            self._add(menu, title, partial(window.tools.use_tool, tool))
-        self._add(menu, "&Clear what was picked", partial(window.tools.use_tool, "turn"), "Esc")
+        turn = window.tools.turn
+        turntable = self._switch(menu, "T&urntable", "T")
+        CheckMark(turntable, turn.isChecked, turn.setChecked, turn.toggled)
+        for tool, title in (("probe", "&Probe a place"), ("distance", "Measure a &distance")):
+            self._tool(menu, tool, title)
+        self._add(menu, "&Clear what was probed", partial(window.tools.use_tool, "rotate"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
         scenes = menu.addMenu("&Scene")
         for name in preset_names("scenes"):
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
-        self._add(menu, "&Full screen", self._toggle_full_screen, "F11")
+        CheckMark(
+            self._switch(menu, "&Full screen", "F11"),
+            self._bar.window().isFullScreen,
+            lambda _: self._toggle_full_screen(),
+            menu.aboutToShow,
+        )
         self._theme(menu.addMenu("&Theme"))
         self._units(menu.addMenu("&Units"))
         menu.addSeparator()
         for panel in window.panels.values():
             if isinstance(panel, QDockWidget):
                 menu.addAction(panel.toggleViewAction())
-        status = self._add(
-            menu, "Status bar", lambda: window.status.setVisible(window.status.isHidden())
+        CheckMark(
+            self._switch(menu, "Status bar"),
+            lambda: not window.status.isHidden(),
+            window.status.setVisible,
+            menu.aboutToShow,
         )
-        status.setCheckable(True)
-        menu.aboutToShow.connect(lambda: status.setChecked(not window.status.isHidden()))
+
+    def _tool(self, menu: QMenu, name: str, title: str) -> None:
+        """What a click in the 3-D view does; nothing but rotating where it is unchecked."""
+        tools = self._window.tools
+        CheckMark(
+            self._switch(menu, title),
+            tools.tools[name].isChecked,
+            lambda on: tools.use_tool(name if on else "rotate"),
+            tools.tools[name].toggled,
+        )
 
     def _toggle_full_screen(self) -> None:
         window = self._bar.window()
@@ -226,13 +267,16 @@ class Menus:
         menu.addAction(action)
         return action
 
+    def _switch(self, menu: QMenu, title: str, keys: str = "") -> QAction:
+        """An action with a check mark, to be bound to a choice or to follow something else."""
+        action = QAction(title, menu, checkable=True)
+        action.setShortcut(QKeySequence(keys))
+        menu.addAction(action)
+        return action
+
     def _change_speed(self, direction: int) -> None:
         state = self._window.state
         state.choose(speed=next_speed(state.choices.speed, direction))
-
-    def _change_mode(self) -> None:
-        state = self._window.state
-        state.choose(every_frame=not state.choices.every_frame)
 
     def _range_end(self, end: int) -> None:
         state = self._window.state
@@ -320,3 +364,42 @@ class Menus:
         path = file_to_save(self._bar, "Save screenshot", "bubbleviz.png", kinds, of="picture")
         if path is not None:
             self._window.save_screenshot(path)
+
+
+class CheckMark(QObject):
+    """Keeps an action's mark what `is_on` says, also where turning it on or off is refused.
+
+    It lives as long as the action; a lambda that a signal holds would keep the window alive.
+
+    Parameters
+    ----------
+    action : QAction
+        Checkable.
+    is_on : callable
+        Whether what the action stands for is on.
+    turn : callable
+        Turns it on or off.
+    *changed : signals
+        It may have been turned on or off.
+    """
+
+    def __init__(
+        self,
+        action: QAction,
+        is_on: Callable[[], bool],
+        turn: Callable[[bool], object],
+        *changed: SignalInstance,
+    ) -> None:
+        super().__init__(action)
+        self._action, self._is_on, self._turn = action, is_on, turn
+        action.triggered.connect(self._on_triggered)
+        for signal in changed:
+            signal.connect(self._show)
+        self._show()
+
+    def _on_triggered(self, on: bool) -> None:
+        self._turn(on)
+        self._show()
+
+    def _show(self) -> None:
+        self._action.setChecked(self._is_on())

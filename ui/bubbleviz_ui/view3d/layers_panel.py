@@ -27,7 +27,7 @@ CLOUD_POINTS = {
     50_000: "up to 50 000",
     None: "all",
 }
-CLOUD_COLOURS = {"residual": "residual", "patch": "patch membership", "plain": "one colour"}
+CLOUD_COLOURS = {"residual": "residual", "patch": "patch", "plain": "one colour"}
 
 
 HIGHEST_PA, LARGEST_M, STEP = 1e6, 0.1, 1e-3
@@ -64,19 +64,19 @@ class LayersPanel(QWidget):
         line.setFixedHeight(1)
         form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-        form.addRow("Points by", self.cloud_colour)
+        form.addRow("Colour points by", self.cloud_colour)
         form.addRow("Points shown", self.cloud_points)
         form.addRow("Opacity", self.opacity)
-        form.addRow("Pressure to", self.pressure_max)
-        form.addRow("Residual to ±", self.residual_max)
-        fill(
-            QVBoxLayout(self), *self.boxes.values(), line, form, margins=(12, 10, 12, 10), spacing=5
-        )
-        self.cloud_colour.setToolTip("What colours the points; residual: measured minus modelled")
+        form.addRow("Maximum pressure", self.pressure_max)
+        form.addRow("Maximum residual ±", self.residual_max)
+        fill(QVBoxLayout(self), *self.boxes.values(), line, form, margins=(6, 10, 2, 10), spacing=5)
+        self.cloud_colour.setToolTip("Residual: measured minus modelled range; patch: in it or not")
         self.cloud_points.setToolTip("Beyond that every n-th point is drawn; all are solved with")
         self.opacity.setToolTip("Opacity of the membrane, 10 … 100 %")
-        self.pressure_max.setToolTip("Upper end of the pressure colours; lowest value: automatic")
-        self.residual_max.setToolTip("Ends of the residual colours; lowest value: automatic")
+        self.pressure_max.setToolTip("Pressure that has the last colour; lowest value: automatic")
+        self.residual_max.setToolTip(
+            "Residual that has the first or last colour; lowest value: automatic"
+        )
 
     def _bind(self, state: SessionState) -> None:
         for name, box in self.boxes.items():

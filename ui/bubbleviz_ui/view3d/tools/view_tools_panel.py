@@ -34,8 +34,8 @@ from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
 from bubbleviz_ui.shell.layouts import fill
-from bubbleviz_ui.view3d.layers.place_text import PlaceText
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
+from bubbleviz_ui.view3d.place_text import PlaceText
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.tools.distance import Distance
@@ -47,7 +47,7 @@ VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
 SECTIONS = {None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"}
-TOOLS = {"turn": "Turn", "pick": "Pick", "distance": "Distance"}
+TOOLS = {"rotate": "Rotate", "probe": "Probe", "distance": "Distance"}
 LARGEST_PIXELS = 8192
 MOST_EXAGGERATED = 10.0
 SECTION_STEPS = 200
@@ -71,7 +71,7 @@ class ViewTools(QWidget):
     ) -> None:
         super().__init__()
         self._state, self._view, self._scene = state, view, scene
-        self.tool = "turn"
+        self.tool = "rotate"
         self.distance = Distance(view)
         self.turntable = Turntable(view)
         self.picked = Hover(controller)
@@ -92,8 +92,8 @@ class ViewTools(QWidget):
         self.tools = {name: self._button(title) for name, title in TOOLS.items()}
         for name in ("top", "side", "front"):
             self.views[name].setToolTip(f"Look from the {name}, in the bubble frame B")
-        self.tools["turn"].setToolTip("Drag turns the scene, the wheel goes nearer")
-        self.tools["pick"].setToolTip(
+        self.tools["rotate"].setToolTip("Drag rotates the scene, the wheel goes nearer")
+        self.tools["probe"].setToolTip(
             "Click on the membrane or a point: its numbers stay until Esc"
         )
         self.tools["distance"].setToolTip("Click on two points; a third begins anew")
@@ -101,7 +101,7 @@ class ViewTools(QWidget):
         for button in self.tools.values():
             button.setCheckable(True)
             group.addButton(button)
-        self.tools["turn"].setChecked(True)
+        self.tools["rotate"].setChecked(True)
         self.reading = [QLabel() for _ in range(3)]
 
     def _make_settings(self) -> None:
@@ -122,14 +122,14 @@ class ViewTools(QWidget):
         self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")
-        self.turn = self._button("Spin")
+        self.turn = self._button("Turntable")
         self.turn.setCheckable(True)
-        self.turn.setToolTip("Turntable: turn about the vertical, 30° a second")
+        self.turn.setToolTip("Rotate about the vertical by itself, 30° a second")
 
     def _lay_out(self) -> None:
         form = QFormLayout()
         form.addRow("Colours", self.colour_map)
-        form.addRow("Exaggerate u", self.exaggeration)
+        form.addRow("Exaggerate", self.exaggeration)
         form.addRow("Section", self.section)
         form.addRow(self.section_text, self.section_at)
         form.addRow("", self.flipped)
@@ -141,7 +141,7 @@ class ViewTools(QWidget):
             *self.reading,
             form,
             1,
-            margins=(12, 10, 12, 10),
+            margins=(8, 10, 4, 10),
             spacing=6,
         )
         self.setMinimumWidth(WIDTH)
@@ -176,20 +176,20 @@ class ViewTools(QWidget):
     # -- pointing -----------------------------------------------------------------------------
 
     def use_tool(self, name: str) -> None:
-        """What a click in the view does from now on: `turn` (nothing), `pick`, `distance`."""
+        """What a click in the view does from now on: `rotate` (nothing), `probe`, `distance`."""
         self.tool = name
         self.tools[name].setChecked(True)
         self.picked.leave()
         self.distance.clear()
-        pointer = Qt.CursorShape.ArrowCursor if name == "turn" else Qt.CursorShape.CrossCursor
+        pointer = Qt.CursorShape.ArrowCursor if name == "rotate" else Qt.CursorShape.CrossCursor
         self._view.setCursor(pointer)
         self._say()
 
     def _on_clicked(self, x: float, y: float) -> None:
-        if self.tool == "turn":
+        if self.tool == "rotate":
             return
         point = self._scene.pick(x, y)
-        if self.tool == "pick":
+        if self.tool == "probe":
             self.picked.leave() if point is None else self.picked.at_point(point)
         elif point is not None:
             self.distance.add(point)
@@ -204,12 +204,12 @@ class ViewTools(QWidget):
     def _say(self) -> None:
         """Write what was pointed at, in the operator's units."""
         lines = {
-            "turn": ("Drag turns, wheel zooms,", "middle button moves", ""),
-            "pick": ("Click on the membrane", "or on a measured point", ""),
+            "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
+            "probe": ("Click on the membrane", "or on a measured point", ""),
             "distance": ("Click on two points", "", ""),
         }[self.tool]
         units, ends = self._state.units, self.distance.points_m
-        if self.tool == "pick" and self.picked.place is not None:
+        if self.tool == "probe" and self.picked.place is not None:
             lines = words(self.picked.place, units)
         elif self.tool == "distance" and self.distance.length_m is not None:
             dx, dy, dz = (units.length.of(float(d)) for d in ends[1] - ends[0])
