@@ -152,8 +152,17 @@ class TimePlot:
         self.cursor.blockSignals(True)
         self.cursor.setValue(time_s)
         self.cursor.blockSignals(False)
-        unit = self.trace.unit(units)
-        parts = []
+        doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
+        note = f' <span style="color:{theme.UNTRUSTED}">not to be trusted</span>' if doubt else ""
+        self.frame.write(f"{self.trace.title}: {self._numbers(frame, units)}{note}")
+
+    def show_pointed(self, frame: int, time_s: float, units: Units) -> None:
+        """Write the numbers of a frame that one points at."""
+        self.frame.write(f"at {units.time.text(time_s)}: {self._numbers(frame, units)}")
+
+    def _numbers(self, frame: int, units: Units) -> str:
+        """Numbers of all curves at a frame, in their colours, and their unit."""
+        unit, parts = self.trace.unit(units), []
         for (name, colour), word in zip(self.trace.curves.items(), self.trace.words, strict=True):
             if name == MEASURED_FORCE and math.isnan(self._at(name, frame)):
                 continue  # most recordings have no wrench
@@ -162,9 +171,7 @@ class TimePlot:
             number = unit.with_interval(self._at(name, frame), half)
             number = number.removesuffix(unit.symbol).strip()
             parts.append(f'<span style="color:{colour}">{f"{word} {number}".strip()}</span>')
-        doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
-        note = f' <span style="color:{theme.UNTRUSTED}">not to be trusted</span>' if doubt else ""
-        self.frame.write(f"{self.trace.title}: {' · '.join(parts)} {unit.symbol}{note}")
+        return f"{' · '.join(parts)} {unit.symbol}"
 
     def _at(self, name: str, frame: int) -> float:
         return math.nan if self._history is None else float(self._history.of(name)[frame])
