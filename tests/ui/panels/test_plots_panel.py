@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
-from PySide6.QtCore import QPoint, QPointF, Qt
+from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver, canvas
+from window_driver import Driver, canvas, hover
 
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.diagnostics.kappa_curve import KAPPAS, kappa_curve
@@ -155,6 +155,25 @@ def test_a_click_seeks_and_the_cursor_and_the_numbers_follow(drive: Drive) -> No
     patch = driver.window.controller.result.patch
     force = driver.state.units.force.text(float(np.linalg.norm(patch.force_n)))
     driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
+
+
+def test_pointing_at_a_plot_shows_time_and_numbers_there(drive: Drive) -> None:
+    driver = drive(DentSource)
+    panel = opened(driver, "force", "residual")
+    times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
+    frame = FIRST_CONTACT + 4
+    driver.seek(frame)
+    driver.seek(2)
+    known = lambda: np.isfinite(history.of("residual_m")[[2, frame]]).all()  # noqa: E731
+    driver.wait(known)
+    at_cursor = f"Residual rms: {units.fine_length.text(history.of('residual_m')[2])}"
+    driver.wait(lambda: plain(panel, "residual") == at_cursor)
+    hover(canvas(panel).viewport(), place(panel, "residual", times[frame]))
+    there = units.fine_length.text(history.of("residual_m")[frame])
+    driver.wait(lambda: plain(panel, "residual") == f"at {times[frame]:.3f} s: {there}")
+    assert plain(panel, "force").startswith("Force: ") and driver.state.frame == 2
+    QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
+    driver.wait(lambda: plain(panel, "residual") == at_cursor)
 
 
 def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:

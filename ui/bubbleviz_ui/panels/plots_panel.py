@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QTimer
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
@@ -45,6 +45,7 @@ class PlotsPanel(QWidget):
         self._due.timeout.connect(lambda: self._draw())
         self._host = PlotHost(self._make)
         self._arranged: list[tuple[int, int, int]] | None = None
+        self._pointed: tuple[str, float] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
         titles = {**{name: trace.title for name, trace in TRACES.items()}, "kappa": "κ-curve"}
@@ -149,6 +150,8 @@ class PlotsPanel(QWidget):
         self.kappa = KappaPlot()
         self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
         self._host.canvas.scene().sigMouseClicked.connect(self._on_click)
+        self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
+        self._host.canvas.installEventFilter(self)
         self._show_all_time()
         return [*self.plots.values(), self.kappa]
 
@@ -199,6 +202,11 @@ class PlotsPanel(QWidget):
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
+        if self._pointed is not None:
+            name, time_s = self._pointed
+            frame = _nearest(facts.times_s, time_s)
+            time_s = float(facts.times_s[frame])
+            self.plots[name].show_pointed(frame, time_s, self._state.units)
 
     def _show_statistics(self) -> None:
         """Write the numbers of the range on the timeline, where there is one."""
@@ -221,11 +229,30 @@ class PlotsPanel(QWidget):
             self.kappa.draw(curve, result, self._state.choices.kappa, self._state.units)
 
     def _on_click(self, event: Any) -> None:
+        found = self._under(event.scenePos())
+        if found is not None:
+            self._seek(found[1])
+            event.accept()
+
+    def _on_mouse(self, place: QPointF) -> None:
+        """Write the numbers under the mouse above its plot."""
+        self._pointed = self._under(place)
+        self._draw_cursor()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Notice that the mouse has left the plots."""
+        if event.type() == QEvent.Type.Leave:
+            self._pointed = None
+            self._draw_cursor()
+        return False
+
+    def _under(self, place: QPointF) -> tuple[str, float] | None:
+        """Plot at a place of the canvas, and the time there, s."""
         for name, plot in self.plots.items():
-            inside = plot.box.sceneBoundingRect().contains(event.scenePos())
+            inside = plot.box.sceneBoundingRect().contains(place)
             if inside and name in self._state.choices.plots:
-                self._seek(float(plot.box.mapSceneToView(event.scenePos()).x()))
-                event.accept()
+                return name, float(plot.box.mapSceneToView(place).x())
+        return None
 
     def _on_dragged(self, line: Any) -> None:
         self._seek(float(line.value()))
@@ -239,4 +266,9 @@ class PlotsPanel(QWidget):
     def _seek(self, time_s: float) -> None:
         facts = self._state.facts
         if facts is not None:
-            self._state.seek(int(np.abs(facts.times_s - time_s).argmin()))
+            self._state.seek(_nearest(facts.times_s, time_s))
+
+
+def _nearest(times_s: np.ndarray, time_s: float) -> int:
+    """Frame nearest to a time."""
+    return int(np.abs(times_s - time_s).argmin())

@@ -156,8 +156,16 @@ class TimePlot:
         self.cursor.blockSignals(True)
         self.cursor.setValue(time_s)
         self.cursor.blockSignals(False)
-        unit = self.trace.unit(units)
-        parts = []
+        title = self.trace.short or self.trace.title
+        self.frame.write(f"{title}: {self._numbers(frame, units)}")
+
+    def show_pointed(self, frame: int, time_s: float, units: Units) -> None:
+        """Write the numbers of a frame that one points at."""
+        self.frame.write(f"at {units.time.text(time_s)}: {self._numbers(frame, units)}")
+
+    def _numbers(self, frame: int, units: Units) -> str:
+        """Numbers of all curves at a frame, in their colours, and their unit."""
+        unit, parts = self.trace.unit(units), []
         for (name, colour), word in zip(self.trace.curves.items(), self.trace.words, strict=True):
             if name == MEASURED_FORCE and math.isnan(self._at(name, frame)):
                 continue  # most recordings have no wrench
@@ -168,8 +176,7 @@ class TimePlot:
             parts.append(f'<span style="color:{colour}">{f"{word} {number}".strip()}</span>')
         doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
         note = f' <span style="color:{theme.UNTRUSTED}">not to be trusted</span>' if doubt else ""
-        title = self.trace.short or self.trace.title
-        self.frame.write(f"{title}: {' · '.join(parts)} {unit.symbol}{note}")
+        return f"{' · '.join(parts)} {unit.symbol}{note}"
 
     def _at(self, name: str, frame: int) -> float:
         return math.nan if self._history is None else float(self._history.of(name)[frame])
