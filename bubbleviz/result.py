@@ -115,6 +115,8 @@ class Patch:
         wider than its edge is uncertain.
     pixel_mask : (H, W) bool array or None
         Pixels of the patch; None when `pixel_mask` was not requested.
+    kappa : float or None
+        Threshold over the mean contact pressure; None where the rule is automatic.
     """
 
     threshold_pa: float
@@ -125,6 +127,7 @@ class Patch:
     edge_half_width_m: float = np.nan
     area_interval_m2: tuple[float, float] = (np.nan, np.nan)
     pixel_mask: np.ndarray | None = None
+    kappa: float | None = None
 
     @property
     def node_mask(self) -> np.ndarray:

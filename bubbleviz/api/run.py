@@ -74,7 +74,9 @@ class Run(Sequence[FrameResult]):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Numbers of each frame by column, (F,) each, units in the names, times in ms."""
-        return {name: np.array(values) for name, values in self._table().items()}
+        table = self._table()
+        table["kappa"] = [np.nan if kappa is None else kappa for kappa in table["kappa"]]
+        return {name: np.array(values) for name, values in table.items()}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array of RESULT.npz but the masks, by the same names: frames, nodes and mesh."""
@@ -148,7 +150,7 @@ class Run(Sequence[FrameResult]):
             | ({} if result.pose is None else pose_columns(asdict(PoseRow.of(result))))
             for result, summary in zip(results, summaries, strict=True)
         ]
-        return table_of(summaries, more)
+        return table_of(summaries, more, self._results[0].model.sensor.name)
 
     def __repr__(self) -> str:
         names, counts = np.unique(self.status, return_counts=True)

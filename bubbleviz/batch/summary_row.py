@@ -48,6 +48,8 @@ class Row:
     note : str
         What is missing of the recording, such as its end, or does not fit the sensor file; empty
         when nothing is.
+    kappa : float or None
+        None where the rule of the patch is automatic.
     """
 
     recording: str
@@ -66,6 +68,7 @@ class Row:
     sensor: str = ""
     error: str = ""
     note: str = ""
+    kappa: float | None = None
 
     @property
     def has_result(self) -> bool:
@@ -86,7 +89,15 @@ class Row:
         )
         with np.load(path) as file:
             columns = {key: file[key] for key in keys}
-        return cls(recording, "done", sensor=sensor, note=note, **_statistics(**columns))
+            kappa = float(file["kappa"][0])
+        return cls(
+            recording,
+            "done",
+            sensor=sensor,
+            note=note,
+            kappa=None if math.isnan(kappa) else kappa,
+            **_statistics(**columns),
+        )
 
     def to_json(self) -> str:
         """JSON object; NaN becomes null."""
@@ -100,7 +111,9 @@ class Row:
         names = {field.name for field in fields(cls)}
         if set(values) != names:
             raise TypeError("not the fields of a row")
-        known: dict[str, Any] = {k: NAN if v is None else v for k, v in values.items()}
+        known: dict[str, Any] = {
+            k: NAN if v is None and k != "kappa" else v for k, v in values.items()
+        }
         return cls(**known)
 
 

@@ -275,7 +275,7 @@ def _solve(
             writer.add(result)
         writer.finish(**made_by)
         if table:
-            write_csv(writer.rows, table)
+            write_csv(writer.rows, table, pipeline.model.sensor.name)
         return writer.rows
 
 

@@ -104,18 +104,19 @@ class ExportPlan:
             Temporary place of `out`; a folder exists already.
         """
         if not self.is_folder:
-            return [self._one_file(at)]
+            return [self._one_file(at, pipeline)]
         name = self.out.name
         made: list[Exporter] = []
         for kind in self.kinds:
             if kind in _IN_A_FOLDER:
-                made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}"))
+                made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}", pipeline))
             else:
                 made.append(_series(kind, at, name, pipeline))
         return made
 
-    def _one_file(self, path: Path) -> Exporter:
-        return TableExporter(path, _FILES[path.suffix.lower()][1], self.poses or None)
+    def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
+        write, sensor = _FILES[path.suffix.lower()][1], pipeline.model.sensor.name
+        return TableExporter(path, write, sensor, self.poses or None)
 
 
 def _series(kind: str, folder: Path, name: str, pipeline: Pipeline) -> Exporter:

@@ -37,6 +37,8 @@ class TableExporter:
     path : Path
     write : callable
         `write_csv`, `write_parquet` or `bubbleviz.export.plot_files.write_plots`.
+    sensor : str
+        Its name.
     poses : mapping, optional
         Pose columns by frame index, as `bubbleviz.export.pose_columns.read_poses` gives them.
     """
@@ -44,9 +46,13 @@ class TableExporter:
     products: frozenset[Product] = frozenset({"estimate", "patch"})
 
     def __init__(
-        self, path: Path, write: Write, poses: Mapping[int, dict[str, Any]] | None = None
+        self,
+        path: Path,
+        write: Write,
+        sensor: str,
+        poses: Mapping[int, dict[str, Any]] | None = None,
     ) -> None:
-        self._path, self._write, self._poses = path, write, poses
+        self._path, self._write, self._sensor, self._poses = path, write, sensor, poses
         self._summaries: list[dict[str, Any]] = []
         self._more: list[dict[str, Any]] = []
 
@@ -61,7 +67,7 @@ class TableExporter:
 
     def finish(self) -> None:
         """Write the table."""
-        self._write(table_of(self._summaries, self._more), self._path)
+        self._write(table_of(self._summaries, self._more, self._sensor), self._path)
 
 
 def more_columns(result: Result, summary: dict[str, Any]) -> dict[str, Any]:
@@ -74,7 +80,9 @@ def more_columns(result: Result, summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def table_of(summaries: Sequence[dict[str, Any]], more: Sequence[dict[str, Any]]) -> Table:
+def table_of(
+    summaries: Sequence[dict[str, Any]], more: Sequence[dict[str, Any]], sensor: str
+) -> Table:
     """Table of all frames.
 
     Parameters
@@ -83,15 +91,17 @@ def table_of(summaries: Sequence[dict[str, Any]], more: Sequence[dict[str, Any]]
         The `summary_row` of each frame.
     more : sequence of dict
         Its other columns.
+    sensor : str
+        Its name.
     """
     frames = [dict(summary) for summary in summaries]
     add_measured_force(frames)
-    rows = [csv_row(frame) | columns for frame, columns in zip(frames, more, strict=True)]
+    rows = [csv_row(frame, sensor) | columns for frame, columns in zip(frames, more, strict=True)]
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def write_csv(table: Table, path: Path) -> None:
-    """Write CSV, UTF-8, a header line; `nan` for what is not known."""
+    """Write CSV, UTF-8, a header line; `nan` for what is not known, no κ where it is automatic."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table)
@@ -104,7 +114,8 @@ def write_parquet(table: Table, path: Path) -> None:
     import pyarrow
     import pyarrow.parquet
 
-    pyarrow.parquet.write_table(pyarrow.table(table), path)
+    kappa = pyarrow.array(table["kappa"], pyarrow.float64())  # also where all are None
+    pyarrow.parquet.write_table(pyarrow.table({**table, "kappa": kappa}), path)
 
 
 def require_parquet(path: Path) -> None:

@@ -37,6 +37,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "kkt_residual": (),
     "solve_ms": (),
     "total_ms": (),
+    "kappa": (),
 }
 """Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
 than the one of the same name."""
@@ -92,6 +93,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "kkt_residual": estimate.kkt_residual,
         "solve_ms": estimate.solve_ms,
         "total_ms": result.times_ms["total"],
+        "kappa": np.nan if patch.kappa is None else patch.kappa,
     }
     if estimate.status in UNKNOWN:
         for key in _NO_NUMBER_WITHOUT_DATA:
@@ -251,17 +253,21 @@ class ResultWriter:
         return member
 
 
-def write_csv(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write RESULT.csv: one line a frame, the columns of `COLUMNS`."""
+def write_csv(rows: list[dict[str, Any]], path: Path, sensor: str) -> None:
+    """Write RESULT.csv: one line a frame, the columns of `csv_row`."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(csv_row(rows[0]))
-        writer.writerows(csv_row(row).values() for row in rows)
+        writer.writerow(csv_row(rows[0], sensor))
+        writer.writerows(csv_row(row, sensor).values() for row in rows)
 
 
-def csv_row(row: dict[str, Any]) -> dict[str, Any]:
-    """Plain numbers and texts of a row by column of the CSV."""
+def csv_row(row: dict[str, Any], sensor: str) -> dict[str, Any]:
+    """Plain numbers and texts of a row by column of the CSV: those of `COLUMNS`, then the sensor.
+
+    `kappa` is None where the rule is automatic.
+    """
     plain: dict[str, Any] = {}
     for key, names in COLUMNS.items():
         plain |= dict(zip(names or (key,), np.atleast_1d(row[key]).tolist(), strict=True))
-    return plain
+    kappa = None if np.isnan(row["kappa"]) else plain["kappa"]
+    return plain | {"kappa": kappa, "sensor": sensor}

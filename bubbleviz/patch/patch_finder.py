@@ -75,6 +75,7 @@ class PatchFinder:
             area_m2=area_above(mesh, level, 0.0),
             edge_half_width_m=band,
             area_interval_m2=area_interval(mesh, level, band),
+            kappa=kappa,
         )
 
     def _contacts(self, estimate: Estimate, gas_pa: float) -> tuple[np.ndarray, np.ndarray]:

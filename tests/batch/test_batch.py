@@ -148,6 +148,7 @@ def test_the_frame_to_look_at_is_one_not_to_be_trusted(tmp_path: Path) -> None:
         patch_area_m2=[1e-4, np.nan, np.nan, 0],
         residual_rms_m=[9e-3, np.nan, np.nan, 1e-4],
         total_ms=[100, 2, 3, 4],
+        kappa=[np.nan] * 4,
     )
     row = Row.of_result("r", "s", path)
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
@@ -170,7 +171,9 @@ def test_what_is_done_again(change: str, recordings: Path, sensor: Path, tmp_pat
         shutil.copy(recordings / "a.mcap", job.recording)
     elif change == "summary":
         (tmp_path / "b" / "summary.json").write_text("{")
-    assert run_job(job).outcome == ("kept" if change == "nothing" else "done")
+    row = run_job(job)
+    assert row.outcome == ("kept" if change == "nothing" else "done")
+    assert row.kappa == job.settings.kappa
     assert run_job(job).outcome == "kept"
     assert {path.name for path in (tmp_path / "b").iterdir()} == FILES
 

@@ -94,7 +94,7 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
         "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
         "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
-        "patch_area_interval_m2": (frames, 2),
+        "patch_area_interval_m2": (frames, 2), "kappa": (frames,),
         "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
@@ -166,6 +166,9 @@ def test_csv_has_the_same_numbers(folder: Path, result: Arrays) -> None:
     for axis, name in enumerate(("force_x_n", "force_y_n", "force_z_n")):
         assert [float(row[name]) for row in rows] == result["force_n"][:, axis].tolist()
     assert rows[0]["center_of_pressure_x_m"] == "nan"
+    name = load_sensor(PRESET).name
+    assert list(rows[0])[-2:] == ["kappa", "sensor"]
+    assert {(row["kappa"], row["sensor"]) for row in rows} == {("", name)}  # automatic
 
 
 def test_json_leaves_the_first_frame_out_of_the_times(folder: Path, result: Arrays) -> None:

@@ -71,6 +71,7 @@ def test_csv_says_what_the_estimate_says(folder: Path, estimated: Arrays) -> Non
     size = np.linalg.norm(estimated["force_n"], axis=1)
     np.testing.assert_allclose(columns_of(rows, "force_magnitude_n")[:, 0], size)
     assert columns_of(rows, "iterations")[PRESSED, 0] > 0
+    assert {row["kappa"] for row in rows} == {""} and len({row["sensor"] for row in rows}) == 1
 
 
 def test_measured_force_is_beside_the_estimate(tmp_path: Path, press: Path, sensor: Path) -> None:
@@ -97,24 +98,25 @@ def test_parquet_has_the_columns_of_the_csv(folder: Path) -> None:
     table = pyarrow.parquet.read_table(folder / "all.of it.parquet")
     rows = rows_of(folder / "all.of it.csv")
     assert table.column_names == list(rows[0])
-    assert [str(table.schema.field(name).type) for name in ("frame", "status", "force_x_n")] == [
+    assert [str(table.schema.field(name).type) for name in ("frame", "status", "kappa")] == [
         "int64",
         "string",
         "double",
     ]
     for name in table.column_names:
         told = table.column(name).to_pylist()
-        assert [str(value) for value in told] == [row[name] for row in rows]
+        assert ["" if v is None else str(v) for v in told] == [row[name] for row in rows]
 
 
 def test_a_range_of_frames_and_a_name_with_a_suffix(
     tmp_path: Path, press: Path, sensor: Path
 ) -> None:
     out = tmp_path / "my numbers.csv"
-    done = export(press, "--sensor", sensor, "--out", out, "--frames", "1:4:2", "--json")
+    words = ("--sensor", sensor, "--out", out, "--frames", "1:4:2", "--kappa", "2.5", "--json")
+    done = export(press, *words)
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["frames"] == 2
-    assert [row["frame"] for row in rows_of(out)] == ["1", "3"]
+    assert [(row["frame"], row["kappa"]) for row in rows_of(out)] == [("1", "2.5"), ("3", "2.5")]
 
 
 def test_poses_are_joined_by_frame(tmp_path: Path, press: Path, sensor: Path) -> None:

@@ -328,8 +328,13 @@ def test_statistics_of_the_range_on_the_timeline(drive: Drive) -> None:
     assert table.item(0, 0).text() == f"{known.mean():.3f}"
     driver.state.choose(force_unit="mN", plots=frozenset({"force"}))
     driver.bot.mouseClick(panel.statistics.copy, LEFT)
-    assert copied().splitlines()[0] == "Frames 6 to 9\tForce (mN)"
+    assert copied().splitlines()[0] == "Frames 6 to 9\tForce (mN)\tκ\tsensor"
     assert float(copied().splitlines()[1].split("\t")[1]) == pytest.approx(1e3 * known.mean())
+    name = driver.window.controller.sensor.name
+    assert {tuple(line.split("\t")[2:]) for line in copied().splitlines()[1:]} == {("", name)}
+    driver.state.choose(kappa=2.5)
+    driver.bot.mouseClick(panel.statistics.copy, LEFT)
+    assert {tuple(line.split("\t")[2:]) for line in copied().splitlines()[1:]} == {("2.5", name)}
     actions["Playback › Play all frames"].trigger()
     driver.wait(lambda: not panel.statistics.isVisible())
 

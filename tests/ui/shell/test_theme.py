@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QRect, Qt
 from PySide6.QtGui import QColor, QImage
-from PySide6.QtWidgets import QApplication, QLabel, QWidget
+from PySide6.QtWidgets import QApplication, QLabel, QLineEdit, QWidget
 from window_driver import Driver
 
 from bubbleviz_ui.live.live_bar import BADGES
@@ -102,6 +102,44 @@ def test_text_can_be_read(colours: theme.Colours) -> None:
     for badge in BADGES.values():
         assert contrast(QColor(theme.ON_BADGE), QColor(badge)) > 4.5
     assert contrast(QColor(colours.on_accent), QColor(colours.accent)) > 4.5
+
+
+def selected(item: np.ndarray) -> float:
+    """Contrast between the ground of what is selected and its text, the pixel furthest from it."""
+    flat = item.reshape(-1, 3)
+    found, counts = np.unique(flat, axis=0, return_counts=True)
+    ground = found[counts.argmax()].astype(int)
+    text = flat[np.abs(flat - ground).sum(axis=1).argmax()]
+    return contrast(QColor(*map(int, ground)), QColor(*map(int, text)))
+
+
+def within(widget: QWidget, place: QRect) -> np.ndarray:
+    """Pixels of a part of a widget, its frame and check mark aside."""
+    left, top = place.left() + 28, place.top() + 3
+    return pixels(widget)[top : place.bottom() - 2, left : place.right() - 28]
+
+
+@pytest.mark.parametrize("title", ["Dark", "Light"])
+def test_what_is_selected_can_be_read(drive: Drive, title: str) -> None:
+    driver = drive(frame=3)
+    choose(driver, title)
+    menu = next(a.menu() for a in driver.window.menuBar().actions() if "File" in a.text())
+    menu.popup(driver.window.pos())
+    action = menu.actions()[0]
+    menu.setActiveAction(action)
+    assert selected(within(menu, menu.actionGeometry(action))) > 4.5
+    menu.close()
+    box = driver.window.layers.cloud_points
+    box.showPopup()
+    view = box.view()
+    driver.wait(view.isVisible)
+    place = view.visualRect(view.currentIndex())
+    assert selected(within(view.viewport(), place.adjusted(-22, 0, 22, 0))) > 4.5
+    box.hidePopup()
+    number = driver.window.layers.pressure_max
+    number.selectAll()
+    line = number.findChild(QLineEdit)
+    assert line is not None and selected(pixels(line)[4:-4, 2:30]) > 4.5
 
 
 def test_colours_are_nowhere_else() -> None:

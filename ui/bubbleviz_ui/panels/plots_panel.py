@@ -221,7 +221,9 @@ class PlotsPanel(QWidget):
                 if plot in state.choices.plots
                 for name, title in trace.titles.items()
             ]
-        self.statistics.show_range(first, last, curves)
+        sensor = self._controller.sensor
+        name = "" if sensor is None else sensor.name
+        self.statistics.show_range(first, last, curves, state.choices.kappa, name)
 
     def _show_kappa(self) -> None:
         if self.kappa is not None and self._host.ready and "kappa" in self._state.choices.plots:

@@ -67,16 +67,20 @@ class RangeTable(QTableWidget):
         self.setVerticalHeaderLabels([*NUMBERS.values(), "frames"])
         self._text = ""
         self.copy.clicked.connect(lambda: QApplication.clipboard().setText(self._text))
-        self.show_range(0, 0, [])
+        self.show_range(0, 0, [], None, "")
 
-    def show_range(self, first: int, last: int, curves: Sequence[Curve]) -> None:
+    def show_range(
+        self, first: int, last: int, curves: Sequence[Curve], kappa: float | None, sensor: str
+    ) -> None:
         """Show the statistics of curves over the frames `first` to `last`; none: nothing.
 
-        What nothing is known of is left out, such as a wrench that was not measured.
+        What nothing is known of is left out, such as a wrench that was not measured. κ, None where
+        it is automatic, and the sensor are in the copied table alone.
         """
         columns = [(curve, statistics(curve.values)) for curve in curves]
         columns = [column for column in columns if column[1].frames] or columns
-        text = _as_text(f"Frames {first} to {last}", columns)
+        made_by = ("" if kappa is None else f"{kappa:g}", sensor)
+        text = _as_text(f"Frames {first} to {last}", columns, made_by)
         if text == self._text:
             return
         self._text = text
@@ -113,11 +117,15 @@ def _shown(curve: Curve, known: Statistics) -> list[str]:
     return [*texts, str(frames) if known.frames == frames else f"{known.frames} of {frames}"]
 
 
-def _as_text(title: str, columns: Sequence[tuple[Curve, Statistics]]) -> str:
+def _as_text(
+    title: str, columns: Sequence[tuple[Curve, Statistics]], made_by: tuple[str, str]
+) -> str:
     """The table as spreadsheets take it; a cell is empty where there is no number."""
-    lines = [[title, *(_heading(curve) for curve, _ in columns)]]
+    lines = [[title, *(_heading(curve) for curve, _ in columns), "κ", "sensor"]]
     for name, words in NUMBERS.items():
         values = [curve.unit.of(getattr(known, name)) for curve, known in columns]
-        lines.append([words, *(f"{v:.{COPIED_DIGITS}g}" if np.isfinite(v) else "" for v in values)])
-    lines.append(["frames", *(str(known.frames) for _, known in columns)])
+        lines.append(
+            [words, *(f"{v:.{COPIED_DIGITS}g}" if np.isfinite(v) else "" for v in values), *made_by]
+        )
+    lines.append(["frames", *(str(known.frames) for _, known in columns), *made_by])
     return "\n".join("\t".join(line) for line in lines)

@@ -182,7 +182,9 @@ def apply(application: QApplication, colours: Colours) -> None:
 def style_sheet(c: Colours) -> str:
     """Style sheet of a theme."""
     return f"""
-QWidget {{ color: {c.text}; }}
+QWidget {{ color: {c.text}; selection-background-color: {c.accent};
+    selection-color: {c.on_accent}; }}
+QMenu::item:selected, QMenuBar::item:selected {{ background: {c.hover}; color: {c.text}; }}
 QPushButton:disabled, QToolButton:disabled {{ color: {c.disabled}; }}
 QMainWindow, QDialog {{ background: {c.window}; }}
 QMainWindow::separator {{ background: {c.field}; width: 4px; height: 4px; }}
