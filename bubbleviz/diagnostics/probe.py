@@ -12,6 +12,8 @@ from bubbleviz.result import Result
 
 Pixel = tuple[int, int]
 """Row and column."""
+CLOSE_PX = 4
+"""How far a pixel may be from the one whose residual stands for it; chosen."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +122,14 @@ class Probe:
 
 
 def _residual(pixel: Pixel, result: Result) -> float:
-    """Residual of the pixel, or of the next one in the cloud where that has fewer, m."""
+    """Residual of the pixel, or of one close by in its row where the cloud is thinned, m."""
     residual, pixels, depth = result.cloud_residual_m, result.cloud_pixels, result.frame.depth_m
-    if residual is None or pixels is None or not np.isfinite(depth[pixel]):
+    if residual is None or pixels is None or not len(pixels) or not np.isfinite(depth[pixel]):
         return np.nan
-    flat = pixel[0] * depth.shape[1] + pixel[1]
-    return float(residual[min(int(np.searchsorted(pixels, flat)), len(pixels) - 1)])
+    wide = depth.shape[1]
+    next_one = int(np.searchsorted(pixels, pixel[0] * wide + pixel[1]))
+    beside = np.clip([next_one - 1, next_one], 0, len(pixels) - 1)
+    row, column = np.divmod(pixels[beside], wide)
+    off = np.where(row == pixel[0], np.abs(column - pixel[1]), wide)
+    nearest = int(np.argmin(off))
+    return float(residual[beside[nearest]]) if off[nearest] <= CLOSE_PX else np.nan

@@ -95,3 +95,26 @@ def test_without_an_estimate_the_membrane_is_at_rest(pipeline: Pipeline, result:
     assert found is not None
     np.testing.assert_array_equal(found.node_m, pipeline.mesh.nodes[found.node])
     assert np.isnan([found.displacement_m, found.pressure_pa]).all()
+
+
+def test_the_residual_is_that_of_the_pixel_or_of_one_close_by(pipeline: Pipeline) -> None:
+    """Else there is none: in a thinned cloud the next point can be anywhere."""
+    products = frozenset({"estimate", "cloud", "residual"})
+    whole = pipeline.process(DentSource(SENSOR)[FRAMES - 1], products)
+    probe, wide = Probe(pipeline.camera, pipeline.mesh), SENSOR.camera.width
+    assert whole.cloud_pixels is not None and whole.cloud_residual_m is not None
+    row, column = PIXELS[0]
+    at = int(np.flatnonzero(whole.cloud_pixels == row * wide + column)[0])
+    true = whole.cloud_residual_m[at]
+    for kept, shown in (([at], [true, true, np.nan]), ([at - 40 * wide], [np.nan] * 3)):
+        kept = [max(k, 0) for k in kept]
+        thinned = replace(
+            whole,
+            cloud_m=None,
+            cloud_pixels=whole.cloud_pixels[kept],
+            cloud_residual_m=whole.cloud_residual_m[kept],
+        )
+        for off, expected in zip((0, 3, 5), shown, strict=True):
+            found = probe.at_pixel((row, column + off), thinned)
+            assert found is not None
+            assert found.residual_m == pytest.approx(expected, nan_ok=True)
