@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,18 @@ import click
 
 from bubbleviz.cli.shared_options import solver_option
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+
+
+def _credentials_options(command: Any) -> Any:
+    """The options of `Credentials`."""
+    for name, says in (
+        ("login", "File with user:password, to be let in by or to let in."),
+        ("key", "Private key of --cert."),
+        ("cert", "Own certificate, for tls/HOST:PORT."),
+        ("ca", "Certificate of the authority of the other side's, for tls/HOST:PORT."),
+    ):
+        command = click.option(f"--{name}", metavar="FILE", help=says)(command)
+    return command
 
 
 @click.command()
@@ -35,6 +48,7 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @click.option("--sensor", required=True, help="Sensor file, preset, or auto: the preset that fits.")
 @click.option("--publish", metavar="ENDPOINT", help="Publish results here: tcp/127.0.0.1:7448")
 @click.option("--publish-to", metavar="ENDPOINT", help="Publish results through this router.")
+@_credentials_options
 @click.option("--out", type=click.Path(path_type=Path), help="Record messages and results.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
 @solver_option
@@ -50,7 +64,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
 
     options = WatchOptions(
         out=choices["out"],
-        publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"]),
+        publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"], choices),
         duration_s=choices["duration"],
         solver=choices["solver"],
         object_name=choices["object_name"],
@@ -65,6 +79,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
 @click.option("--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:")
 @click.option("--listen", metavar="ENDPOINT", help="Subscribers connect here; loopback, 7447.")
 @click.option("--connect", metavar="ENDPOINT", help="Publish through this router instead.")
+@_credentials_options
 @click.option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
 @click.option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
 @click.option("--duration", type=click.FloatRange(0.0, min_open=True), help="Seconds; or until ^C.")
@@ -81,6 +96,7 @@ def publish(
     wait: bool,
     sensor: str,
     as_json: bool,
+    **files: str | None,
 ) -> None:
     """Publish a source over Zenoh, as a robot's ROS 2 nodes would."""
     from bubbleviz.commands.publish import publish_source
@@ -88,7 +104,7 @@ def publish(
 
     if listen is None and connect is None:
         listen = "tcp/127.0.0.1:7447"
-    place = _zenoh_place("--listen", listen, connect)
+    place = _zenoh_place("--listen", listen, connect, files)
     summary = publish_source(
         source,
         load_sensor(sensor),
@@ -101,12 +117,15 @@ def publish(
     click.echo(summary.to_json() if as_json else summary.to_text())
 
 
-def _zenoh_place(option: str, listen: str | None, connect: str | None) -> Any:
-    """Where to publish; None for nowhere."""
-    from bubbleviz.live.sources.zenoh_session import SessionOptions
+def _zenoh_place(
+    option: str, listen: str | None, connect: str | None, files: Mapping[str, Any]
+) -> Any:
+    """Where to publish, with the files of `Credentials`; None for nowhere."""
+    from bubbleviz.live.sources.zenoh_session import Credentials, SessionOptions
 
     if listen is not None and connect is not None:
         raise click.UsageError("publish at a place or through a router, not both")
     if listen is None and connect is None:
         return None
-    return SessionOptions(f"{option} {listen or connect}", connect, listen)
+    credentials = Credentials(files["ca"], files["cert"], files["key"], files["login"])
+    return SessionOptions(f"{option} {listen or connect}", connect, listen, credentials)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -245,6 +246,59 @@ def test_a_published_recording_waits_for_its_first_subscriber(
     assert sum(json.loads(stdout)["sent"].values()) == len(arrived)
     done = run(*common, "zenoh:")
     assert done.exit_code == 2 and "leave --wait out" in done.stderr
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Path:
+    """A folder with the certificate of an authority, one of localhost with its key, and a login."""
+    folder, curve = tmp_path / "certificates", ("-pkeyopt", "ec_paramgen_curve:prime256v1")
+    folder.mkdir()
+    (folder / "names").write_text("subjectAltName=DNS:localhost\n")
+    (folder / "login").write_text("ann:secret\n")
+    (folder / "stranger").write_text("bob:secret\n")
+    ours = ("-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-extfile", "names")
+    for words in (
+        ("req", "-x509", "-newkey", "ec", *curve, "-nodes", "-keyout", "ca.key", "-out", "ca.pem",
+         "-days", "2", "-subj", "/CN=authority"),
+        ("req", "-newkey", "ec", *curve, "-nodes", "-keyout", "key.pem", "-out", "asked",
+         "-subj", "/CN=localhost"),
+        ("x509", "-req", "-in", "asked", *ours, "-out", "cert.pem", "-days", "2"),
+    ):  # fmt: skip
+        subprocess.run(("openssl", *words), cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes the certificates")
+def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
+    tmp_path: Path, certificates: Path, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, out, port = tmp_path / "rec.mcap", tmp_path / "got.mcap", free_port()
+    with RecordingWriter(path) as writer:
+        for k in range(10):
+            writer.write(Frame(k, 0.01 * k, np.full((48, 64), 0.1, np.float32)))
+    endpoint, files = f"tls/localhost:{port}", ("ca.pem", "cert.pem", "key.pem", "login")
+    ca, cert, key, login = (str(certificates / name) for name in files)
+    publisher = start(
+        *("publish", "--source", f"replay:{path}?loop=1", "--listen", endpoint),
+        *("--cert", cert, "--key", key, "--login", login),
+    )
+    try:
+        eventually(lambda: listens(port))
+        source = f"zenoh:{endpoint}?ca={ca}&login={login}"
+        done = run("record", "--source", source, "--out", str(out), "--duration", "0.3")
+        assert done.exit_code == 0, done.output
+        assert recording_info(out).frames > 0
+        monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 2.0)
+        for options in (f"login={login}", f"ca={ca}", f"ca={ca}&login={certificates / 'stranger'}"):
+            refused = f"zenoh:{endpoint}?{options}"
+            more = ("--out", str(tmp_path / "no.mcap"), "--duration", "0.1")
+            done = run("record", "--source", refused, *more)
+            assert done.exit_code == 2 and "nothing arrived" in done.stderr
+    finally:
+        publisher.terminate()
+        publisher.communicate(timeout=240)
+    done = run("record", "--source", f"zenoh:{endpoint}?ca=nowhere.pem", "--out", str(out) + "2")
+    assert done.exit_code == 2 and "nowhere.pem: no such file" in done.stderr
 
 
 def test_publishing_is_refused_in_one_line() -> None:

@@ -62,9 +62,13 @@ class ReplayOptions(SourceOptions):
 
 
 class ZenohOptions(SourceOptions):
-    """Options of `zenoh:`; `listen` is an endpoint, `domain` ROS 2's."""
+    """Options of `zenoh:`; `listen` is an endpoint, `domain` ROS 2's, the files are credentials."""
 
     listen: str | None = None
+    ca: str | None = None
+    cert: str | None = None
+    key: str | None = None
+    login: str | None = None
     domain: int = Field(0, ge=0, le=232)
 
 
