@@ -153,10 +153,8 @@ def test_the_pose_is_read_selected_and_copied(bench: Bench) -> None:
     assert head == "T_B_O, object to bubble frame: " + FLAT
     assert place.startswith("position x y z, m: ")
     assert np.allclose(np.array(place.split()[-3:], float), T[:3, 3], atol=1e-9)
-    w, x, y, z = (
-        float(each) for each in turn.removeprefix("quaternion w x y z, no unit: ").split()
-    )
-    assert np.allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), T[:3, :3], atol=1e-7)
+    xyzw = np.array(turn.removeprefix("quaternion x y z w, no unit: ").split(), float)
+    assert np.allclose(Rotation.from_quat(xyzw).as_matrix(), T[:3, :3], atol=1e-7)
     assert np.allclose(np.array([row.split() for row in rows], float), T, atol=1e-9)
     bench.driver.state.choose(length_unit="m")
     bench.driver.wait(lambda: bench.text("place").endswith(" m"))

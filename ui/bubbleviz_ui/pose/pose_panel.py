@@ -78,7 +78,7 @@ class PosePanel(QWidget):
         self.reset = QPushButton("Reset")
         self.stage = QComboBox()
         self.copy = QPushButton("Copy")
-        self.copy.setToolTip("T_B_O as text: position in m, quaternion w x y z, 4×4 matrix")
+        self.copy.setToolTip("T_B_O as text: position in m, quaternion x y z w, 4×4 matrix")
         self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
         self.csv.setToolTip("Poses found so far, T_B_O in m, as POSES.csv")
         self.tum.setToolTip("Poses found so far in the TUM format of trajectories, m")

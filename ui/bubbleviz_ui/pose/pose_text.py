@@ -68,12 +68,12 @@ def known_pose(pose: Pose | None) -> TypeGuard[Pose]:
 
 def copied_pose(pose: Pose) -> str:
     """T_B_O as lines of text with units, for other programs."""
-    x, y, z, qx, qy, qz, qw = pose_numbers(pose.T_B_O)
+    numbers = pose_numbers(pose.T_B_O)
     return "\n".join(
         [
             f"T_B_O, object to bubble frame: {state_words(pose)}",
-            f"position x y z, m: {_digits((x, y, z))}",
-            f"quaternion w x y z, no unit: {_digits((qw, qx, qy, qz))}",
+            f"position x y z, m: {_digits(numbers[:3])}",
+            f"quaternion x y z w, no unit: {_digits(numbers[3:])}",
             "matrix 4×4, translation in m:",
             *(_digits(row) for row in pose.T_B_O),
         ]
