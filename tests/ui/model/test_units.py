@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import pytest
@@ -100,10 +101,12 @@ def test_every_label_follows_the_units(drive: Drive) -> None:
     assert window.images.cells["depth"].text.endswith(" m")
     assert "mN" in window.plots.plots["force"].frame.text
     assert window.plots.plots["center"].frame.text.endswith(" m")
-    head, rest, *bars = texts(driver)
+    head, rest, *others = texts(driver)
     assert head.startswith("contact") and head.endswith("mN")
     assert rest.startswith("peak") and "psi" in rest
+    bars, (pointed,) = [t for t in others if ")" in t], [t for t in others if "node" in t]
     assert sorted(bar.split()[-1] for bar in bars) == ["(m)", "(psi)"]
+    assert re.search(r"p_c .* psi .*\n u .* m ", pointed)
     drawn = window.scene.layers["membrane"].actor.mapper.dataset["contact pressure"].max()
     peak = window.controller.result.estimate.contact_pressure_pa.max()
     assert drawn == pytest.approx(peak / 6894.757293168)

@@ -110,7 +110,7 @@ def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
 def test_a_place_is_picked_without_the_panel_until_escape(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     driver.window.panels["tools"].hide()
-    driver.window.shortcuts.actions["View › Pick a place"].trigger()
+    driver.window.shortcuts.actions["View › Probe a place"].trigger()
     pressure = driver.window.controller.result.estimate.contact_pressure_pa
     node = nodes(driver)[int(np.argmax(pressure))]
     driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
@@ -188,6 +188,7 @@ def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive)
     assert abs(drawn[k] - true).max() > 6e-3
     assert driver.pipeline.counts["estimate"] == solved
     assert not near(driver.window.view.pixels(), place, NODE)
+    driver.state.choose_panel("images", True)  # which shows the place, too
     driver.window.hover.at_point(true)
     driver.settle()
     assert near(driver.window.view.pixels(), place, NODE)

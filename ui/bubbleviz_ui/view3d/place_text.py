@@ -24,6 +24,7 @@ class PlaceText:
 
     def __init__(self, view: View, units: Units) -> None:
         self._view, self._units = view, units
+        self._place: Probed | None = None
         self._actor = vtkTextActor()
         self._actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
         self._actor.SetVisibility(False)
@@ -35,9 +36,10 @@ class PlaceText:
 
     def show(self, place: Probed | None, drawn_m: np.ndarray | None) -> None:
         """Write the numbers of a place at `drawn_m` (3,), where its node is drawn; or nothing."""
+        self._place = place
         self._actor.SetVisibility(place is not None)
         if place is not None and drawn_m is not None:
-            self._actor.SetInput(beside(place, self._units))
+            self.write()
             self._actor.GetPositionCoordinate().SetValue(*drawn_m)
             at, style = self._view.place_of(drawn_m), self._actor.GetTextProperty()
             # towards the middle of the view, where there is room
@@ -47,6 +49,11 @@ class PlaceText:
             up, down = style.SetVerticalJustificationToBottom, style.SetVerticalJustificationToTop
             up() if low else down()
         self._view.refresh()
+
+    def write(self) -> None:
+        """Write the numbers in the operator's units, which may be others by now."""
+        if self._place is not None:
+            self._actor.SetInput(beside(self._place, self._units))
 
     def _paint(self, colours: theme.Colours) -> None:
         ground = (c / 255 for c in rgb(colours.field))

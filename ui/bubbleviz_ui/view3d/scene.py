@@ -125,6 +125,7 @@ class Scene:
     def apply(self, choices: Choices) -> None:
         """Draw the last result again with other choices."""
         self._choices = choices
+        self._text.write()
         if self._result is not None:
             self.show(self._result, choices)
 
