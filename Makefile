@@ -1,11 +1,12 @@
 # make setup   system libraries where they can be installed, .venv, pinned packages
 # make run     the window on the built-in synthetic sensor; ARGS="open REC" passes arguments
-# make test    the whole test suite in two processes; ARGS="-k recording" passes arguments
+# make test    the quick tests in two processes; ARGS="-k recording" passes arguments
+# make test-all  the long ones too: studies, the real press, every command of the pages
 # make lint    ruff and mypy
 # make docs    the pages into site/, warnings as errors
-# make pages   tests the pages with the commands that take minutes, which make test leaves out
+# make pages   of make test-all, what tests the pages
 # make lock    pin again what pyproject.toml asks for (needs uv)
-.PHONY: setup run test lint docs pages lock
+.PHONY: setup run test test-all lint docs pages lock
 
 setup:
 	@.ci/setup
@@ -13,8 +14,10 @@ setup:
 run: setup
 	@.venv/bin/bubbleviz $(ARGS)
 
-test: setup
+test test-all: setup
 	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+
+test-all pages: export TEST_ALL = 1
 
 lint: setup
 	.venv/bin/ruff check .
@@ -32,7 +35,7 @@ docs: .venv/docs/installed
 	touch $@
 
 pages: setup
-	ALL_PAGES=1 .venv/bin/python -m pytest tests/docs $(ARGS)
+	.venv/bin/python -m pytest tests/docs $(ARGS)
 
 lock:
 	uv pip compile pyproject.toml --group dev --all-extras --universal --generate-hashes --no-header \

@@ -29,6 +29,10 @@ LONG = ("study", "calibration", "ui/bench", "ui/calibration", "ui/live", "batch"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Order the files for `--dist loadfile`, which hands them out in this order."""
     items.sort(key=_turn)
+    if "TEST_ALL" not in os.environ:
+        for item in items:
+            if item.get_closest_marker("long"):
+                item.add_marker(pytest.mark.skip(reason="make test-all runs it"))
 
 
 def _turn(item: pytest.Item) -> int:

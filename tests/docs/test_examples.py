@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,7 +71,7 @@ def test_the_robot_stops_when_there_is_no_number_to_trust(sensor: Path, tmp_path
     assert robot.told == ["stop"]
 
 
-@pytest.mark.skipif("ALL_PAGES" not in os.environ, reason="make pages runs it")
+@pytest.mark.long
 def test_the_figures_of_the_pages_can_be_made(tmp_path: Path, punyo_press: Path) -> None:
     figures.gas_law(tmp_path / "gas.svg")
     figures.real_press(punyo_press, tmp_path / "press.svg")

@@ -13,8 +13,8 @@ from nbformat.v4 import new_code_cell
 from notebooks import TUTORIALS, notebook
 from pages import name_of
 
-LONG = ("calibrate.md", "hundred.md", "real-press.md")
-"""Tutorials that take a minute, which `make pages` runs."""
+QUICK = ("first-press.md", "extend.md")
+"""Tutorials that `make test` runs too."""
 
 
 @pytest.fixture
@@ -25,10 +25,12 @@ def programs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("folder", "programs")
-@pytest.mark.parametrize("page", TUTORIALS, ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=() if p.name in QUICK else pytest.mark.long) for p in TUTORIALS],
+    ids=name_of,
+)
 def test_a_tutorial_runs_as_a_notebook(page: Path, request: pytest.FixtureRequest) -> None:
-    if page.name in LONG and "ALL_PAGES" not in os.environ:
-        pytest.skip("make pages runs it")
     if page.name == "real-press.md":
         request.getfixturevalue("punyo_press")  # else skipped
     book = notebook(page)

@@ -79,7 +79,7 @@ def made(folder: Path) -> dict[str, str]:
 def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
     """Each on files of its own; those are left out whose page says that they need more."""
     commands = [command for block in blocks(page, "console") for command in block.commands()]
-    wanted = {None, "takes minutes"} if "ALL_PAGES" in os.environ else {None}
+    wanted = {None, "takes minutes"} if "TEST_ALL" in os.environ else {None}
     chosen = [command for command in commands if command.needs in wanted]
     if not chosen:
         left = {command.needs for command in commands if command.needs}
@@ -110,7 +110,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.skipif("ALL_PAGES" not in os.environ, reason="make pages runs it")
+@pytest.mark.long
 @pytest.mark.parametrize("command", on_screen(), ids=lambda command: command.place)
 def test_commands_that_open_the_window(command: Command, folder: Path, simulated: Path) -> None:
     """What would stay open writes a picture and ends; measurements are cut short."""

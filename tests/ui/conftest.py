@@ -28,6 +28,9 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.window_session import application
 
+SIZE = 1024, 700
+"""Smallest that the window is made for, px; pictures of larger ones take their time here."""
+
 
 @pytest.fixture(scope="session")
 def sensor() -> Sensor:
@@ -56,6 +59,7 @@ def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable
         server = Server()
         controller = Controller(SessionState(), Worker(server))
         window = MainWindow(controller.state, controller)
+        window.resize(*SIZE)
         windows.append(window)
         controller.opening.open(
             "press", open_source, lambda: sensor, frame=frame, playing=playing, live=live
@@ -83,6 +87,7 @@ def open_bench(qtbot: QtBot, tmp_path: Path) -> Iterator[Callable[[], Any]]:
         server = Server()
         controller = Controller(SessionState(), Worker(server))
         window = MainWindow(controller.state, controller)
+        window.resize(*SIZE)
         windows.append(window)
         window.show()
         return Bench(qtbot, window, server, tmp_path)

@@ -55,9 +55,7 @@ class SensorWatch(QObject):
         self._files.addPaths([str(path), *written])
         difference = _difference(self._sensor, path)
         if not difference and written != self._written:
-            difference = (
-                "its mesh or pixels have changed on disk; Reload in the Sensor panel uses them"
-            )
+            difference = f"its mesh or pixels have changed on disk; {RELOAD} uses them"
         if difference != self._difference:
             self._difference = difference
             self.told.emit(difference)

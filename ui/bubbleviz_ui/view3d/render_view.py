@@ -86,6 +86,7 @@ class View(QtInteractor):  # type: ignore[misc]
             )
         ]
         self.iren.interactor.EnableRenderOff()
+        self.renderer.camera.is_set = True  # pyvista would place it itself, and render for that
         self._add_lights()
 
     def refresh(self) -> None:

@@ -10,12 +10,12 @@ from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.scene_text import write_in
 
 CORNER = (0.0, 0.0, 0.13, 0.18)
-"""Of the view: where the axes are, x and y from, x and y to."""
+"""Corner of the view that the axes take: x and y from, x and y to, as shares."""
+TEXT = 13  # px
 SHARE = 0.4
 """Longest scale bar as a share of the rim's width."""
 BESIDE = 0.08
@@ -36,12 +36,17 @@ class AxesLayer(Layer):
         self._label.GetTextProperty().SetJustificationToCentered()
         self._label.GetTextProperty().SetVerticalJustificationToTop()
         self._label.SetDisplayOffset(0, -4)
-        write_in(canvas.view, self._label.GetTextProperty(), 13)
+        write_in(canvas.view, self._label.GetTextProperty(), TEXT)
         canvas.view.renderer.AddViewProp(self._label)
         self._axes = canvas.view.add_axes(
             interactive=False, viewport=CORNER, xlabel="x", ylabel="y", zlabel="z"
         )
-        canvas.view.follow_theme(self._paint_labels)
+        for caption in (
+            self._axes.GetXAxisCaptionActor2D(),
+            self._axes.GetYAxisCaptionActor2D(),
+            self._axes.GetZAxisCaptionActor2D(),
+        ):
+            write_in(canvas.view, caption.GetCaptionTextProperty(), TEXT)
         self._actors += [self._label, self._axes]
         self._length_m = 0.0
 
@@ -63,14 +68,6 @@ class AxesLayer(Layer):
         """Write the length in the operator's unit."""
         unit = self.canvas.units.length
         self._label.SetInput(f"{unit.of(self._length_m):.4g} {unit.symbol}")
-
-    def _paint_labels(self, colours: theme.Colours) -> None:
-        for caption in (
-            self._axes.GetXAxisCaptionActor2D(),
-            self._axes.GetYAxisCaptionActor2D(),
-            self._axes.GetZAxisCaptionActor2D(),
-        ):
-            caption.GetCaptionTextProperty().SetColor(*pv.Color(colours.text).float_rgb)
 
 
 def _round_length(most_m: float) -> float:
