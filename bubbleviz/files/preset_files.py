@@ -1,4 +1,4 @@
-"""Where the shipped presets are, and what they are called; imports nothing heavy."""
+"""Where the shipped presets and pages are; imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -9,10 +9,20 @@ _HERE = Path(__file__).parents[1]
 
 def presets_folder(kind: str) -> Path:
     """Folder of the shipped presets of a kind: `sensors`, `objects`, `scenes` or `sessions`."""
-    installed = _HERE / "presets" / kind
-    return installed if installed.is_dir() else _HERE.parent / "presets" / kind
+    return _shipped("presets") / kind
+
+
+def pages_folder() -> Path:
+    """Folder of the documentation's pages."""
+    return _shipped("docs")
 
 
 def preset_names(kind: str) -> list[str]:
     """Names of the shipped presets of a kind that are TOML files."""
     return sorted(path.stem for path in presets_folder(kind).glob("*.toml"))
+
+
+def _shipped(name: str) -> Path:
+    """A folder of the package where it is installed, else of the checkout."""
+    installed = _HERE / name
+    return installed if installed.is_dir() else _HERE.parent / name

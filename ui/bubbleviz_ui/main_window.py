@@ -20,6 +20,7 @@ from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.files.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
 from bubbleviz.files.mesh_reader import SUFFIXES
+from bubbleviz.files.preset_files import pages_folder
 from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.calibration_session import Calibration
@@ -68,10 +69,10 @@ from bubbleviz_ui.shell.file_dialogs import picture_format, picture_saved
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
-from bubbleviz_ui.shell.messages_dialog import MessagesDialog
 from bubbleviz_ui.shell.open_panels import OpenPanels
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
+from bubbleviz_ui.shell.text_dialogs import InformationDialog, MessagesDialog, PagesDialog
 from bubbleviz_ui.view3d.layers_panel import LayersPanel
 from bubbleviz_ui.view3d.pointing import Pointing
 from bubbleviz_ui.view3d.render_view import View
@@ -150,7 +151,7 @@ class MainWindow(QMainWindow):
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
         self._export: ExportDialog | None = None
-        self.importing = Jobs("import")
+        self.importing, self._reading = Jobs("import"), Jobs("information")
         self._import: ImportDialog | None = None
         self._memory = MemoryRelease(state)
         self._lay_out()
@@ -183,6 +184,14 @@ class MainWindow(QMainWindow):
     def show_messages(self) -> None:
         """Show all messages of this session."""
         MessagesDialog(self, self.messages).show()
+
+    def show_information(self) -> None:
+        """Show what the recording that is open has in it."""
+        InformationDialog(self, self.controller, self._reading).open()
+
+    def show_pages(self) -> None:
+        """Show the documentation."""
+        PagesDialog(self, pages_folder()).show()
 
     def show_palette(self) -> None:
         """Show the command palette."""
@@ -243,8 +252,9 @@ class MainWindow(QMainWindow):
             host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
-        self.importing.cancel()
-        self.importing.close(PATIENCE_S)
+        for jobs in (self.importing, self._reading):
+            jobs.cancel()
+            jobs.close(PATIENCE_S)
         self._memory.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()

@@ -56,6 +56,12 @@ class WindowParts(Protocol):
     def show_connect(self) -> None:
         """Choose a live source."""
 
+    def show_information(self) -> None:
+        """Show what the recording that is open has in it."""
+
+    def show_pages(self) -> None:
+        """Show the documentation."""
+
     def show_costs(self) -> None:
         """Show what runs and what it costs."""
 

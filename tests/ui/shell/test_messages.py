@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QApplication
 from window_driver import Driver
 
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.shell.messages_dialog import MessagesDialog
+from bubbleviz_ui.shell.text_dialogs import MessagesDialog
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton

@@ -1,0 +1,127 @@
+"""Dialogs with text to read: the messages, what a recording has in it, the pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import Qt, QUrl
+from PySide6.QtGui import QFontDatabase
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QHBoxLayout,
+    QPlainTextEdit,
+    QPushButton,
+    QTextBrowser,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.commands.info import recording_info
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.source_openers import RecordingOpener
+from bubbleviz_ui.model.messages import Messages, UserMessage
+from bubbleviz_ui.sensor.sensor_text import title_text
+from bubbleviz_ui.shell.layouts import fill
+
+SIZE = (640, 360)  # px: fits a screen of 1024×700
+PAGES_SIZE = (860, 620)
+HOME = "index.md"
+
+
+class TextDialog(QDialog):
+    """Text that can be copied as a whole."""
+
+    def __init__(self, parent: QWidget, title: str, copied: str) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle(title)
+        self.resize(*SIZE)
+        self.text = QPlainTextEdit(readOnly=True)
+        self.copy = QPushButton("&Copy all")
+        self.copy.setToolTip(copied)
+        self.copy.clicked.connect(lambda: QApplication.clipboard().setText(self.report()))
+        fill(QVBoxLayout(self), self.text, fill(QHBoxLayout(), 1, self.copy))
+
+    def report(self) -> str:
+        """What is copied."""
+        return self.text.toPlainText()
+
+
+class MessagesDialog(TextDialog):
+    """Time, kind and text of each message, the newest last; new ones come while it is open."""
+
+    def __init__(self, parent: QWidget, messages: Messages) -> None:
+        copied = "All messages, with the details of those that have some"
+        super().__init__(parent, "Messages of this session", copied)
+        self._messages = messages
+        self.text.setPlaceholderText("No messages yet")
+        for message in messages.all:
+            self._add(message)
+        messages.told.connect(self._add)
+
+    def report(self) -> str:
+        """All messages with their details."""
+        return "\n".join(message.report() for message in self._messages.all)
+
+    def _add(self, message: UserMessage) -> None:
+        self.text.appendPlainText(message.line())
+
+
+class InformationDialog(TextDialog):
+    """What `bubbleviz info` says of the recording that is open, or what a live source is.
+
+    Parameters
+    ----------
+    parent : QWidget
+    controller : Controller
+    jobs : Jobs
+        Reads the recording.
+    """
+
+    def __init__(self, parent: QWidget, controller: Controller, jobs: Jobs) -> None:
+        super().__init__(parent, "Information", "All lines, as bubbleviz info prints them")
+        self.text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+        self.text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
+        sensor, facts = controller.sensor, controller.state.facts
+        opener = controller.opening.source
+        self._lines = [] if sensor is None else [_line("sensor", title_text(sensor))]
+        if isinstance(opener, RecordingOpener):
+            path = opener.path
+            self.text.setPlaceholderText("Reading the recording…")
+            jobs.replace(lambda _: recording_info(path).to_text(), self._on_read)
+            self.finished.connect(jobs.cancel)
+        elif facts is not None:
+            source = [_line("source", facts.title), _line("frames", f"{facts.frames} so far")]
+            self.text.setPlainText("\n".join([*self._lines, *source]))
+
+    def _on_read(self, done: Done) -> None:
+        self.text.setPlainText("\n".join([*self._lines, done.message or done.answer]))
+
+
+class PagesDialog(QDialog):
+    """The pages of the documentation, which are installed with the program."""
+
+    def __init__(self, parent: QWidget, folder: Path) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle("Documentation")
+        self.resize(*PAGES_SIZE)
+        self.page = QTextBrowser()
+        self.page.setOpenExternalLinks(True)
+        self.page.setSearchPaths([str(folder)])
+        self.home, self.back = QPushButton("&Contents"), QPushButton("&Back")
+        self.home.setToolTip("The first page")
+        self.back.setToolTip("The page before")
+        self.back.setEnabled(False)
+        self.home.clicked.connect(self.page.home)
+        self.back.clicked.connect(self.page.backward)
+        self.page.backwardAvailable.connect(self.back.setEnabled)
+        fill(QVBoxLayout(self), fill(QHBoxLayout(), self.home, self.back, 1), (self.page, 1))
+        self.page.setSource(QUrl.fromLocalFile(str(folder / HOME)))
+
+
+def _line(title: str, text: str) -> str:
+    """One line as `bubbleviz info` writes them."""
+    return f"{title:<13} {text}"
