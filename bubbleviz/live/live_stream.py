@@ -13,13 +13,15 @@ from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.mailbox import Mailbox
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.source_status import Status, status_of
+from bubbleviz.live.source_status import STALE_AFTER_S, Status, status_of
 from bubbleviz.live.sources.live_source import LiveSource, OfferedTopic
 
 SEVERAL = 5
 """Images of another size that are no accident: not garbage, nor of a topic beside the depth's."""
 
 Listener = Callable[[RawMessage], None]
+Outage = tuple[int, int]
+"""Arrival of the frames before and after, ns since 1970."""
 
 
 class LiveStream:
@@ -46,6 +48,7 @@ class LiveStream:
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
         self._last_frame_ns: int | None = None
+        self._outages: tuple[Outage, ...] = ()
 
     def __enter__(self) -> LiveStream:
         self.start()
@@ -98,6 +101,11 @@ class LiveStream:
         silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
         return status_of(self.source.link(), silent)
 
+    @property
+    def outages(self) -> tuple[Outage, ...]:
+        """Times in which it was stale, as far as they are over."""
+        return self._outages
+
     def counters(self) -> Counters:
         """The counts so far."""
         with self._lock:
@@ -143,5 +151,7 @@ class LiveStream:
 
     def _put(self, frames: list[Frame]) -> None:
         for frame in frames:
-            self._last_frame_ns = time.time_ns()
+            before, self._last_frame_ns = self._last_frame_ns, frame.arrival_ns
+            if before is not None and frame.arrival_ns - before > 1e9 * STALE_AFTER_S:
+                self._outages = (*self._outages, (before, frame.arrival_ns))
             self._mailbox.put(frame)

@@ -293,6 +293,20 @@ def test_a_frozen_view_shows_one_frame_everywhere(open_bench: Open) -> None:
         live.window.playback.now.click()
 
 
+def test_what_was_not_looked_at_is_no_outage(open_bench: Open) -> None:
+    live = connected(open_bench)
+    live.follow(5)
+    live.window.playback.freeze.click()
+    live.wait(lambda: live.state.frozen)
+    last, before_s = live.state.facts.frames - 1, live.state.facts.times_s[-1]
+    live.messages_come(120)
+    live.window.playback.now.click()
+    live.wait(lambda: live.state.facts.frames > last + 2)
+    assert np.diff(live.state.facts.times_s)[last:].max() > STALE_AFTER_S
+    assert live.state.facts.times_s[last] == before_s
+    assert last not in [gap.after_frame for gap in live.state.facts.gaps]
+
+
 def dents() -> list[Frame]:
     """A few presses; the last frame is one."""
     source = DentSource(robot_sensor())
@@ -381,6 +395,7 @@ def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None
         with robot(port, 10_000 * turn):
             bench.follow(3)
             bench.wait(lambda: "live" in bench.window.live.state.text())
+            assert len(bench.state.facts.gaps) >= turn
     path = bench.stop()
     assert len(arrived) > 20
     assert set(arrived) <= {message.log_time for message in contents(path)[IMAGE]}

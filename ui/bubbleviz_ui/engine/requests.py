@@ -14,6 +14,7 @@ from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.gaps import Gap
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
@@ -174,13 +175,17 @@ class Opened:
 
 @dataclass(frozen=True)
 class Solved:
-    """A frame's products, its numbers, what was looked at closer, and when that was done."""
+    """A frame's products, its numbers, what was looked at closer, and when that was done.
+
+    `outages` are those of a live source so far.
+    """
 
     request: FrameRequest | NewestRequest
     result: Result
     numbers: Numbers
     inspection: Inspection
     done_s: float = float("nan")
+    outages: tuple[Gap, ...] = ()
 
 
 @dataclass(frozen=True)

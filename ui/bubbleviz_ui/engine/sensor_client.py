@@ -10,6 +10,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.gaps import Gap
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.request_delay import RequestDelay
@@ -193,7 +194,7 @@ class SensorClient(QObject):
         if newest:
             self._awaiting = False
             self._delay.waited(now - answer.done_s)
-            self._grow(frame.time_s)
+            self._grow(frame.time_s, answer.outages)
         if newest and frame.arrival_ns:
             numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
         elif isinstance(request, FrameRequest) and request.asked_s is not None:
@@ -232,11 +233,11 @@ class SensorClient(QObject):
             self.inspection = replace(self.inspection, components=parts)
         self.result = replace(result, patch=answer.result.patch)
 
-    def _grow(self, time_s: float) -> None:
+    def _grow(self, time_s: float, outages: tuple[Gap, ...]) -> None:
         """Make room for one more frame of a live source."""
         if self.facts is not None:
             count = self.facts.frames + 1
             times = grown(self.facts.times_s, count, np.nan)
             times[-1] = time_s
-            self.facts = replace(self.facts, times_s=times)
+            self.facts = replace(self.facts, times_s=times, outages=outages)
             self.history.grow(count)

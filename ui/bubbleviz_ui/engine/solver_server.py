@@ -130,7 +130,8 @@ class Server:
             session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.demand)
         numbers, done_s = _kept_numbers(session, result), time.perf_counter()
-        return Solved(request, result, numbers, inspection, done_s)
+        outages = session.source.outages if isinstance(session.source, LiveFrames) else ()
+        return Solved(request, result, numbers, inspection, done_s, outages)
 
     def _follow(self, session: Session, request: FollowRequest) -> Followed:
         obj = None
@@ -213,8 +214,9 @@ class Server:
         # a live source that does not grow is the press that the window loops
         simulated = source.simulated if isinstance(source, LiveFrames) else request.live
         facts = SourceFacts(
-            source.name, sensor.name, source.times_s, request.live, grows, remark, marks, simulated
-        )
+            source.name, sensor.name, source.times_s, request.live, grows, remark, marks, simulated,
+            outages=source.outages if isinstance(source, LiveFrames) else (),
+        )  # fmt: skip
         numbers = _kept_numbers(session, result)
         inspection = _look(session, result, request.demand)
         camera, mesh = pipeline.camera, pipeline.mesh

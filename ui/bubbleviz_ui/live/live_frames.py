@@ -13,6 +13,7 @@ import numpy as np
 from bubbleviz.calibration.pressure_zero import PressureZero
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.gaps import Gap, usual_step
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
@@ -22,6 +23,8 @@ from bubbleviz_ui.model.frame_history import grown
 KEPT_S = 10.0  # s of frames to look back at
 KEPT_BYTES = 128 << 20
 """Frames one can go back to: of the last seconds, and no more memory than this."""
+RECENT = 100
+"""Frames that tell the usual time from one to the next."""
 CAMERA_S = 0.5
 """How long the first frames may come without camera info before the sensor file's counts."""
 
@@ -42,6 +45,11 @@ class LiveFrames:
     zero : PressureZero
     simulated : bool
         Of a simulation.
+
+    Attributes
+    ----------
+    outages : tuple of Gap
+        Where the stream sent nothing.
     """
 
     def __init__(
@@ -55,6 +63,7 @@ class LiveFrames:
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
         self._first: tuple[Frame, float] | None = None
+        self.outages: tuple[Gap, ...] = ()
 
     @property
     def times_s(self) -> np.ndarray:
@@ -136,6 +145,8 @@ class LiveFrames:
     def _take(self, frame: Frame) -> Frame:
         with self._lock:
             index, time_s = len(self._times_s), (frame.arrival_ns - self._epoch_ns) * 1e-9
+            if index:
+                self._note_outages(index - 1, frame.arrival_ns)
             frame = replace(frame, index=index, time_s=time_s)
             self._times_s = grown(self._times_s, index + 1, np.nan)
             self._times_s[-1] = time_s
@@ -146,6 +157,16 @@ class LiveFrames:
             ):
                 self._bytes -= self._kept.popleft().depth_m.nbytes
         return frame
+
+    def _note_outages(self, last: int, arrival_ns: int) -> None:
+        """Take those since frame `last`; in what a busy solver left out there may be none."""
+        since_ns = self._kept[-1].arrival_ns
+        for before_ns, after_ns in self.stream.outages:
+            if since_ns < after_ns <= arrival_ns:
+                silent_s = (after_ns - before_ns) * 1e-9
+                usual_s = usual_step(np.diff(self._times_s[-RECENT:])) or silent_s
+                missing = max(round(silent_s / usual_s) - 1, 1)
+                self.outages = (*self.outages, Gap(last, missing, silent_s))
 
 
 @dataclass(frozen=True, eq=False)

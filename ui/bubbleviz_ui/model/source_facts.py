@@ -15,8 +15,6 @@ Link = State | Literal["disconnected"]
 """How what is connected is doing; disconnected while nothing is."""
 Badge = Link | Literal["", "frozen", "simulated"]
 """The one word that tells what one looks at; empty for a recording."""
-OUTAGE_S = 0.5
-"""A source that grows leaves frames out whenever the solver is busy: less is no gap in it."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,8 @@ class SourceFacts:
         Frames marked when it was recorded, with the text of each.
     simulated : bool
         Its live frames are a simulation's.
+    outages : tuple of Gap
+        Where a source that grows sent nothing; what a busy solver left out is none.
     """
 
     title: str
@@ -51,6 +51,7 @@ class SourceFacts:
     remark: str = ""
     marks: tuple[tuple[int, str], ...] = ()
     simulated: bool = False
+    outages: tuple[Gap, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -60,8 +61,7 @@ class SourceFacts:
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
         """Where frames are missing."""
-        gaps = find_gaps(self.times_s)
-        return tuple(gap for gap in gaps if not self.grows or gap.duration_s > OUTAGE_S)
+        return self.outages if self.grows else find_gaps(self.times_s)
 
     @cached_property
     def axis(self) -> TimeAxis:
