@@ -307,6 +307,16 @@ def test_what_was_not_looked_at_is_no_outage(open_bench: Open) -> None:
     assert last not in [gap.after_frame for gap in live.state.facts.gaps]
 
 
+def test_after_disconnecting_no_frames_can_be_collected(open_bench: Open) -> None:
+    live = connected(open_bench)
+    live.window.panels["calibration"].show()
+    box = live.window.gamma0.frames.collect
+    live.wait(box.button.isEnabled)
+    key(live, Qt.Key.Key_L, CTRL, SHIFT)
+    live.wait(lambda: not box.button.isEnabled())
+    assert "connect again" in box.said.text()
+
+
 def dents() -> list[Frame]:
     """A few presses; the last frame is one."""
     source = DentSource(robot_sensor())

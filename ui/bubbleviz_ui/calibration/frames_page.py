@@ -34,6 +34,12 @@ ENDED_BY = {
     "recording": "nothing touches the sensor up to the end",
 }
 
+OVER = {
+    "disconnected": "Disconnected: connect again (Ctrl+L) to collect frames.",
+    "ended": "The source has ended: connect again (Ctrl+L) to collect frames.",
+}
+"""Why no frame comes, by the badge of the source."""
+
 
 class FramesPage(Page):
     """Strip of ranges, plot of how far each frame is from rest, boxes for exact numbers."""
@@ -156,6 +162,8 @@ class CollectBox(QGroupBox):
         self.collector.changed.connect(self._show)
         self.collector.complete.connect(self._use)
         calibration.controller.shown.connect(self.collector.take)
+        calibration.controller.state.link_changed.connect(self._show)
+        calibration.changed.connect(self._show)
         self._show()
 
     def _lay_out(self) -> None:
@@ -198,12 +206,14 @@ class CollectBox(QGroupBox):
 
     def _show(self) -> None:
         collector = self.collector
+        over = OVER.get(self._calibration.controller.state.badge, "")
+        self.button.setEnabled(not over)
         self.button.setText(f"Collect {count_of(self.count.value(), 'frame')}")
         self.button.setVisible(not collector.active)
         self.stop.setVisible(collector.active)
         self.cancel.setVisible(collector.active)
         if not collector.active:
-            self.said.setText("")
+            self.said.setText(over)
             return
         text = f"{len(collector.frames)} of {self.count.value()} frames"
         tension = collector.tension
@@ -211,4 +221,4 @@ class CollectBox(QGroupBox):
             share = self._units.share.text(tension.half_width / tension.value)
             shown = self._units.tension.with_interval(tension.value, tension.half_width)
             text += f" · γ0 so far {shown} ({share})"
-        self.said.setText(f"{text} {collector.message}".strip())
+        self.said.setText(f"{text} {collector.message} {over}".strip())
