@@ -366,3 +366,19 @@ def test_a_small_screen_holds_the_window_and_the_force(drive: Drive) -> None:
         assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
     driver.window.resize(1500, 800)
     driver.wait(lambda: labels["dropped"].isVisible())
+
+
+def test_a_large_scale_on_a_small_screen_holds_the_window(drive: Drive) -> None:
+    """As 1024×700 at 150 %, less the frame."""
+    driver = drive(DentSource, frame=6)
+    window = driver.window
+    window.resize(850, 427)
+    driver.wait(lambda: window.minimumSize().width() <= 675)
+    window.resize(675, 427)
+    driver.settle()
+    assert (window.width(), window.height()) == (675, 427)
+    assert window.playback.mapTo(window, window.playback.rect().bottomRight()).x() <= 675
+    assert window.layers.visibleRegion().boundingRect().height() > 50
+    assert window.view.width() > 350 and window.view.height() > 150
+    window.resize(1200, 700)
+    driver.wait(lambda: window.playback.width() < window.width() - 200)

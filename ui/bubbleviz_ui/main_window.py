@@ -14,6 +14,7 @@ from PySide6.QtGui import (
     QDesktopServices,
     QDragEnterEvent,
     QDropEvent,
+    QResizeEvent,
     QUndoStack,
 )
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
@@ -81,6 +82,8 @@ from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
 
 SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
 """Pixels: of the window at first, and what a window manager puts around it at most."""
+NARROW = 1000
+"""A window less wide than this, in pixels, has no room for the timeline beside the panels."""
 RATES_EVERY_MS = 500
 STEPS = 200
 """That can be undone; some hold collected frames."""
@@ -263,6 +266,11 @@ class MainWindow(QMainWindow):
         self.view.close()
         super().closeEvent(event)
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Fit what is beside each other."""
+        super().resizeEvent(event)
+        self._share_width()
+
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         """Accept files."""
         self.view.dragEnterEvent(event)
@@ -317,9 +325,14 @@ class MainWindow(QMainWindow):
             if kind.choice:
                 dock.visibilityChanged.connect(partial(self.state.choose_panel, kind.choice))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
-        self.setCorner(Qt.Corner.BottomRightCorner, SIDES["right"])
+        self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
         return {**docks, "status": self.status}
+
+    def _share_width(self) -> None:
+        """Lay the timeline below the panels instead of beside them where both have no room."""
+        below = "bottom" if self.width() < NARROW else "right"
+        self.setCorner(Qt.Corner.BottomRightCorner, SIDES[below])
 
     def _connect(self) -> None:
         self.controller.opened.connect(self._on_opened)

@@ -122,6 +122,7 @@ class PlaybackPanel(QWidget):
             spacing=0,
         )
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.readout.setMinimumWidth(1)  # the status bar has it, too
 
     def _connect(self) -> None:
         state = self._state
