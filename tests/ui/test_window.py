@@ -12,12 +12,14 @@ from fakes import FRAMES, DentSource, small_sensor
 from PySide6.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
-from window_driver import Driver
+from vtkmodules.vtkRenderingCore import vtkTextActor
+from window_driver import Driver, written
 
 import bubbleviz
 from bubbleviz.frames.frame import Frame
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_bar import bar_width
 from bubbleviz_ui.view3d.colour_maps import rgb
 
 Drive = Callable[..., Driver]
@@ -368,6 +370,13 @@ def test_a_small_screen_holds_the_window_and_the_force(drive: Drive) -> None:
     driver.wait(lambda: labels["dropped"].isVisible())
 
 
+def right_end(driver: Driver, text: vtkTextActor) -> float:
+    """Where a text of the 3-D view ends, pixels."""
+    box, renderer = [0.0] * 4, driver.window.view.renderer
+    text.GetBoundingBox(renderer, box)
+    return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]
+
+
 def test_a_large_scale_on_a_small_screen_holds_the_window(drive: Drive) -> None:
     """As 1024×700 at 150 %, less the frame."""
     driver = drive(DentSource, frame=6)
@@ -380,5 +389,8 @@ def test_a_large_scale_on_a_small_screen_holds_the_window(drive: Drive) -> None:
     assert window.playback.mapTo(window, window.playback.rect().bottomRight()).x() <= 675
     assert window.layers.visibleRegion().boundingRect().height() > 50
     assert window.view.width() > 350 and window.view.height() > 150
+    bars = window.view.width() * (1.0 - bar_width(window.view))
+    (rest,) = (text for text in written(driver) if text.GetInput().startswith("peak"))
+    assert 0.3 * bars < right_end(driver, rest) < bars
     window.resize(1200, 700)
     driver.wait(lambda: window.playback.width() < window.width() - 200)

@@ -106,10 +106,15 @@ def props(driver: Driver) -> list[Any]:
 def texts(driver: Driver) -> list[str]:
     """Words in the 3-D view: those of the readout, and the titles of colour bars."""
     seen = [prop for prop in props(driver) if prop.GetVisibility()]
-    found = [prop.GetInput() for prop in seen if isinstance(prop, vtkTextActor)]
-    return [text for text in found if text] + [
+    return [text.GetInput() for text in written(driver)] + [
         prop.GetTitle() for prop in seen if isinstance(prop, vtkScalarBarActor)
     ]
+
+
+def written(driver: Driver) -> list[vtkTextActor]:
+    """Texts of the 3-D view that are seen, the readout's first."""
+    found = [prop for prop in props(driver) if isinstance(prop, vtkTextActor)]
+    return [text for text in found if text.GetVisibility() and text.GetInput()]
 
 
 def drawn_points(layer: Any) -> np.ndarray:

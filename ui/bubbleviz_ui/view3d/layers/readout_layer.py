@@ -10,9 +10,13 @@ from bubbleviz.result import Result
 from bubbleviz_ui.model.result_text import DOUBTS, force_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_bar import bar_width
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
+
+WIDEST = 420
+"""Of the lines, screen pixels: in a narrower view they are smaller, not below the colour bars."""
 
 
 class ReadoutLayer(Layer):
@@ -60,7 +64,9 @@ def _text_actor(view: View, *, size: int, top: int, colour: str | None = None) -
 
     def put() -> None:
         """As a share of the height: text grows with the screen's scale and in pictures."""
-        place.SetValue(0.02, 1.0 - top / max(view.height(), 1))
+        share = min(1.0, view.width() * (1.0 - bar_width(view)) / WIDEST)
+        style.SetFontSize(round(share * size))
+        place.SetValue(0.02, 1.0 - share * top / max(view.height(), 1))
 
     view.resized.connect(put)
     put()
