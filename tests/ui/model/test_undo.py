@@ -271,11 +271,11 @@ def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
     panel.b.nodes.selectAll()
     driver.bot.keyClicks(panel.b.nodes, "300")
     driver.bot.keyClick(panel.b.nodes, Qt.Key.Key_Return)
-    driver.wait(lambda: panel.b.options().nodes == 300)
+    driver.wait(lambda: panel.b.setting.options.nodes == 300)
     undo(driver, panel.b.nodes)
-    assert panel.b.nodes.value() == 0 and panel.b.options().nodes is None
-    assert panel.b.options() == EstimatorOptions("linear")
-    assert panel.a.options() == EstimatorOptions()  # the defaults are the estimator's
+    assert panel.b.nodes.value() == 0 and panel.b.setting.options.nodes is None
+    assert panel.b.setting.options == EstimatorOptions("linear")
+    assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
 
 
 def test_an_arrow_held_in_a_box_of_compare_is_one_step(
@@ -293,7 +293,7 @@ def test_an_arrow_held_in_a_box_of_compare_is_one_step(
     assert column.nodes.value() == 400 and stack.index() == before + 2
     undo(driver, column.nodes)
     assert column.nodes.value() == 400
-    assert column.options().pressure_scale == EstimatorOptions().pressure_scale
+    assert column.setting.options.pressure_scale == EstimatorOptions().pressure_scale
     undo(driver, column.nodes)
     assert column.nodes.value() == 0
 

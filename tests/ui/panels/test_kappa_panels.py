@@ -192,20 +192,20 @@ def test_two_settings_are_measured_against_the_truth(
     panel.b.nodes.setValue(100)
     driver.wait(lambda: panel.b.values["nodes"].text() not in ("–", panel.a.values["nodes"].text()))
     truth = truth_of(press, CONTACT)
-    for setting in (panel.a, panel.b):
-        pipeline = Pipeline.of(sensor, options=setting.options())
+    for column in (panel.a, panel.b):
+        pipeline = Pipeline.of(sensor, options=column.setting.options)
         needed = frozenset({"estimate", "patch", "pixel_mask"})
         for _ in range(4):
             pipeline.process(press[CONTACT], needed)
         result = pipeline.process(press[CONTACT], needed)
         error = np.linalg.norm(result.patch.force_n - truth.force_n)
         relative = error / np.linalg.norm(truth.force_n)
-        shown = float(setting.values["force_error"].text().removesuffix(" %"))
+        shown = float(column.values["force_error"].text().removesuffix(" %"))
         assert shown == pytest.approx(100 * relative, abs=1.0)
         agreed = iou(result.patch.pixel_mask, truth.patch_mask)
-        assert float(setting.values["iou"].text()) == pytest.approx(agreed, abs=0.05)
-        assert setting.values["total"].text().endswith(" ms")
-        assert setting.values["nodes"].text() == str(len(pipeline.mesh.nodes))
+        assert float(column.values["iou"].text()) == pytest.approx(agreed, abs=0.05)
+        assert column.values["total"].text().endswith(" ms")
+        assert column.values["nodes"].text() == str(len(pipeline.mesh.nodes))
 
 
 def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive) -> None:
@@ -237,12 +237,12 @@ def test_lambda_and_blocks_reach_the_estimator(drive: Drive) -> None:
     panel.b.pressure_scale.setValue(0.5)
     panel.b.block.setValue(3)
     panel.b.recasts.setValue(1)
-    assert panel.b.options() == EstimatorOptions(
+    assert panel.b.setting.options == EstimatorOptions(
         "linear", relinearisations=1, pressure_scale=0.5, block=3
     )
     bench = driver.server.session.side_by_side
-    driver.wait(lambda: panel.b.options() in bench.pipelines)
-    assert bench.pipelines[panel.b.options()].estimator.observer.block == 3
+    driver.wait(lambda: panel.b.setting.options in bench.pipelines)
+    assert bench.pipelines[panel.b.setting.options].estimator.observer.block == 3
 
 
 def test_nothing_is_clipped(drive: Drive) -> None:

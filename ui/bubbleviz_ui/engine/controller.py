@@ -142,8 +142,8 @@ class Controller(QObject):
         frame = client.frame_request(self.state.frame, demand) if fit else None
         self._ask(FollowRequest(client.session, demand, object_name, unit, start, frame))
 
-    def compare(self, settings: tuple[EstimatorOptions, ...]) -> None:
-        """Measure two settings, or none, on the frame at the cursor when there is time."""
+    def compare(self, settings: tuple[tuple[EstimatorOptions, float | None], ...]) -> None:
+        """Measure two settings and their κ, or none, on the frame at the cursor, in spare time."""
         demand = Demand.of(self.state.choices)
         self._ask(CompareRequest(self.client.session, demand, self.state.frame, settings))
 
@@ -178,12 +178,18 @@ class Controller(QObject):
 
     def _on_choices(self, names: frozenset[str]) -> None:
         choices, sensor = self.state.choices, self.sensor
-        if "solver" in names and sensor is not None:
+        if names & {"solver", "compared"} and sensor is not None and self._other_options:
             self.opening.reopen(choices.solver or "default solver", lambda: sensor)
         elif "cloud_points" in names or not self.client.demand.covers(Demand.of(choices)):
             self._ask_frame()
         elif names & PATCH_CHOICES:
             self.client.ask_patch()
+
+    @property
+    def _other_options(self) -> bool:
+        """Whether another estimator is chosen than the one that is open."""
+        opened = self.client.opened
+        return opened is None or opened.request.options != self.state.choices.options
 
     # -- requests -----------------------------------------------------------------------------
 

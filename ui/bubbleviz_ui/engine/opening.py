@@ -83,7 +83,7 @@ class Opening(QObject):
             open_sensor=open_sensor,
             frame=frame,
             demand=Demand.of(choices),
-            solver=choices.solver,
+            options=choices.options,
             playing=playing,
             live=live,
         )

@@ -40,8 +40,7 @@ class OpenRequest:
         Frame to show first; proof that the source can be used with the sensor.
     demand : Demand
         Of that frame.
-    solver : str or None
-        As in `Choices`.
+    options : EstimatorOptions
     playing, live : bool
         Play once it is open; it is a live source.
     cancelled : Event
@@ -54,7 +53,7 @@ class OpenRequest:
     open_sensor: Callable[[], Sensor]
     frame: int
     demand: Demand
-    solver: str | None = None
+    options: EstimatorOptions = field(default_factory=EstimatorOptions)
     playing: bool = False
     live: bool = False
     cancelled: Event = field(default_factory=Event, compare=False)
@@ -130,12 +129,12 @@ class AnalyseRequest:
 
 @dataclass(frozen=True)
 class CompareRequest:
-    """Measure two settings on one frame; none: let go of what was built for that."""
+    """Measure two settings and their κ on one frame; none: let go of what was built for that."""
 
     session: int
     demand: Demand
     index: int
-    settings: tuple[EstimatorOptions, ...]
+    settings: tuple[tuple[EstimatorOptions, float | None], ...]
 
 
 @dataclass(frozen=True)

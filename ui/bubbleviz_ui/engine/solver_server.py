@@ -15,7 +15,6 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import gas_warning
-from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
@@ -163,15 +162,14 @@ class Server:
         return Analysed(request, tuple(numbers))
 
     def _compare(self, session: Session, request: CompareRequest) -> Compared | None:
-        session.side_by_side.keep(request.settings)
+        session.side_by_side.keep([options for options, _ in request.settings])
         if not request.settings:
             return None
         frame, truth = session.source[request.index], truth_of(session.source, request.index)
         measured: list[Measured | str] = []
-        for options in request.settings:
+        for options, kappa in request.settings:
             try:
-                measure = session.side_by_side.measure
-                measured.append(measure(options, frame, request.demand.options.kappa, truth))
+                measured.append(session.side_by_side.measure(options, frame, kappa, truth))
             except InputError as error:
                 measured.append(str(error))
         return Compared(request, (measured[0], measured[1]))
@@ -186,8 +184,7 @@ class Server:
                 raise InputError(f"{source.name}: has no frames; choose another recording")
             index = min(max(request.frame, 0), len(source) - 1)
             frame = source[index]
-            solver = EstimatorOptions.named(request.solver)
-            pipeline = Pipeline.of(sensor, frame.intrinsics, solver)
+            pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if isinstance(source, LiveFrames):
                 source.zero.refer_to(pipeline.model.gas.P0)
             pipeline.prepare(request.demand.products)  # apart: says nothing about a frame

@@ -108,7 +108,7 @@ class Exporting(QObject):
             job: Job = self._video.write
         else:
             poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
-            what = (kind.what, *choices.rule, choices.solver, poses)
+            what = (kind.what, *choices.rule, choices.options, poses)
             job = FileExport(open_source, sensor, frames, path, *what)
         self._jobs.run(job, partial(self._on_done, path))
         self.progressed.emit("starting", 0.0)

@@ -44,7 +44,7 @@ class FileExport:
     what: str
     kappa: float | None
     least_area_m2: float
-    solver: str | None
+    estimator: EstimatorOptions
     poses: dict[int, dict[str, Any]]
 
     def __call__(self, progress: Progress) -> str:
@@ -62,8 +62,7 @@ class FileExport:
         source = self.open_source(self.sensor)
         try:
             intrinsics = source[self.frames[0]].intrinsics
-            solver = EstimatorOptions.named(self.solver)
-            pipeline = Pipeline.of(self.sensor, intrinsics, solver)
+            pipeline = Pipeline.of(self.sensor, intrinsics, self.estimator)
             options = FrameOptions(self.kappa, self.least_area_m2)
             done = export_frames(source, self.frames, pipeline, options, plan, progress)
         finally:

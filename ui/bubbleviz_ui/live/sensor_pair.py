@@ -83,7 +83,7 @@ class SensorPair(QObject):
                 open_sensor=lambda: sensor,
                 frame=0,
                 demand=self._demand,
-                solver=state.choices.solver,
+                options=state.choices.options,
                 playing=True,
                 live=True,
             )

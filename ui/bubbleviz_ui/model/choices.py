@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Literal, TypeVar
 
+from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz_ui.model.registry import ASKING, LAYERS
 
 CloudColour = Literal["residual", "patch", "plain"]
@@ -31,9 +32,14 @@ def _setting(default: T, words: str = "", *, of: str = "") -> T:
     return made
 
 
+SETTINGS = ("A", "B")
+"""What stands for the settings of Compare in place of a solver's name."""
+FEWEST_NODES = 100
+
+
 @dataclass(frozen=True)
 class Setting:
-    """A setting of the estimator to compare; None is bubbleviz's default.
+    """A setting of estimator and patch to compare; None is bubbleviz's default.
 
     Attributes
     ----------
@@ -46,6 +52,8 @@ class Setting:
         Of the mesh; None: the sensor's.
     block : int or None
         Side of the squares of pixels that are averaged.
+    kappa : float or None
+        As in `Choices`; None: that of the window.
     """
 
     solver: str | None = None
@@ -53,6 +61,19 @@ class Setting:
     recasts: int | None = None
     nodes: int | None = None
     block: int | None = None
+    kappa: float | None = None
+
+    @property
+    def options(self) -> EstimatorOptions:
+        """What the estimator takes."""
+        usual = EstimatorOptions()
+        return EstimatorOptions(
+            self.solver,
+            relinearisations=usual.relinearisations if self.recasts is None else self.recasts,
+            nodes=None if self.nodes is None else max(self.nodes, FEWEST_NODES),
+            pressure_scale=self.pressure_scale or usual.pressure_scale,
+            block=self.block,
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +87,7 @@ class Choices:
     least_area_m2 : float
         Parts of the patch smaller than this are left out.
     solver : str or None
-        Solver of the inverse problem; None for bubbleviz's default.
+        Solver of the inverse problem, or A or B for a setting of Compare; None for the default.
     speed : float
         Playback speed, 1 = as recorded.
     every_frame : bool
@@ -167,6 +188,13 @@ class Choices:
     force_unit: Literal["N", "mN"] = "N"
     duration_unit: Literal["ms", "s"] = "ms"
     theme: Literal["system", "dark", "light"] = _setting("system", of="own")
+
+    @property
+    def options(self) -> EstimatorOptions:
+        """What the estimator takes."""
+        if self.solver in SETTINGS:
+            return self.compared[SETTINGS.index(self.solver)].options
+        return EstimatorOptions.named(self.solver)
 
     @property
     def rule(self) -> Rule:

@@ -12,6 +12,7 @@ from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
     QLabel,
+    QPushButton,
     QSpinBox,
     QVBoxLayout,
     QWidget,
@@ -22,15 +23,16 @@ from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared
-from bubbleviz_ui.model.choices import Setting
+from bubbleviz_ui.model.choices import SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind, options
+from bubbleviz_ui.panels.kappa_panel import HIGHEST
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.layouts import fill
 
-NODES = (100, 5_000, 100)
-"""Fewest and most nodes to choose, and a step; all below MAX_NODES."""
+NODES, STEP = 5_000, 100
+"""Most nodes to choose, below MAX_NODES, and a step."""
 BLOCKS = 16
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "solver": ("Model", lambda m, u: m.solver),
@@ -57,11 +59,16 @@ class Column:
             minimum=0.1, maximum=100.0, singleStep=0.5, suffix=" ×"
         )
         self.recasts = QSpinBox(minimum=0, maximum=5)
-        self.nodes = QSpinBox(singleStep=NODES[2])
-        self.nodes.setRange(0, min(NODES[1], MAX_NODES))
+        self.nodes = QSpinBox(singleStep=STEP)
+        self.nodes.setRange(0, min(NODES, MAX_NODES))
         self.nodes.setSpecialValueText("sensor's")
         self.block = QSpinBox(minimum=0, maximum=BLOCKS, suffix=" px")
         self.block.setSpecialValueText("automatic")
+        self.kappa = QDoubleSpinBox(minimum=0.0, maximum=HIGHEST, singleStep=0.5)
+        self.kappa.setSpecialValueText("as shown")
+        self.used = QPushButton(f"Use {SETTINGS[number]}")
+        self.used.setToolTip("Analyse all frames with it; undo brings the present solver back")
+        self.used.clicked.connect(self.use)
         self.values = {name: QLabel(NOTHING) for name in ROWS}
         usual = EstimatorOptions()
         self._bind("solver", None)
@@ -69,6 +76,7 @@ class Column:
         self._bind("recasts", usual.relinearisations)
         self._bind("nodes", 0)
         self._bind("block", 0)
+        self._bind("kappa", 0.0)
         for label in self.values.values():
             label.setObjectName("value")
 
@@ -90,16 +98,16 @@ class Column:
             control.setKeyboardTracking(False)
         bind(control, self._state, "compared", shown, chosen)
 
-    def options(self) -> EstimatorOptions:
-        """The setting as the estimator takes it."""
-        nodes = self.nodes.value()
-        return EstimatorOptions(
-            solver=self.solver.currentData(),
-            relinearisations=self.recasts.value(),
-            nodes=max(nodes, NODES[0]) if nodes else None,
-            pressure_scale=self.pressure_scale.value(),
-            block=self.block.value() or None,
-        )
+    @property
+    def setting(self) -> Setting:
+        """What is chosen."""
+        return self._state.choices.compared[self._number]
+
+    def use(self) -> None:
+        """Have the whole window use it from now on."""
+        kappa = self.setting.kappa
+        rule = {} if kappa is None else {"kappa": kappa}
+        self._state.choose(solver=SETTINGS[self._number], **rule)
 
     def show_measured(self, measured: Measured | str | None, units: Units) -> None:
         """Write the numbers; a text says why there are none."""
@@ -145,12 +153,14 @@ class ComparePanel(QWidget):
             "Ray-cast passes": ("recasts", "How often rays are cast again within a frame"),
             "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),
             "Pixel binning": ("block", "Side of the squares of pixels that are averaged"),
+            "κ": ("kappa", "Threshold as a multiple of the mean contact pressure"),
+            "": ("used", ""),
         }
         for row, (title, (name, tip)) in enumerate(controls.items(), start=1):
             grid.addWidget(QLabel(title), row, 0)
             for place, each in enumerate((self.a, self.b), start=1):
                 control = getattr(each, name)
-                control.setToolTip(tip)
+                control.setToolTip(tip or control.toolTip())
                 control.setMinimumWidth(84)
                 grid.addWidget(control, row, place)
         for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):
@@ -184,7 +194,10 @@ class ComparePanel(QWidget):
 
     def _ask(self) -> None:
         if self._seen and self._state.facts is not None:
-            self._controller.compare((self.a.options(), self.b.options()))
+            choices = self._state.choices
+            rules = [choices.kappa if s.kappa is None else s.kappa for s in choices.compared]
+            estimators = [setting.options for setting in choices.compared]
+            self._controller.compare(tuple(zip(estimators, rules, strict=True)))
 
     def _on_compared(self, answer: Compared) -> None:
         if self._seen:

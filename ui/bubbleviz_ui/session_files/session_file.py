@@ -16,7 +16,7 @@ from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS, SOLVER_NAMES
 from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import OWN_CHOICES, SPEEDS, Choices
+from bubbleviz_ui.model.choices import OWN_CHOICES, SETTINGS, SPEEDS, Choices
 from bubbleviz_ui.model.demand import PLOTS
 from bubbleviz_ui.model.registry import ASKING, LAYERS
 from bubbleviz_ui.session_files.live_paths import with_paths
@@ -120,7 +120,7 @@ def usable_choices(fields: dict[str, Any]) -> Choices:
         except (ValidationError, AttributeError):
             continue
     choices = Choices(**usable)
-    known = choices.solver in (None, *SOLVER_NAMES)
+    known = choices.solver in (None, *SOLVER_NAMES, *SETTINGS)
     comparable = all(each.solver in (None, *ESTIMATORS) for each in choices.compared)
     return replace(
         choices,
