@@ -19,6 +19,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.view3d.colour_bar import WIDTH
 from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.layers.axes_layer import CORNER
 
@@ -81,7 +82,8 @@ def warm(pixels: np.ndarray) -> np.ndarray:
     """Row and column of strong orange and red, left of the colour bars and not of the axes."""
     red, green, blue = (pixels[..., k].astype(int) for k in range(3))
     seen = (red > 130) & (red > 2 * blue) & (red > green + 30) & ~axes_corner(pixels)
-    return np.argwhere(seen[:, : int(0.85 * pixels.shape[1])])
+    wide = pixels.shape[1]
+    return np.argwhere(seen[:, : int(0.99 * wide - max(WIDTH, 0.11 * wide))])
 
 
 def axes_corner(pixels: np.ndarray) -> np.ndarray:

@@ -92,10 +92,9 @@ def test_every_choice_is_undone_and_done_again(drive: Drive) -> None:
         redo(driver)
         assert driver.state.choices == after
     driver.state.choose(theme="system")
-    driver.settle()
 
 
-def test_clicks_are_steps_and_the_panel_follows(drive: Drive) -> None:
+def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive: Drive) -> None:
     driver = drive(frame=3)
     layers = driver.window.layers
     for name in ("wireframe", "rim"):
@@ -107,9 +106,6 @@ def test_clicks_are_steps_and_the_panel_follows(drive: Drive) -> None:
     assert not layers.boxes["wireframe"].isChecked()
     assert driver.state.choices.layers == Choices().layers
 
-
-def test_a_dragged_slider_is_one_step(drive: Drive) -> None:
-    driver = drive(frame=3)
     slider = driver.window.layers.opacity
     option = QStyleOptionSlider()
     slider.initStyleOption(option)
@@ -123,6 +119,16 @@ def test_a_dragged_slider_is_one_step(drive: Drive) -> None:
     assert driver.window.undo_stack.index() == 1
     undo(driver)
     assert driver.state.choices.membrane_opacity == 1.0 and slider.value() == 100
+
+    box = driver.window.kappa.box  # the keys go to the window from within a number box
+    driver.window.kappa.automatic.setChecked(False)
+    box.setFocus()
+    box.selectAll()
+    driver.bot.keyClicks(box, "2.5")
+    driver.bot.keyClick(box, Qt.Key.Key_Return)
+    assert driver.state.choices.kappa == 2.5
+    undo(driver, box)
+    assert driver.state.choices.kappa != 2.5
 
 
 def test_a_scene_is_one_step(drive: Drive) -> None:
@@ -218,13 +224,13 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
     def settled() -> list[object]:
         """Once the solver is built anew and the object is read; the pose panel writes at times."""
         driver.wait(lambda: not window.pose.session.busy and idle(window.pose))
-        driver.settle()
+        driver.wait(lambda: window.controller.settled and idle(window.pose))
         return shown()
 
     elsewhere = {"panels", "pre_roll_s", "record_folder", "publish_at", "view_from", "zoom",
                  "theme"} | SYSTEMS.keys()  # fmt: skip
+    before = settled()
     for name in sorted(CHANGES.keys() - elsewhere):
-        before = settled()
         state.choose(**{name: CHANGES[name]})
         changed = settled()
         assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
@@ -232,7 +238,7 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
         assert settled() == before, name
 
 
-def test_keys_are_undone(drive: Drive) -> None:
+def test_keys_range_and_markers_are_undone(drive: Drive) -> None:
     driver = drive(frame=3)
     shortcuts = driver.window.shortcuts
     shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
@@ -243,6 +249,16 @@ def test_keys_are_undone(drive: Drive) -> None:
     assert shortcuts.keys("View › Reset view") == "R"
     redo(driver)
     assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+
+    driver.state.toggle_marker(3)
+    driver.state.choose_range((2, 9))
+    undo(driver)
+    assert driver.state.play_range is None and driver.state.markers == (3,)
+    undo(driver)
+    assert driver.state.markers == ()
+    redo(driver)
+    redo(driver)
+    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
 
 
 def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Path) -> None:
@@ -263,7 +279,9 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.wait(lambda: driver.window.pose.session.obj is not None)
 
 
-def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
+def test_compared_settings_are_undone_in_their_boxes(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
     driver = drive(frame=6)
     driver.window.panels["compare"].show()
     panel = driver.window.compare
@@ -277,14 +295,9 @@ def test_compared_settings_are_undone_in_their_boxes(drive: Drive) -> None:
     assert panel.b.setting.options == EstimatorOptions("linear")
     assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
 
-
-def test_an_arrow_held_in_a_box_of_compare_is_one_step(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)  # held, however slow the machine
-    driver = drive(frame=6)
-    driver.window.panels["compare"].show()
-    column, stack = driver.window.compare.b, driver.window.undo_stack
+    # an arrow that is held is one step, however slow the machine
+    monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)
+    column, stack = panel.b, driver.window.undo_stack
     before = stack.index()
     for box in (column.nodes, column.pressure_scale):
         box.setFocus()
@@ -315,29 +328,3 @@ def test_boxes_of_the_calibration_are_undone(drive: Drive) -> None:
     for _ in range(3):
         stack.redo()
     assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
-
-
-def test_range_and_markers(drive: Drive) -> None:
-    driver = drive(frame=3)
-    driver.state.toggle_marker(3)
-    driver.state.choose_range((2, 9))
-    undo(driver)
-    assert driver.state.play_range is None and driver.state.markers == (3,)
-    undo(driver)
-    assert driver.state.markers == ()
-    redo(driver)
-    redo(driver)
-    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
-
-
-def test_undo_goes_to_the_window_from_within_a_number_box(drive: Drive) -> None:
-    driver = drive(frame=3)
-    box = driver.window.kappa.box
-    driver.window.kappa.automatic.setChecked(False)
-    box.setFocus()
-    box.selectAll()
-    driver.bot.keyClicks(box, "2.5")
-    driver.bot.keyClick(box, Qt.Key.Key_Return)
-    assert driver.state.choices.kappa == 2.5
-    undo(driver, box)
-    assert driver.state.choices.kappa != 2.5
