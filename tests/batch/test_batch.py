@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from click.testing import CliRunner
 from small_press import write_press
 
 from bubbleviz.batch.batch_job import Job, Settings, run_job
@@ -22,6 +23,7 @@ from bubbleviz.batch.batch_summary import BatchSummary
 from bubbleviz.batch.find_recordings import find_recordings
 from bubbleviz.batch.local_processes import run_in_processes
 from bubbleviz.batch.summary_row import Row
+from bubbleviz.cli.command_line import main
 from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.errors import InputError
 
@@ -65,7 +67,7 @@ def lives(process: psutil.Process) -> bool:
 def long_original(sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Takes long enough to be stopped in the middle."""
     path = tmp_path_factory.mktemp("long") / "z.mcap"
-    return write_press(path, sensor, (0.044, 0.043) * 100)
+    return write_press(path, sensor, (0.044, 0.043) * 50)
 
 
 @pytest.fixture
@@ -197,7 +199,7 @@ def test_killed_in_the_middle_then_resumed(
     recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
     out = tmp_path / "out"
-    words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "2"]
+    words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "1"]
     running = start(*words)
     # The others are done, the long one has begun.
     eventually(lambda: all((out / name).is_dir() for name in NAMES) and bool(hidden_in(out)))
@@ -218,7 +220,7 @@ def test_killed_in_the_middle_then_resumed(
     assert told == {**dict.fromkeys(NAMES, "kept"), long_recording.name: "done"}
     assert {n: (out / n / "result.npz").stat().st_mtime_ns for n in NAMES} == kept
     assert not hidden_in(out)
-    assert table_of(out)[long_recording.name]["frames"] == "200"
+    assert table_of(out)[long_recording.name]["frames"] == "100"
 
 
 def test_interrupted_leaves_whole_files(
@@ -335,8 +337,8 @@ def test_wrong_words(
     (tmp_path / "there").mkdir()
     given = ["--sensor", str(sensor), "--out", str(tmp_path / "out"), *more]
     given = [str(tmp_path / word) if word == "there" else word for word in given]
-    done = batch(tmp_path / folder, *given)
-    assert done.returncode == 2
+    done = CliRunner().invoke(main, ["batch", str(tmp_path / folder), *given])
+    assert done.exit_code == 2
     assert done.stderr.count("\n") == 1
     assert words in done.stderr
     assert not (tmp_path / "out").exists()

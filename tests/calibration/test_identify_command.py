@@ -38,10 +38,10 @@ def run(*arguments):
 def made(tmp_path_factory):
     """Files of a sphere's identification, and the JSON it printed."""
     folder = tmp_path_factory.mktemp("sphere")
-    dome = sphere(5, frames=30)
+    dome = sphere(5, frames=20)
     recording, given = recorded(dome, dome.sensor, folder)
     result = run(
-        recording, "--sensor", given, "--contact-free", "0:30", "--out", folder / "mine.toml",
+        recording, "--sensor", given, "--contact-free", "0:20", "--out", folder / "mine.toml",
         "--report", folder / "report", "--nodes", 300, "--json",
     )  # fmt: skip
     assert result.exit_code == 0, result.output

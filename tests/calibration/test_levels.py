@@ -49,7 +49,7 @@ class Stretched(Dome):
 def stretched(height):
     """A dome over the same rim of 75 mm radius, inflated to a height."""
     radius = (0.075**2 + height**2) / (2.0 * height)
-    return Stretched((radius,) * 3, height, QUIET, round(1e4 * height), frames=12)
+    return Stretched((radius,) * 3, height, QUIET, round(1e4 * height), frames=12, scale=0.35)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def press():
     obj = load_object("cylinder")
     poses = np.tile(np.eye(4), (16, 1, 1))
     poses[:, 2, 3] = 0.05 - np.r_[np.full(12, -0.01), np.full(4, 0.008)] - obj.vertices[:, 2].min()
-    return SyntheticSource(sensor, obj, poses, QUIET, nodes=800)
+    return SyntheticSource(sensor, obj, poses, QUIET, nodes=400)
 
 
 def recorded(source, path):
@@ -170,7 +170,7 @@ def test_command_takes_further_levels(tmp_path):
     (tmp_path / "given.toml").write_text(sensor_to_toml(domes[0].sensor))
     out = tmp_path / "new.toml"
     result = CliRunner().invoke(command, [
-        str(files[0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "300",
+        str(files[0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "150",
         "--level", str(files[1]), "--out", str(out), "--json",
     ])  # fmt: skip
     assert result.exit_code == 0, result.output
@@ -184,7 +184,7 @@ def test_pressed_frames_outside_are_refused_and_leave_nothing(press, tmp_path):
     before = sorted(tmp_path.iterdir())
     result = CliRunner().invoke(command, [
         str(recording), "--sensor", str(tmp_path / "given.toml"), "--contact-free", "0:12",
-        "--nodes", "300", "--out", str(tmp_path / "new.toml"), "--object", "cylinder",
+        "--nodes", "150", "--out", str(tmp_path / "new.toml"), "--object", "cylinder",
         "--pose", "0 0 0.05 0 0 0 1", "--pressed", "90:99",
     ])  # fmt: skip
     assert isinstance(result.exception, InputError) and "outside its 16" in str(result.exception)

@@ -42,6 +42,7 @@ def test_contact_free_frames(press):
 
 
 @needs_press
+@pytest.mark.long  # in short: of the twin, in test_identification.py
 def test_held_out_residual_and_fits(press, found):
     residual, bias = residuals_and_bias(found, [press[k] for k in range(40, 60)])
     assert np.sqrt(np.nanmean(residual**2)) < 0.25e-3
@@ -53,6 +54,7 @@ def test_held_out_residual_and_fits(press, found):
 
 
 @needs_press
+@pytest.mark.long  # in short: of a sphere, in test_identify_command.py
 def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert found.surfaces.chosen == "free-form"
     assert found.tension.tension.half_width < 0.05 * found.tension_n_per_m
@@ -66,6 +68,7 @@ def test_no_force_on_frames_not_used(press, found, tmp_path):
 
 
 @needs_press
+@pytest.mark.long  # in short: of simulated rubber, in test_rubber_press.py
 def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
     """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean."""
     told = with_rubber(found, [], held=collect_press(press, found))
@@ -81,6 +84,7 @@ def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
 
 
 @needs_press
+@pytest.mark.long  # in short: of the twin, in test_refusals.py
 def test_contact_all_along_is_refused(press):
     with pytest.raises(InputError, match="pressed in by") as error:
         identify(press, load_sensor("punyo_oval_d405"), range(73, 90))

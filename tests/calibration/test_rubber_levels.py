@@ -1,7 +1,9 @@
 """λ and gauge pressure from inflation levels, of rubber whose truth is known."""
 
 import json
+from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,11 +25,17 @@ from bubbleviz.study.rubber_oracle import AxialRubber
 
 G = 2500.0
 SHEET = InflatedRubber.round_sheet(0.045, 110.0, 1.15, G)
-WIDTH, FRAMES = 120, 20
+WIDTH, FRAMES, NODES = 80, 10, 500
 
 
-def recorded(truth, level, path, seed=0):
-    source = truth.recording(level, seed, frames=FRAMES, width=WIDTH)
+@cache
+def source_of(level):
+    """Frames of the sheet at a level, each level with noise of its own."""
+    return SHEET.recording(level, round(1e3 * level), frames=FRAMES, width=WIDTH)
+
+
+def recorded(level, path):
+    source = source_of(level)
     with RecordingWriter(path) as writer:
         for k in range(len(source)):
             writer.write(source[k])
@@ -49,17 +57,14 @@ def test_inflation_is_that_of_the_meridian(level):
 def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     """Levels of ±15 %; the sensor file's atmosphere is 0.7 kPa too much."""
     names = {0.85: "low", 1.0: "rest", 1.15: "high"}
-    files = {
-        level: recorded(SHEET, level, tmp_path / f"{name}.mcap", seed)
-        for seed, (level, name) in enumerate(names.items(), 10)
-    }
+    files = {level: recorded(level, tmp_path / f"{name}.mcap") for level, name in names.items()}
     given = SHEET.sensor(WIDTH)
     air = given.pneumatics.model_copy(update={"atmospheric_pressure_pa": ATMOSPHERE_PA + 700.0})
     given = given.model_copy(update={"pneumatics": air})
     (tmp_path / "given.toml").write_text(sensor_to_toml(given))
     out = tmp_path / "new.toml"
     result = CliRunner().invoke(command, [
-        str(files[1.0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "500",
+        str(files[1.0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "200",
         "--level", str(files[0.85]), "--level", str(files[1.15]), "--out", str(out),
         "--report", str(tmp_path / "report"), "--json",
     ])  # fmt: skip
@@ -108,18 +113,17 @@ def vented():
 
 @pytest.fixture(scope="module")
 def found(vented):
-    source = shifted(SHEET.recording(1.0, 20, frames=FRAMES, width=WIDTH))
-    return identify(source, vented.set_in(SHEET.sensor(WIDTH)), range(FRAMES), nodes=500)
+    return identify(shifted(1.0), vented.set_in(SHEET.sensor(WIDTH)), range(FRAMES), nodes=NODES)
 
 
-def shifted(source):
+def shifted(share):
+    source = copy(source_of(share))
     source.pressures_pa = source.pressures_pa + OFFSET
     return source
 
 
-def level(found, share, seed):
-    source = shifted(SHEET.recording(share, seed, frames=FRAMES, width=WIDTH))
-    return collect(source, found.given, range(FRAMES))
+def level(found, share):
+    return collect(shifted(share), found.given, range(FRAMES))
 
 
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
@@ -135,7 +139,7 @@ def test_open_chamber_gives_the_gauge_pressure(found, vented):
 
 
 def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
-    levels = [level(found, share, 30 + k) for k, share in enumerate((0.85, 1.15))]
+    levels = [level(found, share) for share in (0.85, 1.15)]
     known = with_rubber(found, levels, vented).rubber
     free = with_rubber(found, levels).rubber
     assert known.prestretch.low < SHEET.prestretch < known.prestretch.high
@@ -145,14 +149,13 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
 
 
 def test_levels_that_say_nothing(found):
-    silent = [replace(level(found, 0.85, 22), gas_pressure_pa=None)]
-    kept = with_rubber(found, silent)
+    low = level(found, 0.85)
+    kept = with_rubber(found, [replace(low, gas_pressure_pa=None)])
     assert kept.rubber.prestretch is None and "gas pressure recorded" in kept.rubber.why_not
     assert kept.sensor == found.sensor
-    alike = with_rubber(found, [level(found, 1.002, 23)])
+    alike = with_rubber(found, [level(found, 1.002)])
     assert alike.rubber.prestretch is None and "differs" in alike.rubber.why_not
-    wrong = level(found, 0.85, 24)
-    wrong = replace(wrong, gas_pressure_pa=wrong.gas_pressure_pa + 0.25 * G)  # it sank as it rose
+    wrong = replace(low, gas_pressure_pa=low.gas_pressure_pa + 0.25 * G)  # it sank as it rose
     assert with_rubber(found, [wrong]).rubber.prestretch is None
 
 

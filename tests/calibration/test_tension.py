@@ -1,5 +1,7 @@
 """γ0 and its interval against domes known exactly and errors made on purpose."""
 
+import os
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -26,7 +28,7 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 
 from .domes import GAUGE, oval, sphere
 
-SEEDS = 20
+SEEDS = 20 if "TEST_ALL" in os.environ else 3
 TRUTH = GAUGE * 0.08125 / 2.0
 
 
@@ -46,6 +48,7 @@ def test_interval_covers_the_truth(spheres):
     assert all(f.surfaces.chosen == "sphere" for f in spheres)
 
 
+@pytest.mark.long  # in short: of made-up errors, below
 def test_what_the_noise_alone_gives_the_interval_is_right(spheres):
     """Errors over what the bootstrap says of them: of unit spread, not twice or half of it."""
     own = [np.hypot(f.tension.parts["pixels"], f.tension.parts["frames"]) for f in spheres]
@@ -67,7 +70,9 @@ def test_numbers_of_the_sphere(spheres):
 
 @pytest.mark.parametrize("make", [sphere, oval])
 def test_outliers_holes_and_tilt(make):
-    dome = make(3, DepthNoise(relative=0.01, outliers=0.05, holes=0.1, correlation_px=0.5))
+    dome = make(
+        3, DepthNoise(relative=0.01, outliers=0.05, holes=0.1, correlation_px=0.5), frames=20
+    )
     found = identify(dome, dome.sensor, range(len(dome)), nodes=300)
     cap = EllipsoidalCap.of(rim_of(dome), dome.height, float(dome.semi_axes[2]))
     truth = balance_tension(mesh_cap(cap, 16_000), GAUGE)

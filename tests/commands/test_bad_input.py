@@ -273,6 +273,7 @@ def test_unreadable_mesh_of_the_membrane(bad_dome: Bench) -> None:
     bad_dome.refused("estimate", "dome.ply")
 
 
+@pytest.mark.parametrize("bad_dome", [None], indirect=True)
 def test_unreadable_mesh_through_the_real_window_command(bad_dome: Bench) -> None:
     """In a process of its own: the window's screen is one a process makes once."""
     before = snapshot(bad_dome.folder)

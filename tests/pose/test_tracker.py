@@ -149,7 +149,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Calibration, load_sensor
 pipeline = Pipeline.of(load_sensor("pico_flexx_75mm"))
-pipeline.process(Frame(0, 0.0, np.full((171, 224), 0.13, np.float32)), frozenset({"patch"}))
+pipeline.process(Frame(0, 0.0, np.full((171, 224), 0.15, np.float32)), frozenset({"patch"}))
 print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
 """
     done = subprocess.run(

@@ -45,7 +45,7 @@ GRID = Grid(
     setups=SETUPS,
     repeats=2,
     model="linear",
-    truth_nodes=3_000,
+    truth_nodes=1_500,
     limit_s=None,
 )
 
@@ -57,7 +57,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def bank(sensor):
-    return TruthBank(LinearPresses(SensorModel.of(sensor), 3_000), 7)
+    return TruthBank(LinearPresses(SensorModel.of(sensor), 1_500), 7)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_held_out_objects_are_marked():
 def test_the_truth_itself_has_no_errors(sensor, bank):
     sighting = bank.sighting(Press("sphere", 0.012, False))
     pipeline = Pipeline.of(
-        sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update={"nodes": 3_000})})
+        sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update={"nodes": 1_500})})
     )
     assert np.array_equal(pipeline.mesh.nodes, bank.mesh.nodes)
     truth = sighting.truth
@@ -205,7 +205,7 @@ def test_a_kept_truth_is_the_truth(sensor, tmp_path, bank):
     press = Press("sphere", DEPTH_M, False)
     model = SensorModel.of(sensor)
     first, kept = (
-        TruthBank(LinearPresses(model, 3_000), 7, tmp_path).sighting(press) for _ in range(2)
+        TruthBank(LinearPresses(model, 1_500), 7, tmp_path).sighting(press) for _ in range(2)
     )
     fresh = bank.sighting(press)
     for one in (first, kept):
@@ -229,7 +229,7 @@ def test_on_rubber_the_exact_estimator_is_right_and_the_linear_one_is_not(sensor
         noises=(DepthNoise(absolute_m=1e-4),),
         setups=(RUBBER, LINEAR),
         repeats=1,
-        truth_nodes=900,
+        truth_nodes=700,
         limit_s=None,
     )
     found = run_accuracy(sensor, grid)

@@ -11,7 +11,7 @@ from bubbleviz.study.accuracy.detection_limit import Alarm, DetectionGrid, Ladde
 from bubbleviz.study.accuracy.specimens import specimen
 
 ONE = DepthNoise(relative=0.01)
-GRID = DetectionGrid(frames=12, rest_frames=40, truth_nodes=800)
+GRID = DetectionGrid(frames=5, rest_frames=15, truth_nodes=800)
 STEP = 10
 """0.93 mm and 0.19 N; the limit is at 0.75 mm and 0.14 N."""
 

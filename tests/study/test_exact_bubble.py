@@ -1,5 +1,7 @@
 """The exact bubble agrees with conservation laws; the linear model's error against it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,11 @@ from bubbleviz.study.accuracy.exact_bubble import Bubble, axial_contact
 
 PAPER = Bubble(0.075, 0.05, 2585.5, 101325.0, 2.2e-3)
 BALL = 0.02
+
+
+@cache
+def pressed(depth, ball):
+    return axial_contact(PAPER, depth, ball)
 
 
 def film(contact, ball):
@@ -25,9 +32,9 @@ def film(contact, ball):
 
 
 @pytest.mark.parametrize("ball", [np.inf, BALL])
-@pytest.mark.parametrize("depth", [0.002, 0.01, 0.025])
+@pytest.mark.parametrize("depth", [0.002, 0.010])
 def test_force_is_what_the_rim_does_not_hold(ball, depth):
-    contact = axial_contact(PAPER, depth, ball)
+    contact = pressed(depth, ball)
     dr, dz = np.diff(contact.profile_m[-3:], axis=0).T
     before, last = np.arctan2(-dz, dr)  # slopes at the middles of the last two chords
     sine = np.sin(1.5 * last - 0.5 * before)
@@ -41,8 +48,8 @@ def test_force_is_what_the_rim_does_not_hold(ball, depth):
 @pytest.mark.parametrize("ball", [np.inf, BALL])
 def test_work_of_the_force_goes_into_film_and_gas(ball):
     """F dδ = γ0 dS − P_gauge dV along the path of equilibria."""
-    depth, step = 0.012, 1e-4
-    low, middle, high = (axial_contact(PAPER, depth + k * step, ball) for k in (-1, 0, 1))
+    depth, step = 0.010, 1e-4
+    low, middle, high = (pressed(depth + k * step, ball) for k in (-1, 0, 1))
     (s0, v0), (s1, v1) = film(low, ball), film(high, ball)
     gauge = PAPER.gauge_pressure_pa + middle.gas_pressure_change_pa
     work = PAPER.tension_n_per_m * (s1 - s0) - gauge * (v1 - v0)
@@ -50,7 +57,7 @@ def test_work_of_the_force_goes_into_film_and_gas(ball):
 
 
 def test_gas_law_on_the_profile():
-    contact = axial_contact(PAPER, 0.015, BALL)
+    contact = pressed(0.010, BALL)
     _, volume = film(contact, BALL)
     p0 = PAPER.atmospheric_pressure_pa + PAPER.gauge_pressure_pa
     before = p0 * (PAPER.chamber_volume_m3 + PAPER.cap_volume_m3)
@@ -80,17 +87,16 @@ def linear_press(mesh, depth):
 
 
 def test_linear_model_is_right_for_small_depth_and_its_error_grows():
-    mesh = mesh_cap(spherical_cap(PAPER.rim_radius_m, PAPER.height_m), 12_000)
-    depths = (0.002, 0.005, 0.010, 0.020, 0.030)
+    mesh = mesh_cap(spherical_cap(PAPER.rim_radius_m, PAPER.height_m), 9_000)
+    depths = (0.002, 0.010, 0.030)
     errors = []
     for depth in depths:
-        exact = axial_contact(PAPER, depth, BALL)
+        exact = pressed(depth, BALL)
         force, change = linear_press(mesh, depth)
         errors.append((force / exact.force_n - 1, change / exact.gas_pressure_change_pa - 1))
     force_error, pressure_error = np.abs(errors).T
-    # Measured: force +4.5, 7.4, 12, 26, 55 %; p_v −5, −2, +4, +20, +51 %.
     assert (np.diff(force_error) > 0.0).all()
     assert force_error[0] < 0.06
-    assert force_error[2] < 0.15
-    assert pressure_error[:3].max() < 0.06
+    assert force_error[1] < 0.15
+    assert pressure_error[:2].max() < 0.06
     assert force_error[-1] > 0.4  # where the linear model stops being true

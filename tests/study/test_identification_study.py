@@ -15,7 +15,7 @@ from bubbleviz.study.identification.coverage_study import (
     run_coverage,
 )
 
-SMALL = CoverageGrid(("round sheet",), seeds=1, frames=8, width=80, nodes=200)
+SMALL = CoverageGrid(("round sheet",), seeds=1, levels=(1.15,), frames=6, width=64, nodes=100)
 
 
 def rows_of(quantity, truth, values, half_width, known="levels"):

@@ -1,6 +1,7 @@
 """Neither mesh, nor rim, nor the frames before change what is found in a frame."""
 
 import numpy as np
+import pytest
 
 from bubbleviz.frames.recording import Recording
 from bubbleviz.pipeline import Pipeline
@@ -21,6 +22,7 @@ def test_on_simulated_rubber():
     assert "What should not matter" in invariance.to_text(found)
 
 
+@pytest.mark.long  # in short: on simulated rubber, above
 def test_on_the_real_press(punyo_press):
     sensor = load_sensor("punyo_oval_d405")
     with Recording(punyo_press) as recording:
@@ -37,6 +39,7 @@ def test_on_the_real_press(punyo_press):
         assert abs(force / usual - 1.0) < invariance.LARGEST_CHANGE
 
 
+@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
 def test_how_a_frame_of_the_real_press_is_reached(punyo_press):
     """Alone, after the frames before it, and after a jump there: the same patch and force."""
     with Recording(punyo_press) as recording:
