@@ -31,6 +31,7 @@ from bubbleviz_ui.session_files.session_file import (
     read_user_file,
     usable_choices,
 )
+from bubbleviz_ui.window_session import window_session
 
 Drive = Callable[..., Driver]
 FRAMES = 12
@@ -224,29 +225,22 @@ from bubbleviz_ui.session_files import session_saver
 from bubbleviz_ui.window_session import window_session
 from bubbleviz_ui.session_files.session_saver import user_file
 session_saver.EVERY_MS = 100
-with window_session(load_sensor({sensor!r}), Path({rec!r}) if {rec!r} else None, None, None,
-                    user_file) as session:
+with window_session(load_sensor({sensor!r}), Path({rec!r}), None, None, user_file) as session:
     state = session.state
     session.window.show()
-    if {first}:
-        state.set_playing(False)
-        state.seek(6)
-        state.choose(kappa=1.75)
-        state.toggle_marker(4)
-        session.window.shortcuts.set_keys("View › Reset view", "Ctrl+J")
-        print("ready", flush=True)
-        session.application.exec()
-    else:
-        import json
-        print(json.dumps([state.facts.title, state.frame, state.markers, state.choices.kappa,
-                          session.window.shortcuts.keys("View › Reset view"),
-                          session.window.message.label.text()]), flush=True)
+    state.set_playing(False)
+    state.seek(6)
+    state.choose(kappa=1.75)
+    state.toggle_marker(4)
+    session.window.shortcuts.set_keys("View › Reset view", "Ctrl+J")
+    print("ready", flush=True)
+    session.application.exec()
 """
 
 
-def run(files: Path, config: Path, *, first: bool, rec: str) -> subprocess.Popen[str]:
+def run(files: Path, config: Path, rec: Path) -> subprocess.Popen[str]:
     code = KILLED.format(
-        here=str(Path(__file__).parents[1]), first=first, rec=rec, sensor=str(files / "dome.toml")
+        here=str(Path(__file__).parents[1]), rec=str(rec), sensor=str(files / "dome.toml")
     )
     code = code.replace('"Ctrl+J")', '__import__("PySide6.QtGui").QtGui.QKeySequence("Ctrl+J"))')
     return subprocess.Popen(
@@ -256,29 +250,31 @@ def run(files: Path, config: Path, *, first: bool, rec: str) -> subprocess.Popen
 
 
 def test_after_a_kill_the_next_start_is_where_it_was(
-    files: Path, tmp_path: Path, eventually: Callable[[Callable[[], object]], None]
+    qtbot: object,
+    files: Path,
+    tmp_path: Path,
+    eventually: Callable[[Callable[[], object]], None],
 ) -> None:
     rec = tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", rec)
-    process = run(files, tmp_path / "config", first=True, rec=str(rec))
+    process = run(files, tmp_path / "config", rec)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n", process.communicate()[1]
     file = tmp_path / "config" / "bubbleviz" / "session.json"
     eventually(lambda: file.exists() and "1.75" in file.read_text())
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    again = run(files, tmp_path / "config", first=False, rec="")
-    out, errors = again.communicate(timeout=240)
-    assert again.returncode == 0, errors
-    title, frame, markers, kappa, keys, message = json.loads(out)
-    assert (Path(title).name, frame, markers, kappa) == ("press.mcap", 6, [4], 1.75)
-    assert keys == "Ctrl+J" and not message
+    with window_session(load(files / "dome.toml"), None, None, None, lambda: file) as again:
+        state, window = again.state, again.window
+        window.show()
+        assert Path(state.facts.title).name == "press.mcap"
+        assert (state.frame, state.markers, state.choices.kappa) == (6, (4,), 1.75)
+        assert window.shortcuts.keys("View › Reset view") == "Ctrl+J"
+        assert not window.message.label.text()
     rec.unlink()
-    gone = run(files, tmp_path / "config", first=False, rec="")
-    out, errors = gone.communicate(timeout=240)
-    assert gone.returncode == 0, errors
-    title, _, _, kappa, _, message = json.loads(out)
-    assert "press.mcap is not there" in message and kappa == 1.75 and title != "press.mcap"
+    with window_session(load(files / "dome.toml"), None, None, None, lambda: file) as gone:
+        assert "press.mcap is not there" in gone.window.message.label.text()
+        assert gone.state.choices.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 
 def test_a_session_is_a_small_file(drive: Drive, tmp_path: Path) -> None:
@@ -295,7 +291,6 @@ def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
     from fakes import DentSource
 
     from bubbleviz_ui.engine.requests import Opened
-    from bubbleviz_ui.window_session import window_session
 
     sensor = load(files / "dome.toml")
     with window_session(sensor, files / "press.mcap", 3) as session:

@@ -18,6 +18,7 @@ from live_bench import sensor_file
 from PySide6.QtCore import Qt
 from window_driver import Driver
 
+from bubbleviz.errors import InputError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
@@ -166,19 +167,17 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
         session.window.session_saver.save_as(files / "live.bubbleviz")
     assert str(files) not in (files / "live.bubbleviz").read_text()
     rec.rename(tmp_path / "away.mcap")
-    for _ in range(2):  # not even the second start has forgotten it
-        with start(config) as session:
-            message = session.window.message
-            session.wait_for(message.isVisible, "the message")
-            assert "press.mcap" in message.label.text()
-            assert not session.state.facts.grows and session.controller.result is not None
-            session.state.choose(solver="fast")  # opens the same press again
-            gone = session.controller.client.session
-            session.wait_for(lambda gone=gone: session.controller.client.session > gone, "again")
-            session.state.choose(solver=None)
-    (tmp_path / "away.mcap").rename(rec)
     with start(config) as session:
-        session.wait_for(lambda: bool(session.state.facts.grows), "connecting again")
+        message = session.window.message
+        session.wait_for(message.isVisible, "the message")
+        assert "press.mcap" in message.label.text()
+        assert not session.state.facts.grows and session.controller.result is not None
+        session.state.choose(solver="fast")  # opens the same press again
+        gone = session.controller.client.session
+        session.wait_for(lambda: session.controller.client.session > gone, "again")
+        session.state.choose(solver=None)
+    assert read_user_file(config).session.live == live  # for the start after this one
+    (tmp_path / "away.mcap").rename(rec)
     shutil.move(files, tmp_path / "theirs")
     with start(saved=tmp_path / "theirs" / "live.bubbleviz") as session:
         session.wait_for(lambda: bool(session.state.facts.grows), "connecting elsewhere")
@@ -227,12 +226,20 @@ def test_a_recording_that_is_gone_for_a_while_loses_nothing(
 # -- the command line ---------------------------------------------------------------------------
 
 
+PROGRAM = """
+import bubbleviz_ui.app
+from bubbleviz.cli.command_line import main
+bubbleviz_ui.app.OFFSCREEN_SECONDS = 0.5
+main()
+"""
+
+
 def bubbleviz(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The program without a display: it draws for some seconds and ends."""
+    """The program without a display: it draws for a moment and ends."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY")
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     return subprocess.run(
-        [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", *arguments],
+        [sys.executable, "-c", PROGRAM, *arguments],
         env={**kept, **environment}, capture_output=True, text=True, timeout=600, check=False,
         cwd=Path(__file__).parents[3],
     )  # fmt: skip
@@ -257,7 +264,13 @@ def test_a_bad_session_file_is_one_sentence(tmp_path: Path, text: str | None) ->
     bad = tmp_path / "bad.bubbleviz"
     if text is not None:
         bad.write_text(text)
-    done = bubbleviz("open", str(bad))
+    with pytest.raises(InputError, match=r"bad\.bubbleviz") as refused:
+        read_session(bad)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_session_that_is_not_there_ends_the_command(tmp_path: Path) -> None:
+    done = bubbleviz("open", str(tmp_path / "bad.bubbleviz"))
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1 and "bad.bubbleviz" in done.stderr
 
