@@ -13,8 +13,8 @@ from nbformat.v4 import new_code_cell
 from notebooks import TUTORIALS, notebook
 from pages import name_of
 
-QUICK = ("extend.md",)
-"""The shortest, which `make test` runs too."""
+QUICK = ("first-press.md",)
+"""Where one begins: `make test` runs it too."""
 
 
 @pytest.fixture

@@ -119,14 +119,14 @@ def test_turning_to_the_other_sensor_does_not_move_the_view_in_the_world(
 
 def test_time_is_shared(open_bench: Open) -> None:
     bench = paired(open_bench)
-    bench.follow(15)
-    bench.state.seek(bench.state.frame - 8)
+    bench.follow(8)
+    bench.state.seek(bench.state.frame - 5)
     bench.wait(lambda: bench.shown == bench.state.frame)
     now = bench.state.facts.times_s[bench.state.frame]
     frames = bench.run.frames[1]
     bench.wait(lambda: other(bench) == frames.at(now))
     shown, newest = other(bench), len(frames)
-    bench.messages_come(20, sensor=1)
+    bench.messages_come(8, sensor=1)
     assert other(bench) == shown and len(frames) <= newest + 1
     bench.state.freeze(False)
     bench.wait(lambda: other(bench) > newest + 2)
@@ -135,7 +135,7 @@ def test_time_is_shared(open_bench: Open) -> None:
 def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: Open) -> None:
     bench = paired(open_bench)
     bench.record()
-    bench.follow(10)
+    bench.follow(4)
     found = contents(bench.stop())
     by_channel: dict[int, list[int]] = {}
     for message in found[IMAGE]:

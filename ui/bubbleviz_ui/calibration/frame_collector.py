@@ -132,7 +132,8 @@ def _estimate(frames: CollectedFrames, sensor: Sensor) -> Callable[[Progress], Q
     """Job that estimates γ0 from the frames so far."""
 
     def job(progress: Progress) -> Quantity | None:
-        settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),))
+        nodes = sensor.membrane.nodes
+        settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
         tension = Workbench(frames, sensor).work(settings, progress).tension
         return tension.tension if tension is not None else None
 
