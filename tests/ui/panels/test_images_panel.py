@@ -92,16 +92,19 @@ def test_a_place_in_3d_is_marked_in_the_images(drive: Drive) -> None:
 
 def test_nothing_is_picked_while_playing_unless_images_are_open(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
-    middle = driver.window.view.rect().center()
-    hover(driver.window.view, middle)
+    nodes = driver.pipeline.mesh.nodes
+    point = lambda: hover(driver.window.view, in_view(driver, nodes[nodes[:, 2].argmax()]))  # noqa: E731
+    point()
     driver.wait(lambda: driver.window.hover.place is not None)
     driver.state.set_playing(True)
     assert driver.window.hover.place is None
-    hover(driver.window.view, middle)
+    point()
     assert driver.window.hover.place is None and idle(driver.window.pointing)
+    wide = driver.window.view.width()
     driver.window.panels["images"].show()
     driver.wait(lambda: "images" in driver.state.choices.panels)
-    hover(driver.window.view, middle)
+    driver.wait(lambda: driver.window.view.width() < wide)
+    point()
     driver.wait(lambda: driver.window.hover.place is not None)
     driver.state.set_playing(False)
 
