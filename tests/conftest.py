@@ -17,6 +17,7 @@ settings.register_profile("bubbleviz", deadline=None)  # other work on this mach
 settings.load_profile("bubbleviz")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # `nohup` and `make test &` ignore it
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line sets it
+os.environ["MPLBACKEND"] = "agg"  # a figure's window would be left to tests of windows
 _SETTINGS = TemporaryDirectory(prefix="bubbleviz-tests-")
 os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
 os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder there

@@ -240,6 +240,7 @@ def test_interrupted_leaves_whole_files(
             assert len(file["frame"]) == len(file["force_n"])
 
 
+@pytest.mark.long
 def test_two_batches_do_not_write_into_one_folder(
     recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
@@ -255,6 +256,7 @@ def test_two_batches_do_not_write_into_one_folder(
     assert "another batch writes there" in done.stderr
 
 
+@pytest.mark.long
 def test_a_process_that_dies_costs_its_own_recording_only(
     recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:

@@ -32,6 +32,7 @@ def address() -> Iterator[str]:
         yield own.scheduler_address
 
 
+@pytest.mark.long
 def test_results_are_those_of_this_process(
     address: str, recordings: Path, sensor: Path, tmp_path: Path
 ) -> None:

@@ -54,6 +54,7 @@ def test_inflation_is_that_of_the_meridian(level):
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(motion**2))
 
 
+@pytest.mark.long
 def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     """Levels of ±15 %; the sensor file's atmosphere is 0.7 kPa too much."""
     names = {0.85: "low", 1.0: "rest", 1.15: "high"}

@@ -150,6 +150,7 @@ def test_what_moves_the_force(pressed, told):
     assert force_sensitivity(unknown.model, mean_frame(pressed[1])) is None
 
 
+@pytest.mark.long
 def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
     vented = Vented("vented", ATMOSPHERE_PA, 2.0)
     found, held = identified(truth, seed=7, vented=vented)
@@ -162,6 +163,7 @@ def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
     )
 
 
+@pytest.mark.long
 def test_press_that_says_nothing(pressed):
     found, held = pressed
     silent = replace(held, gas_pressure_pa=None)

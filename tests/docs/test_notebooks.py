@@ -19,7 +19,8 @@ QUICK = ("first-press.md",)
 
 @pytest.fixture
 def programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in an environment that is activated."""
+    """As in an environment that is activated, with the kernel's own pictures."""
+    monkeypatch.delenv("MPLBACKEND")
     folders = [str(Path(sys.executable).parent), os.environ["PATH"]]
     monkeypatch.setenv("PATH", os.pathsep.join(folders))
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from _pytest.mark import ParameterSet
 from click.testing import CliRunner
 from notebooks import TUTORIALS
 from pages import FENCE, KINDS, NEEDS, PAGES, Command, blocks, local_links, name_of
@@ -33,15 +34,20 @@ def pages_with(*kinds: str) -> list[Path]:
     return [page for page in PAGES if blocks(page, *kinds)]
 
 
+def but_the_longest(pages: list[Path]) -> list[ParameterSet]:
+    """The page of all commands is of `make test-all`; that its options exist is always checked."""
+    long = {page: pytest.mark.long for page in pages if page.name == "commands.md"}
+    return [pytest.param(page, marks=long.get(page, ())) for page in pages]
+
+
 IN_PROCESS = [page for page in pages_with("python", "sh") if page not in TUTORIALS]
 """Tutorials run as notebooks."""
 FEW = {"--frames": "3"}
 """In place of what a page gives, in `make test`."""
 
 
-@pytest.mark.parametrize("page", IN_PROCESS, ids=name_of)
-def test_blocks_of_a_page_run(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MPLBACKEND", "agg")
+@pytest.mark.parametrize("page", but_the_longest(IN_PROCESS), ids=name_of)
+def test_blocks_of_a_page_run(page: Path, folder: Path) -> None:
     names: dict[str, object] = {"__name__": "page"}
     for block in blocks(page, "python", "sh"):
         if block.kind == "python":
@@ -85,7 +91,7 @@ def made(folder: Path) -> dict[str, str]:
     return {"REC": "press0.mcap", "S": "small.toml", "FOLDER": "day"}
 
 
-@pytest.mark.parametrize("page", pages_with("console"), ids=name_of)
+@pytest.mark.parametrize("page", but_the_longest(pages_with("console")), ids=name_of)
 def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
     """Each on files of its own; those are left out whose page says that they need more."""
     commands = [command for block in blocks(page, "console") for command in block.commands()]

@@ -268,6 +268,7 @@ def certificates(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes the certificates")
 def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
     tmp_path: Path, certificates: Path, eventually: Eventually, monkeypatch: pytest.MonkeyPatch

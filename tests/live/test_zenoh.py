@@ -32,7 +32,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.bench.live_soak import free_port
 
 Eventually = Callable[[Callable[[], object]], None]
-SHORT, FULL = 5, 20
+SHORT, FULL = 2, 20
 """How often the robot is killed: in `make test`, and in `make test-all`."""
 
 

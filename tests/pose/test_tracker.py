@@ -78,6 +78,7 @@ def test_followed_lost_and_found_again(pipeline, source):
     assert last.deviation_m[2] < 5e-4 < 1e-2 < last.deviation_m[3]  # two flat feet slide and turn
 
 
+@pytest.mark.long
 def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
     here, far = np.eye(4), np.eye(4)
     here[:3, 3], far[:3, 3] = [0.018, 0.0, 0.036], [-0.018, 0.0, 0.036]

@@ -41,6 +41,7 @@ def force(contact):
     return -contact.nodal_force_n.sum(axis=0)[2]
 
 
+@pytest.mark.long
 def test_sharp_end_of_a_rod_on_the_axis():
     """Between rods as wide as its face and as its flat part; the even mesh falls short of both."""
     dome = AxialRubber.dome(A, H, 1.2, GAUGE)

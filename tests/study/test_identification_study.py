@@ -48,6 +48,7 @@ def test_errors_of_the_prestretch_are_absolute():
     assert one.half_width == pytest.approx(0.04)
 
 
+@pytest.mark.long
 def test_a_small_run_finds_the_rubber_and_goes_on(tmp_path):
     parts = tmp_path / "parts"
     parts.mkdir()

@@ -98,6 +98,7 @@ def screw(sensor):
     return run_screw(sensor, source, 3, blanked=False)
 
 
+@pytest.mark.long
 def test_the_nut_turns_by_sixty_degrees(screw):
     poses = screw_path(0.05, 0.013, 120)
     turned = Rotation.from_matrix(poses[-1][:3, :3] @ poses[0][:3, :3].T)
@@ -122,6 +123,7 @@ def rubber(sensor):
     return run_rubber_study(sensor.model_copy(update={"membrane": membrane}), grid)
 
 
+@pytest.mark.long
 def test_on_rubber_flat_faces_and_balls_are_where_they_are(rubber):
     assert rubber.omitted == []
     for trial in rubber.trials:

@@ -45,6 +45,7 @@ def test_stages_add_up_to_the_total(measured):
     assert 0.0 < measured.iou_mean <= 1.0
 
 
+@pytest.mark.long
 def test_both_membranes_are_measured_in_contact(sensor):
     """On the exact membrane: the linear one is off by more than noise."""
     small = with_nodes(sensor, 300)

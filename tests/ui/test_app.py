@@ -109,6 +109,7 @@ def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(
     assert out.read_text() == "mine"
 
 
+@pytest.mark.long
 def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path: Path) -> None:
     short = "import bubbleviz_ui.app as app; app.OFFSCREEN_SECONDS = 0.5; "
     done = run(short + "sys.exit(run_window(small_sensor()))", TMPDIR=str(tmp_path))
@@ -119,6 +120,7 @@ def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path: Pat
         assert png_size(Path(line.removeprefix("wrote "))) == (1280, 800)
 
 
+@pytest.mark.long
 def test_a_picture_of_a_session_that_plays_is_of_one_frame() -> None:
     done = in_window("""
     def save(out):
@@ -152,6 +154,7 @@ def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures: int) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.long
 def test_ctrl_c_while_something_opens_ends_in_order() -> None:
     done = in_window("""
     os.kill(os.getpid(), signal.SIGINT)
@@ -185,6 +188,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.long
 def test_ctrl_c_while_libraries_are_imported_ends_in_order() -> None:
     done = subprocess.run(
         [sys.executable, "-c", IMPORTING.format(here=str(HERE))], capture_output=True, text=True,
@@ -207,6 +211,7 @@ def test_a_recording_that_cannot_be_opened_never_becomes_a_window(tmp_path: Path
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 def test_benchmark_counts_renders() -> None:
     short = "import bubbleviz_ui.bench.replay_rate as bench; bench.WARM_UP_S = 0.2; "
     done = run(short + "print(sorted(replay_fps(small_sensor(), None, 1.0).items()))")

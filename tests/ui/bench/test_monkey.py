@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HERE = Path(__file__).parents[1]
 SHORT_S, FULL_S = 3.0, 6.0
 PROGRAM = """
@@ -38,6 +40,7 @@ def test_a_monkey_breaks_nothing() -> None:
     assert actions > 0
 
 
+@pytest.mark.long
 def test_a_monkey_finds_an_exception_in_a_slot() -> None:
     broken = (
         "from bubbleviz_ui.model.session_state import SessionState\n"

@@ -37,6 +37,7 @@ def bench(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
 
 
+@pytest.mark.long
 def test_start_waits_for_the_picture_of_each_process(press: tuple[Path, Path]) -> None:
     recording, sensor = press
     done = bench("start", recording, "--sensor", sensor, "--runs", "1")
@@ -64,6 +65,7 @@ def test_what_cannot_be_opened_is_said_in_one_line(what: str, tmp_path: Path) ->
     assert "missing.mcap" in line
 
 
+@pytest.mark.long
 def test_a_frame_that_cannot_be_read_ends_the_seeks(
     press: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -387,6 +387,7 @@ def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(
     assert not collector.active and bench.panel.calibration.work.collected is None
 
 
+@pytest.mark.long
 def test_another_inflation_level_is_added_and_undone(bench: Bench, tmp_path: Path) -> None:
     bench.identify()
     panel = bench.panel

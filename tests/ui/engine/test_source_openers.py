@@ -155,6 +155,7 @@ def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     driver.wait(lambda: says_iou(driver))
 
 
+@pytest.mark.long
 def test_the_command_line_takes_a_truth(qtbot: object, sensor: Sensor, files: Path) -> None:
     rec, truth = files / "sim.mcap", files / "what_is_true.npz"
     with window_session(sensor, rec, 2, None, truth=truth) as session:

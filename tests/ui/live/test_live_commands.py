@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from live_bench import sensor_file
 
@@ -43,6 +44,7 @@ def test_a_source_that_cannot_be_is_one_line(tmp_path: Path) -> None:
     assert "missing.mcap" in done.stderr and done.stderr.count("\n") == 1, done.stderr
 
 
+@pytest.mark.long
 def test_the_live_window_without_a_display_writes_pictures(tmp_path: Path) -> None:
     name = sensor_file(tmp_path)
     done = run("open", "--source", "synthetic:?frames=5", "--sensor", name, cwd=tmp_path)
@@ -51,6 +53,7 @@ def test_the_live_window_without_a_display_writes_pictures(tmp_path: Path) -> No
     assert len(written) == 3 and all(path.stat().st_size > 10_000 for path in written)
 
 
+@pytest.mark.long
 def test_the_soak_of_the_window_in_small(tmp_path: Path) -> None:
     name, out = sensor_file(tmp_path), tmp_path / "soak.mcap"
     done = run("bench", "live", "--window", "--minutes", "0.05", "--rate", "20", "--sensor", name,

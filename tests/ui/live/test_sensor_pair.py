@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fakes import DentSource
 from live_bench import IMAGE, Bench, contents, robot_sensor, two
 from PySide6.QtCore import Qt
@@ -117,6 +118,7 @@ def test_turning_to_the_other_sensor_does_not_move_the_view_in_the_world(
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
 
 
+@pytest.mark.long
 def test_time_is_shared(open_bench: Open) -> None:
     bench = paired(open_bench)
     bench.follow(8)
@@ -132,6 +134,7 @@ def test_time_is_shared(open_bench: Open) -> None:
     bench.wait(lambda: other(bench) > newest + 2)
 
 
+@pytest.mark.long
 def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: Open) -> None:
     bench = paired(open_bench)
     bench.record()

@@ -198,6 +198,7 @@ def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) 
     assert window.undo_stack.index() == 1 and window.undo_stack.canRedo()
 
 
+@pytest.mark.long
 def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
     driver = drive(frame=3)
     window, state = driver.window, driver.state

@@ -120,6 +120,7 @@ def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
 # -- sensors of no file -------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: Path) -> None:
     config = tmp_path / "config" / "session.json"
     with start(config) as session:
@@ -155,6 +156,7 @@ def test_a_live_source_is_connected_again_at_the_next_start(qtbot: object, tmp_p
     assert json.loads(config.read_text())["session"]["live"] is None
 
 
+@pytest.mark.long
 def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
     qtbot: object, files: Path, tmp_path: Path
 ) -> None:
@@ -184,6 +186,7 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
         assert session.state.facts.title.startswith(f"replay:{tmp_path / 'theirs'}")
 
 
+@pytest.mark.long
 def test_a_robot_that_is_not_there_yet_is_waited_for(
     qtbot: object, files: Path, tmp_path: Path
 ) -> None:
@@ -245,6 +248,7 @@ def bubbleviz(*arguments: str, **environment: str) -> subprocess.CompletedProces
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: Path) -> None:
     mine = drive()
     open_press(mine, files)

@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QApplication
 from window_driver import Driver
 
 from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.shell import message_bars
 from bubbleviz_ui.shell.text_dialogs import MessagesDialog
 
 Drive = Callable[..., Driver]
@@ -66,7 +67,10 @@ def test_a_session_that_was_saved_is_opened_in_the_window(drive: Drive, tmp_path
     assert driver.state.choices.kappa is None
 
 
-def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(drive: Drive, tmp_path: Path) -> None:
+def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(
+    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(message_bars, "NOTICE_MS", 500)
     driver = drive()
     window = driver.window
     window.save_screenshot(tmp_path / "missing" / "shot.png")

@@ -190,6 +190,7 @@ def fits(screen: str, **environment: str) -> dict[str, object]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.long
 def test_nothing_is_clipped_at_200_percent() -> None:
     seen = fits("3200, 2000", QT_SCALE_FACTOR="2")
     assert seen["ratio"] == 2.0
