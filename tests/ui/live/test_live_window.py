@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 from window_driver import texts
 
 from bubbleviz.calibration.pressure_zero import ENOUGH
+from bubbleviz.commands.record import record_source
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
@@ -28,7 +29,7 @@ from bubbleviz.live.source_status import STALE_AFTER_S
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
-from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz_ui.bench.live_soak import free_port
 from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.live import live_frames
@@ -324,7 +325,7 @@ def dents() -> list[Frame]:
     """A few presses; the last frame is one."""
     source = DentSource(robot_sensor())
     count = len(source)
-    return [replace(source[k % count], index=k, time_s=k / 30.0) for k in range(2 * count)]
+    return [replace(source[k % count], index=k, time_s=k / 30.0) for k in range(5 * count)]
 
 
 def test_a_source_that_ended_leaves_one_frame_everywhere(open_bench: Open) -> None:
@@ -372,9 +373,7 @@ def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path
     bench = open_bench()
     name = sensor_file(bench.folder)
     path = tmp_path / "rec.mcap"
-    with RecordingWriter(path) as writer:
-        for frame in dents():
-            writer.write(frame)
+    record_source(SYNTHETIC, load_sensor(name), path, 3.0)  # a few frames on slow machines
     bench.live_controller.connect_to(single(f"replay:{path}", name))
     bench.wait(lambda: "ended" in bench.window.live.state.text())
     bench.state.seek(1)
