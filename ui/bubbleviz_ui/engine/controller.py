@@ -178,18 +178,13 @@ class Controller(QObject):
 
     def _on_choices(self, names: frozenset[str]) -> None:
         choices, sensor = self.state.choices, self.sensor
-        if names & {"solver", "compared"} and sensor is not None and self._other_options:
+        estimator = names & {"solver", "compared"} and self.opening.options != choices.options
+        if estimator and sensor is not None:
             self.opening.reopen(choices.solver or "default solver", lambda: sensor)
         elif "cloud_points" in names or not self.client.demand.covers(Demand.of(choices)):
             self._ask_frame()
         elif names & PATCH_CHOICES:
             self.client.ask_patch()
-
-    @property
-    def _other_options(self) -> bool:
-        """Whether another estimator is chosen than the one that is open."""
-        opened = self.client.opened
-        return opened is None or opened.request.options != self.state.choices.options
 
     # -- requests -----------------------------------------------------------------------------
 

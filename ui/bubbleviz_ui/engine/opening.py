@@ -18,6 +18,7 @@ from bubbleviz_ui.model.session_state import SessionState
 
 if TYPE_CHECKING:
     from bubbleviz.frames.frame_source import FrameSource
+    from bubbleviz.inverse.estimator import EstimatorOptions
     from bubbleviz.sensor import Sensor
 
     OpenSource = Callable[[Sensor], FrameSource]
@@ -62,6 +63,13 @@ class Opening(QObject):
     def source(self) -> OpenSource | None:
         """Opener of what is open; None before the first."""
         return None if self.present is None else self.present.request.open_source
+
+    @property
+    def options(self) -> EstimatorOptions | None:
+        """Of what is open, or is being opened; None before the first."""
+        if self._waiting is not None:
+            return self._waiting.options
+        return None if self.present is None else self.present.request.options
 
     def open(
         self,
