@@ -257,7 +257,10 @@ def test_missing_sensor_file(bench: Bench, solving: str) -> None:
     bench.refused(solving, "nope.toml", "no such sensor file", "pico_flexx_75mm")
 
 
-@pytest.fixture(params=[b"", b"ply\nformat ascii 1.0\nelement vertex 9\n", None])
+BROKEN_MESHES = (b"", b"ply\nformat ascii 1.0\nelement vertex 9\n")
+
+
+@pytest.fixture(params=[*BROKEN_MESHES, None])
 def bad_dome(bench: Bench, request: pytest.FixtureRequest) -> Bench:
     """A sensor whose membrane is a mesh file that is empty, broken off or missing."""
     record(bench, GOOD)
@@ -273,7 +276,11 @@ def test_unreadable_mesh_of_the_membrane(bad_dome: Bench) -> None:
     bad_dome.refused("estimate", "dome.ply")
 
 
-@pytest.mark.parametrize("bad_dome", [None], indirect=True)
+@pytest.mark.parametrize(
+    "bad_dome",
+    [None, *(pytest.param(data, marks=pytest.mark.long) for data in BROKEN_MESHES)],
+    indirect=True,
+)
 def test_unreadable_mesh_through_the_real_window_command(bad_dome: Bench) -> None:
     """In a process of its own: the window's screen is one a process makes once."""
     before = snapshot(bad_dome.folder)

@@ -9,11 +9,11 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 from click.testing import CliRunner
 from notebooks import TUTORIALS
 from pages import FENCE, KINDS, NEEDS, PAGES, Command, blocks, local_links, name_of
@@ -34,7 +34,7 @@ def pages_with(*kinds: str) -> list[Path]:
     return [page for page in PAGES if blocks(page, *kinds)]
 
 
-def but_the_longest(pages: list[Path]) -> list[ParameterSet]:
+def but_the_longest(pages: list[Path]) -> list[Any]:
     """The page of all commands is of `make test-all`; that its options exist is always checked."""
     long = {page: pytest.mark.long for page in pages if page.name == "commands.md"}
     return [pytest.param(page, marks=long.get(page, ())) for page in pages]

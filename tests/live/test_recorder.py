@@ -198,7 +198,10 @@ while True:
 """
 
 
-@pytest.mark.parametrize(("name", "seed"), [("rec.mcap", 0), ("folder", 2)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("rec.mcap", 0), pytest.param("rec.mcap", 1, marks=pytest.mark.long), ("folder", 2)],
+)
 def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(
     tmp_path: Path, name: str, seed: int
 ) -> None:

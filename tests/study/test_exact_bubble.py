@@ -1,5 +1,6 @@
 """The exact bubble agrees with conservation laws; the linear model's error against it."""
 
+import os
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from bubbleviz.study.accuracy.exact_bubble import Bubble, axial_contact
 
 PAPER = Bubble(0.075, 0.05, 2585.5, 101325.0, 2.2e-3)
 BALL = 0.02
+SOME = (0.002, 0.010, 0.030)  # m, of the depths
 
 
 @cache
@@ -32,7 +34,7 @@ def film(contact, ball):
 
 
 @pytest.mark.parametrize("ball", [np.inf, BALL])
-@pytest.mark.parametrize("depth", [0.002, 0.010])
+@pytest.mark.parametrize("depth", [0.002, 0.010, pytest.param(0.025, marks=pytest.mark.long)])
 def test_force_is_what_the_rim_does_not_hold(ball, depth):
     contact = pressed(depth, ball)
     dr, dz = np.diff(contact.profile_m[-3:], axis=0).T
@@ -88,15 +90,17 @@ def linear_press(mesh, depth):
 
 def test_linear_model_is_right_for_small_depth_and_its_error_grows():
     mesh = mesh_cap(spherical_cap(PAPER.rim_radius_m, PAPER.height_m), 9_000)
-    depths = (0.002, 0.010, 0.030)
+    depths = (0.002, 0.005, 0.010, 0.020, 0.030) if "TEST_ALL" in os.environ else SOME
     errors = []
     for depth in depths:
         exact = pressed(depth, BALL)
         force, change = linear_press(mesh, depth)
         errors.append((force / exact.force_n - 1, change / exact.gas_pressure_change_pa - 1))
     force_error, pressure_error = np.abs(errors).T
+    # Measured: force +4.5, 7.4, 12, 26, 55 %; p_v −5, −2, +4, +20, +51 %.
     assert (np.diff(force_error) > 0.0).all()
     assert force_error[0] < 0.06
-    assert force_error[1] < 0.15
-    assert pressure_error[:2].max() < 0.06
+    middle = depths.index(0.010)
+    assert force_error[middle] < 0.15
+    assert pressure_error[: middle + 1].max() < 0.06
     assert force_error[-1] > 0.4  # where the linear model stops being true

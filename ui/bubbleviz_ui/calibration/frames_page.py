@@ -34,7 +34,7 @@ ENDED_BY = {
     "recording": "nothing touches the sensor up to the end",
 }
 
-OVER = {
+NO_FRAMES = {
     "disconnected": "Disconnected: connect again (Ctrl+L) to collect frames.",
     "ended": "The source has ended: connect again (Ctrl+L) to collect frames.",
 }
@@ -206,14 +206,14 @@ class CollectBox(QGroupBox):
 
     def _show(self) -> None:
         collector = self.collector
-        over = OVER.get(self._calibration.controller.state.badge, "")
-        self.button.setEnabled(not over)
+        why_none = NO_FRAMES.get(self._calibration.controller.state.badge, "")
+        self.button.setEnabled(not why_none)
         self.button.setText(f"Collect {count_of(self.count.value(), 'frame')}")
         self.button.setVisible(not collector.active)
         self.stop.setVisible(collector.active)
         self.cancel.setVisible(collector.active)
         if not collector.active:
-            self.said.setText(over)
+            self.said.setText(why_none)
             return
         text = f"{len(collector.frames)} of {self.count.value()} frames"
         tension = collector.tension
@@ -221,4 +221,4 @@ class CollectBox(QGroupBox):
             share = self._units.share.text(tension.half_width / tension.value)
             shown = self._units.tension.with_interval(tension.value, tension.half_width)
             text += f" · γ0 so far {shown} ({share})"
-        self.said.setText(f"{text} {collector.message} {over}".strip())
+        self.said.setText(f"{text} {collector.message} {why_none}".strip())

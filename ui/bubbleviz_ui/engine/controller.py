@@ -144,8 +144,7 @@ class Controller(QObject):
 
     def compare(self, settings: tuple[tuple[EstimatorOptions, float | None], ...]) -> None:
         """Measure two settings and their κ, or none, on the frame at the cursor, in spare time."""
-        demand = Demand.of(self.state.choices)
-        self._ask(CompareRequest(self.client.session, demand, self.state.frame, settings))
+        self._ask(CompareRequest(self.client.session, self.state.frame, settings))
 
     def turn_to(self, client: SensorClient) -> SensorClient:
         """Have the panels show the other sensor of a session; gives back the one they showed."""

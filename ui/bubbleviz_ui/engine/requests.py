@@ -132,7 +132,6 @@ class CompareRequest:
     """Measure two settings and their κ on one frame; none: let go of what was built for that."""
 
     session: int
-    demand: Demand
     index: int
     settings: tuple[tuple[EstimatorOptions, float | None], ...]
 

@@ -31,8 +31,9 @@ class FileExport:
     out : Path
     what : str
         Of `bubbleviz.export.export_plan.KINDS` for a folder; empty: the suffix of `out` says it.
-    kappa, least_area_m2, solver
+    kappa, least_area_m2
         As in `Choices`.
+    estimator : EstimatorOptions
     poses : dict
         Pose columns by frame, see `bubbleviz.export.pose_columns`.
     """

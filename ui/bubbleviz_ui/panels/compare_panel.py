@@ -67,7 +67,6 @@ class Column:
         self.kappa = QDoubleSpinBox(minimum=0.0, maximum=HIGHEST, singleStep=0.5)
         self.kappa.setSpecialValueText("as shown")
         self.used = QPushButton(f"Use {SETTINGS[number]}")
-        self.used.setToolTip("Analyse all frames with it; undo brings the present solver back")
         self.used.clicked.connect(self.use)
         self.values = {name: QLabel(NOTHING) for name in ROWS}
         usual = EstimatorOptions()
@@ -154,13 +153,13 @@ class ComparePanel(QWidget):
             "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),
             "Pixel binning": ("block", "Side of the squares of pixels that are averaged"),
             "κ": ("kappa", "Threshold as a multiple of the mean contact pressure"),
-            "": ("used", ""),
+            "": ("used", "Analyse all frames with it; undo brings the present solver back"),
         }
         for row, (title, (name, tip)) in enumerate(controls.items(), start=1):
             grid.addWidget(QLabel(title), row, 0)
             for place, each in enumerate((self.a, self.b), start=1):
                 control = getattr(each, name)
-                control.setToolTip(tip or control.toolTip())
+                control.setToolTip(tip)
                 control.setMinimumWidth(84)
                 grid.addWidget(control, row, place)
         for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):

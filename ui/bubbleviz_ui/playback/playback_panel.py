@@ -122,7 +122,7 @@ class PlaybackPanel(QWidget):
             spacing=0,
         )
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.readout.setMinimumWidth(1)  # the status bar has it, too
+        self.readout.setMinimumWidth(1)  # clipped where there is no room: the status bar has it
 
     def _connect(self) -> None:
         state = self._state

@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.commands.info import recording_info
+from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.source_openers import RecordingOpener
@@ -86,18 +87,21 @@ class InformationDialog(TextDialog):
         self.text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
         sensor, facts = controller.sensor, controller.state.facts
         opener = controller.opening.source
-        self._lines = [] if sensor is None else [_line("sensor", title_text(sensor))]
+        self._sensor = "" if sensor is None else f"Sensor: {title_text(sensor)}"
         if isinstance(opener, RecordingOpener):
             path = opener.path
             self.text.setPlaceholderText("Reading the recording…")
             jobs.replace(lambda _: recording_info(path).to_text(), self._on_read)
             self.finished.connect(jobs.cancel)
         elif facts is not None:
-            source = [_line("source", facts.title), _line("frames", f"{facts.frames} so far")]
-            self.text.setPlainText("\n".join([*self._lines, *source]))
+            so_far = " so far" if facts.grows else ""
+            self._write(f"Source: {facts.title}, {count_of(facts.frames, 'frame')}{so_far}")
 
     def _on_read(self, done: Done) -> None:
-        self.text.setPlainText("\n".join([*self._lines, done.message or done.answer]))
+        self._write(done.message or done.answer)
+
+    def _write(self, text: str) -> None:
+        self.text.setPlainText(f"{self._sensor}\n{text}")
 
 
 class PagesDialog(QDialog):
@@ -120,8 +124,3 @@ class PagesDialog(QDialog):
         self.page.backwardAvailable.connect(self.back.setEnabled)
         fill(QVBoxLayout(self), fill(QHBoxLayout(), self.home, self.back, 1), (self.page, 1))
         self.page.setSource(QUrl.fromLocalFile(str(folder / HOME)))
-
-
-def _line(title: str, text: str) -> str:
-    """One line as `bubbleviz info` writes them."""
-    return f"{title:<13} {text}"

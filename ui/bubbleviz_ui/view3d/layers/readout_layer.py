@@ -16,7 +16,7 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
 
 WIDEST = 420
-"""Of the lines, screen pixels: in a narrower view they are smaller, not below the colour bars."""
+"""Width of the longer line, pixels: where there is less beside the colour bars, text is smaller."""
 
 
 class ReadoutLayer(Layer):
