@@ -328,6 +328,11 @@ def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:
     assert "0 missing" in report.to_text()
 
 
+def test_a_soak_without_a_solved_frame_says_so(small_sensor_file: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="0 solved within 0 s: nothing to report"):
+        soak(str(small_sensor_file), 0.0, 60.0, tmp_path / "soak.mcap")
+
+
 def test_the_soak_sees_what_is_missing(tmp_path: Path) -> None:
     """The count that decides is not blind: a file with a hole has a hole."""
     from wire import NOW, PERIOD, depth

@@ -238,10 +238,15 @@ def sequences(path: Path) -> np.ndarray:
 
 
 def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) -> SoakReport:
-    """Report on a recording and what was counted meanwhile."""
+    """Report on a recording and what was counted meanwhile; InputError when that is nothing."""
     count = sequences(path)
     steps = np.diff(np.sort(count))
     ages = np.array(measured.ages_s)
+    if not (len(count) and len(ages)):
+        raise InputError(
+            f"bench live: {len(count)} images recorded and {len(ages)} solved within "
+            f"{seconds:g} s: nothing to report; ask for more --minutes"
+        )
     warm_up = min(WARM_UP_S, 0.5 * seconds)
     before = [size for at, size in measured.memory if at <= warm_up]
     after = [size for at, size in measured.memory if at > warm_up]

@@ -84,6 +84,7 @@ def _soak(
 ) -> tuple[Measured, float]:
     live, run = session.window.live_controller, run_of(session)
     stream = run.frames[0].stream
+    session.wait_for(lambda: len(run.frames[0]) > 0, "the first solved frame")
     live.recording.start(run.session.recorder, path)
     session.wait_for(lambda: live.recording.state() is not None, "the recording")
     session.window.picture_age.begin(10**7)
