@@ -18,6 +18,7 @@ from bubbleviz_ui.engine.requests import (
     Opened,
     OpenRequest,
     Request,
+    SettleRequest,
     Solved,
 )
 from bubbleviz_ui.engine.solver_server import Server
@@ -39,10 +40,12 @@ def test_one_slot_a_kind(sensor: Sensor) -> None:
     slots = RequestSlots()
     assert slots.put(frame(1)) is None
     assert slots.put(frame(2)) == frame(1)
+    slots.put(SettleRequest(1, frame(2).demand, 2))
+    slots.put(frame(3))  # what was left is not settled any more
     request = opening(sensor)
     slots.put(request)
     assert slots.take() is request
-    assert slots.take() == frame(2)
+    assert slots.take() == frame(3)
     slots.close()
     assert slots.take() is None
 

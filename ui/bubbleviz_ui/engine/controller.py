@@ -160,6 +160,7 @@ class Controller(QObject):
     # -- the model changed --------------------------------------------------------------------
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
+        self._stands.stop()  # until the next frame is shown
         if not (by_playback and self._grows):
             self._ask_frame()
 

@@ -37,9 +37,14 @@ class RequestSlots:
         self._closed = False
 
     def put(self, request: Request) -> Request | None:
-        """Leave a request; returns the one it replaces, which will never be served."""
+        """Leave a request; returns the one it replaces, which will never be served.
+
+        Another frame also replaces what was to be settled: nobody stays there any more.
+        """
         with self._changed:
             replaced = self._waiting.get(type(request))
+            if type(request) is FrameRequest:
+                self._waiting.pop(SettleRequest, None)
             self._waiting[type(request)] = request
             self._changed.notify()
         return replaced
