@@ -7,6 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+_SETTLED = 1e-8
+"""Error of image-plane coordinates that Newton's next step squares to rounding."""
+
 DistortionModel = Literal["none", "plumb_bob", "inverse_brown_conrady"]
 
 
@@ -83,12 +86,12 @@ def _brown_conrady(
 
 
 def _undistort(
-    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], iterations: int = 10
+    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], most_steps: int = 10
 ) -> tuple[np.ndarray, np.ndarray]:
     """Inverse of `_brown_conrady` by Newton's method, from the distorted point itself."""
     k1, k2, p1, p2, k3 = coefficients
     x0, y0 = x, y
-    for _ in range(iterations):
+    for _ in range(most_steps):
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))
@@ -100,4 +103,6 @@ def _undistort(
         determinant = xx * yy - xy * xy
         x = x + (yy * ex - xy * ey) / determinant
         y = y + (xx * ey - xy * ex) / determinant
+        if max(np.abs(ex).max(initial=0.0), np.abs(ey).max(initial=0.0)) < _SETTLED:
+            break
     return x, y

@@ -6,7 +6,7 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.raycast import Hits, RayCaster
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, cross
 
 
 class MembraneView:
@@ -39,30 +39,46 @@ class MembraneView:
     def above(self, displacement_m: np.ndarray, field: np.ndarray, level: float) -> np.ndarray:
         """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level.
 
-        Only the triangles that reach the level are cast at: a patch is pushed towards the
-        camera, so that no other part of the membrane stands before it.
+        Only the triangles that reach the level are drawn: a patch is pushed towards the camera, so
+        that no other part of the membrane stands before it.
         """
         mask = np.zeros(self.shape, bool)
-        reaching = np.any(field[self.mesh.triangles] > level, axis=1)
-        if not reaching.any():
+        triangles = self.mesh.triangles
+        reaching = triangles[np.any(field[triangles] > level, axis=1)]
+        if not len(reaching):
             return mask
-        nodes, corners = np.unique(self.mesh.triangles[reaching], return_inverse=True)
-        points = self.mesh.deformed(displacement_m)[nodes]
-        window = self._window(points)
-        directions = self.camera.directions[window]
-        caster = RayCaster(self.camera.center, directions, corners.reshape(-1, 3))
-        hits = caster.cast(points, self.mesh.normals[nodes])
-        values = field[nodes][caster.triangles[hits.triangle]]
-        seen = np.einsum("ij,ij->i", hits.barycentric, values) > level
-        mask.ravel()[window[hits.ray[seen]]] = True
+        local = self.mesh.deformed(displacement_m) - self.camera.center
+        a, b, c = (local[reaching[:, k]] for k in range(3))
+        # times the ray: its barycentric coordinates up to a positive factor
+        faces = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
+        faces *= np.sign(np.einsum("mj,mj->m", a, faces[:, 0]))[:, None, None]
+        excess = np.einsum("mk,mkj->mj", field[reaching] - level, faces)
+        triangle, pixel = self._candidates(local, reaching)
+        rays = self.camera.directions[pixel].T
+        seen = np.ones(len(pixel), bool)
+        for form in (faces[:, 0], faces[:, 1], faces[:, 2], excess):
+            x, y, z = form[triangle].T * rays
+            seen &= x + y + z >= 0.0
+        mask.ravel()[pixel[seen]] = True
         return mask
 
-    def _window(self, points: np.ndarray) -> np.ndarray:
-        """Flat indices of the pixels in the box that points (k, 3) in B span in the image."""
-        T = self.camera.T_B_C
-        uv = self.camera.intrinsics.project((points - T[:3, 3]) @ T[:3, :3])
-        size = (self.shape[1], self.shape[0])
-        low = np.clip(np.floor(uv.min(axis=0)).astype(int), 0, size)
-        high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + 1, 0, size)
-        rows = np.arange(low[1], high[1])[:, None] * size[0]
-        return (rows + np.arange(low[0], high[0])).ravel()
+    def _candidates(
+        self, local: np.ndarray, triangles: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle (k,) and flat pixel (k,) of all pixels in the boxes that triangles span.
+
+        `local` are node positions from the camera centre in the directions of B, m.
+        """
+        width, height = self.shape[1], self.shape[0]
+        nodes, corners = np.unique(triangles, return_inverse=True)
+        uv = self.camera.intrinsics.project(local[nodes] @ self.camera.T_B_C[:3, :3])
+        spans = uv[corners.reshape(-1, 3)]
+        low = np.clip(np.floor(spans.min(axis=1)).astype(int), 0, (width, height))
+        high = np.clip(np.ceil(spans.max(axis=1)).astype(int) + 1, 0, (width, height))
+        columns, rows = (high - low).T
+        count = columns * rows
+        triangle = np.repeat(np.arange(len(triangles)), count)
+        place = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+        row, column = np.divmod(place, columns[triangle])
+        first = low[:, 1] * width + low[:, 0]
+        return triangle, first[triangle] + row * width + column
