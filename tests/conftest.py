@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -58,6 +60,30 @@ def punyo_press() -> Path:
     if not path.is_dir():
         pytest.skip("the real recording punyo_press_a is not on this machine")
     return path
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Path:
+    """A folder with certificates of two authorities, one of localhost with its key, and logins."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl, which makes the certificates, is not on this machine")
+    folder = tmp_path / "certificates"
+    folder.mkdir()
+    (folder / "names").write_text("subjectAltName=DNS:localhost\n")
+    (folder / "login").write_text("ann:secret\n")
+    (folder / "stranger").write_text("bob:secret\n")
+    new = "req -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes"
+    for words in (
+        f"{new} -x509 -keyout ca.key -out ca.pem -days 2 -subj /CN=authority",
+        f"{new} -x509 -keyout other.key -out other.pem -days 2 -subj /CN=other"
+        " -addext subjectAltName=DNS:localhost",
+        f"{new} -keyout key.pem -out asked -subj /CN=localhost",
+        "x509 -req -in asked -CA ca.pem -CAkey ca.key -CAcreateserial -extfile names"
+        " -out cert.pem -days 2",
+    ):
+        command = ("openssl", *words.split())
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return folder
 
 
 @pytest.fixture

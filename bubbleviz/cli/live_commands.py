@@ -121,7 +121,8 @@ def _zenoh_place(
     option: str, listen: str | None, connect: str | None, files: Mapping[str, Any]
 ) -> Any:
     """Where to publish, with the files of `Credentials`; None for nowhere."""
-    from bubbleviz.live.sources.zenoh_session import Credentials, SessionOptions
+    from bubbleviz.live.sources.zenoh_credentials import Credentials
+    from bubbleviz.live.sources.zenoh_session import SessionOptions
 
     if listen is not None and connect is not None:
         raise click.UsageError("publish at a place or through a router, not both")

@@ -309,9 +309,9 @@ def _first_frame(
 
 
 def _seen(stream: LiveStream) -> str:
-    counters = stream.counters()
-    if counters.problem:
-        return counters.problem
+    problem = stream.source.problem() or stream.counters().problem
+    if problem:
+        return problem
     offered = ", ".join(topic.name for topic in stream.topics())
     return f"topics there: {offered}" if offered else "no topics were found"
 

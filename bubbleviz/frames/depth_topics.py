@@ -39,7 +39,7 @@ def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
         return None
     name = f"{found[1]}/option/Depth_Units/value"
     for topic in bag.topics:
-        if topic.name == name and topic.count:
+        if topic.name.replace(" ", "_") == name and topic.count:  # older libraries wrote a space
             return float(bag.messages(topic).message(0).data)
     return 1e-3  # what every model but the D405 begins with
 

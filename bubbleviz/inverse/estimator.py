@@ -256,15 +256,18 @@ class Estimator:
     ) -> tuple[Observation, _LocalModel, _Answer | None]:
         """Linearise where the last frame ended, and again where this one does.
 
-        A second pass is also due where the first took for outliers what was a new dent.
+        A second pass is also due where the first took for outliers what was a new dent. From then
+        on a first frame gets nearer with every pass, unless its depths are of something else:
+        steps that grow, each to another answer, lead nowhere and would take seconds.
         """
-        recast = self.options.relinearisations > 0
+        recast, cold = self.options.relinearisations > 0, start.answer is None
         model, answer, solve_ms = start.model, start.answer, 0.0
+        before = np.inf
         here = answer.displacement_m if answer else np.zeros(len(self.mesh.nodes))
         # From rest a dent is reached in steps; a seek ends where playing the recording would.
         casts, settled_m = (1, self._far_m) if answer else (_COLD, self._near_m)
         measured = self.observer.measure(depth_m)
-        for _ in range(1 + casts * self.options.relinearisations if recast else 2):
+        for number in range(1 + casts * self.options.relinearisations if recast else 2):
             model = self._around(here if recast else np.zeros_like(here), model)
             expected = self.observer.predict(model.linear, here)
             observation = self.observer.weigh(measured, expected)
@@ -275,8 +278,11 @@ class Estimator:
                 return observation, model, self._out_of_reach
             answer = self._solve_linear(observation, model.linear, gas, answer)
             solve_ms += answer.solve_ms
-            moved = np.max(np.abs(answer.displacement_m - here))
+            moved = float(np.max(np.abs(answer.displacement_m - here)))
             here = answer.displacement_m
+            if cold and number > 1 and moved > max(before, self._far_m):
+                return observation, model, self._out_of_reach
+            before = moved
             settled = moved <= settled_m or (not recast and observation.trusted == 1.0)
             if settled or answer.status == "implausible":
                 break

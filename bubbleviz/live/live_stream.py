@@ -99,7 +99,7 @@ class LiveStream:
         """How the source is doing now."""
         last = self._last_frame_ns
         silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
-        return status_of(self.source.link(), silent)
+        return status_of(self.source.link(), silent, self.source.problem())
 
     @property
     def outages(self) -> tuple[Outage, ...]:

@@ -23,10 +23,13 @@ class Status:
         `connecting`: nothing arrived yet. `stale`: connected, but no depth image comes.
     silent_s : float or None
         Time since the last depth image, s; None before the first.
+    problem : str
+        Why nothing has come yet, where that is known.
     """
 
     state: State
     silent_s: float | None
+    problem: str = ""
 
     @property
     def text(self) -> str:
@@ -39,18 +42,18 @@ class Status:
     def silence(self) -> str:
         """For how long nothing has come, in a few words; empty where images come."""
         if self.state == "connecting":
-            return "waiting for the first depth image"
+            return self.problem or "waiting for the first depth image"
         if self.state == "live" or self.silent_s is None:
             return ""
         return f"nothing for {self.silent_s:.1f} s"
 
 
-def status_of(link: Link, silent_s: float | None) -> Status:
-    """Status from the state of the connection and the time since the last depth image, s."""
+def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
+    """Status from the connection, the time since the last depth image, s, and what is wrong."""
     if link == "ended":
         return Status("ended", silent_s)
     if link == "lost" and (silent_s is None or silent_s > STALE_AFTER_S):
         return Status("reconnecting", silent_s)
     if silent_s is None:
-        return Status("connecting", None)
+        return Status("connecting", None, problem)
     return Status("stale" if silent_s > STALE_AFTER_S else "live", silent_s)

@@ -10,11 +10,13 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
+from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.frames.recording import Recording
 from tests.frames.bagmaker import BagMaker, fill
+from tests.frames.realsense_bag import CLOCK_MS, PERIOD_MS, depth_units, write_realsense_bag
 from tests.small_press import HEIGHTS, small_source, write_small_sensor
 
 CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
@@ -110,6 +112,28 @@ def test_other_bags_say_the_same(kind: str, tmp_path: Path) -> None:
             assert a.gas_pressure_pa == pytest.approx(b.gas_pressure_pa)
             assert a.intrinsics == b.intrinsics
             assert a.wrench == pytest.approx(b.wrench)
+
+
+@pytest.mark.parametrize(
+    ("unit_m", "option"),
+    [(1e-4, "Depth_Units"), (1e-3, "Depth_Units"), (2.5e-5, "Depth Units"), (None, "")],
+)
+def test_a_bag_of_the_realsense_viewer(unit_m: float | None, option: str, tmp_path: Path) -> None:
+    """Whatever the unit; infrared images of 16 bits beside the depth's are none."""
+    out = tmp_path / "out.mcap"
+    write_realsense_bag(tmp_path / "camera.bag", unit_m, option)
+    assert "4 frames of 32×24 pixels in 0.1 s, intrinsics" in converted(
+        tmp_path / "camera.bag", out
+    )
+    with Recording(out) as recording:
+        assert recording.times_s == pytest.approx(1e-3 * PERIOD_MS * np.arange(4), abs=1e-6)
+        assert recording.stamps_ns[0] == round(1e6 * CLOCK_MS)
+        for k, frame in enumerate(recording):
+            units = depth_units(k)
+            expected = np.where(units > 0, (unit_m or 1e-3) * units, np.nan)
+            np.testing.assert_allclose(frame.depth_m, expected, rtol=1e-6)
+        lens = (30.0, 31.0, 15.25, 11.75, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.01))
+        assert recording.intrinsics == Intrinsics(32, 24, *lens)
 
 
 def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:

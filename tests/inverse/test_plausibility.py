@@ -1,9 +1,11 @@
 """What is refused as an image of this membrane."""
 
+import numpy as np
 import pytest
 
-from bubbleviz.camera.observer import Misfit
+from bubbleviz.camera.observer import Misfit, RangeObserver
 from bubbleviz.inverse.plausibility import reason_against_fit
+from tests.inverse.conftest import CAMERA, estimator, first
 
 
 @pytest.mark.parametrize(
@@ -21,3 +23,22 @@ from bubbleviz.inverse.plausibility import reason_against_fit
 )
 def test_a_misfit_is_noise_up_to_a_size_and_a_shape(deviations, clumping, white, explained):
     assert (reason_against_fit(Misfit(1e-4, deviations, clumping), white) == "") is explained
+
+
+@pytest.mark.parametrize("depth_m", [0.11, 0.125])
+def test_a_plane_across_the_dome_is_given_up_early(depth_m, monkeypatch):
+    """Every pass finds another shape, none nearer: the first three say so, of seven there may be.
+
+    The farther one was taken for a press.
+    """
+    casts, cast = [], RangeObserver.linearise
+    monkeypatch.setattr(
+        RangeObserver, "linearise", lambda self, *at: casts.append(at) or cast(self, *at)
+    )
+    solver = estimator()
+    casts.clear()
+    size = CAMERA.intrinsics.height, CAMERA.intrinsics.width
+    found = first(solver, np.full(size, depth_m, np.float32))
+    assert found.status == "implausible" and "not near this membrane" in found.reason
+    assert len(casts) <= 3
+    assert not found.displacement_m.any() and np.isnan(found.gas_pressure_change_pa)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -248,28 +247,7 @@ def test_a_published_recording_waits_for_its_first_subscriber(
     assert done.exit_code == 2 and "leave --wait out" in done.stderr
 
 
-@pytest.fixture
-def certificates(tmp_path: Path) -> Path:
-    """A folder with the certificate of an authority, one of localhost with its key, and a login."""
-    folder, curve = tmp_path / "certificates", ("-pkeyopt", "ec_paramgen_curve:prime256v1")
-    folder.mkdir()
-    (folder / "names").write_text("subjectAltName=DNS:localhost\n")
-    (folder / "login").write_text("ann:secret\n")
-    (folder / "stranger").write_text("bob:secret\n")
-    ours = ("-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-extfile", "names")
-    for words in (
-        ("req", "-x509", "-newkey", "ec", *curve, "-nodes", "-keyout", "ca.key", "-out", "ca.pem",
-         "-days", "2", "-subj", "/CN=authority"),
-        ("req", "-newkey", "ec", *curve, "-nodes", "-keyout", "key.pem", "-out", "asked",
-         "-subj", "/CN=localhost"),
-        ("x509", "-req", "-in", "asked", *ours, "-out", "cert.pem", "-days", "2"),
-    ):  # fmt: skip
-        subprocess.run(("openssl", *words), cwd=folder, check=True, capture_output=True)
-    return folder
-
-
 @pytest.mark.long
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes the certificates")
 def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
     tmp_path: Path, certificates: Path, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,11 +268,20 @@ def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
         assert done.exit_code == 0, done.output
         assert recording_info(out).frames > 0
         monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 2.0)
-        for options in (f"login={login}", f"ca={ca}", f"ca={ca}&login={certificates / 'stranger'}"):
+        auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
+        for options, why in (
+            (f"login={login}", "refused: the certificate of localhost is not signed by"),
+            (f"ca={ca}", "it may ask for user and password"),
+            (f"ca={ca}&login={certificates / 'stranger'}", "check user and password"),
+        ):
             refused = f"zenoh:{endpoint}?{options}"
             more = ("--out", str(tmp_path / "no.mcap"), "--duration", "0.1")
-            done = run("record", "--source", refused, *more)
-            assert done.exit_code == 2 and "nothing arrived" in done.stderr
+            for words in (("record", *more), ("watch", *auto), ("watch", *named)):
+                done = run(*words, "--source", refused)
+                assert done.exit_code == 2 and why in done.stderr and done.stderr.count("\n") == 1
+        more = ("--connect", endpoint, "--ca", ca, "--duration", "0.1")
+        done = run("publish", "--source", "synthetic:", *more)
+        assert done.exit_code == 2 and "it may ask for user and password" in done.stderr
     finally:
         publisher.terminate()
         publisher.communicate(timeout=240)

@@ -25,8 +25,9 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.recorder import Recorder
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources import zenoh_keys
+from bubbleviz.live.sources import zenoh_keys, zenoh_session
 from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.zenoh_credentials import Credentials
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.bench.live_soak import free_port
@@ -273,6 +274,66 @@ def test_endpoints_are_refused_in_one_line(small_sensor: Sensor) -> None:
         with pytest.raises(InputError, match="no Zenoh session") as caught:
             open_stream(source, small_sensor).start()
         assert "\n" not in str(caught.value)
+
+
+Told = Callable[..., str]
+
+
+@pytest.fixture
+def told(small_sensor: Sensor, eventually: Eventually) -> Told:
+    """What a source says that is refused: `told(endpoint, ca=…, login=…)`."""
+
+    def ask(endpoint: str, **given: str) -> str:
+        options = "&".join(f"{name}={value}" for name, value in given.items())
+        with open_stream(f"zenoh:{endpoint}?{options}", small_sensor) as stream:
+            eventually(stream.source.problem)
+            assert stream.status().state == "connecting"
+            return stream.status().text.removeprefix("refused: ")
+
+    return ask
+
+
+def test_who_refuses_a_session_is_told_from_who_is_not_there(
+    small_sensor: Sensor, certificates: Path, eventually: Eventually, told: Told
+) -> None:
+    """Zenoh says of either only that it cannot connect."""
+    files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "login", "stranger")
+    ca, cert, key, other, login, stranger = (str(certificates / name) for name in files)
+    port = free_port()
+    at = f"tls/localhost:{port}"
+    with open_stream(f"zenoh:{at}?ca={ca}&login={login}", small_sensor) as waits:
+        assert waits.status().text == "waiting for the first depth image"
+        with listener(at, Credentials(cert=cert, key=key, login=login)):
+            eventually(lambda: waits.source.link() == "up")
+            assert waits.source.problem() == ""
+            signed = "the certificate of localhost is not signed by"
+            assert told(at) == f"{signed} an authority that this system knows; check ca="
+            assert told(at, ca=other) == f"{signed} ca={other}; check ca="
+            assert "not valid for '127.0.0.1'" in told(f"tls/127.0.0.1:{port}", ca=ca)
+            assert "in PEM form" in told(at, ca=login)
+            no_session = f"localhost:{port} answers and accepts no session;"
+            assert told(at, ca=ca) == f"{no_session} it may ask for user and password, give login="
+            check = f"{no_session} check user and password in login={stranger}"
+            assert told(at, ca=ca, login=stranger) == check
+            assert told(f"tcp/localhost:{port}").endswith("or it is encrypted, write tls/")
+
+
+def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(
+    certificates: Path, told: Told
+) -> None:
+    files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
+    ca, cert, key, other, other_key = (str(certificates / name) for name in files)
+    at = f"tls/localhost:{free_port()}"
+    with listener(at, Credentials(ca=ca, cert=cert, key=key)):  # it wants ours, too
+        missing = "localhost asks for a certificate of this computer; give cert= and key="
+        assert told(at, ca=ca).startswith(missing)
+        assert f"not accept cert={other};" in told(at, ca=ca, cert=other, key=other_key)
+    with listener(at, Credentials(cert=other, key=other_key)):
+        assert "is the authority's own" in told(at, ca=other)
+
+
+def listener(endpoint: str, credentials: Credentials) -> zenoh.Session:
+    return zenoh_session.open_session(SessionOptions("robot", None, endpoint, credentials))
 
 
 def test_our_keys_are_the_ones_robots_use() -> None:

@@ -182,9 +182,15 @@ class HeldPress:
         Raises
         ------
         InputError
-            The gas pressure rose too little, or no rubber is near the press.
+            The gas pressure fell, which no press of a closed chamber does, or rose too little, or
+            no rubber is near the press.
         """
-        if abs(self._rise) < LEAST_RISE * gauge_pressure_pa:
+        if self._rise < 0.0:
+            raise InputError(
+                f"{self.source_name}: the gas pressure falls by {-self._rise:.0f} Pa in the press,"
+                " which a closed chamber's cannot; check its topic, and the chamber for leaks"
+            )
+        if self._rise < LEAST_RISE * gauge_pressure_pa:
             raise InputError(
                 f"{self.source_name}: the press changes the gas pressure by {self._rise:.0f} Pa"
                 " only; press deeper"

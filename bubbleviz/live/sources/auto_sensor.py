@@ -20,7 +20,7 @@ def sensor_for_source(
     text: str,
     name: str,
     patience_s: float = float("inf"),
-    waiting: Callable[[], None] = lambda: None,
+    waiting: Callable[[LiveStream], None] = lambda _: None,
 ) -> str:
     """Name of the sensor for a live source: as given, or for `auto` the one preset that fits.
 
@@ -34,7 +34,8 @@ def sensor_for_source(
     patience_s : float
         How long the first image may take, s.
     waiting : callable
-        Called now and then until the image is there; what it raises ends the waiting.
+        Called with the stream now and then until the image is there; what it raises ends the
+        waiting.
 
     Raises
     ------
@@ -53,11 +54,11 @@ def sensor_for_source(
 
 
 def _image_size(
-    stream: LiveStream, text: str, patience_s: float, waiting: Callable[[], None]
+    stream: LiveStream, text: str, patience_s: float, waiting: Callable[[LiveStream], None]
 ) -> tuple[int, int]:
     deadline = time.monotonic() + patience_s
     while (frame := stream.take(LOOK_S)) is None:
-        waiting()
+        waiting(stream)
         if stream.source.link() == "ended" or time.monotonic() > deadline:
             why = stream.source.problem() or stream.counters().problem or "give --sensor"
             raise InputError(f"--source {text}: no depth image arrived; {why}")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import zenoh
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.sources.source_uri import SourceUri
+from bubbleviz.live.sources.zenoh_credentials import Credentials
+from bubbleviz.live.sources.zenoh_refusal import refusal
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen."""
@@ -20,49 +21,18 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor"
 """Zenoh connects again by itself, at these intervals."""
 
 
-@dataclass(frozen=True)
-class Credentials:
-    """Files by which two sides know each other; each may be left out.
+class RefusedError(InputError):
+    """Somebody answers at the endpoint, and accepts no session.
 
     Attributes
     ----------
-    ca : str or None
-        Certificate of the authority that the other side's must be of.
-    cert, key : str or None
-        Own certificate and its private key: of who listens at `tls/…`, and of who connects where
-        that is asked for, by a `ca` of who listens.
-    login : str or None
-        Lines `user:password`: who listens lets these in, who connects is the first of them.
+    why : str
+        And what to do.
     """
 
-    ca: str | None = None
-    cert: str | None = None
-    key: str | None = None
-    login: str | None = None
-
-    def settings(self, *, connects: bool) -> dict[str, Any]:
-        """Zenoh's settings of them.
-
-        Raises
-        ------
-        InputError
-            A file is not there, or the first line of `login` is no `user:password`.
-        """
-        for file in filter(None, (self.ca, self.cert, self.key, self.login)):
-            if not Path(file).is_file():
-                raise InputError(f"{file}: no such file; check the path")
-        tls, side = "transport/link/tls", "connect" if connects else "listen"
-        found: dict[str, Any] = {
-            f"{tls}/root_ca_certificate": self.ca,
-            f"{tls}/{side}_certificate": self.cert,
-            f"{tls}/{side}_private_key": self.key,
-            f"{tls}/enable_mtls": True if self.ca and self.cert else None,
-        }
-        if self.login and connects:
-            found |= _first_login(self.login)
-        elif self.login:
-            found["transport/auth/usrpwd/dictionary_file"] = self.login
-        return {name: value for name, value in found.items() if value is not None}
+    def __init__(self, options: SessionOptions, why: str) -> None:
+        super().__init__(f"{options.text}: refused: {why}")
+        self.why = why
 
 
 @dataclass(frozen=True)
@@ -84,7 +54,7 @@ class SessionOptions:
     text: str
     connect: str | None = None
     listen: str | None = None
-    credentials: Credentials = Credentials()
+    credentials: Credentials = field(default_factory=Credentials)
 
     @classmethod
     def of(cls, uri: SourceUri) -> SessionOptions:
@@ -124,16 +94,8 @@ def make_config(options: SessionOptions) -> Any:
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
-        raise _refusal(options, error) from error
+        raise _no_session(options, error) from error
     return config
-
-
-def _first_login(file: str) -> dict[str, str]:
-    user, found, password = Path(file).read_text(encoding="utf-8").partition("\n")[0].partition(":")
-    if not found:
-        raise InputError(f"{file}: its first line is no user:password; write one")
-    auth = "transport/auth/usrpwd"
-    return {f"{auth}/user": user.strip(), f"{auth}/password": password.strip()}
 
 
 def open_session(options: SessionOptions) -> Any:
@@ -143,11 +105,17 @@ def open_session(options: SessionOptions) -> Any:
     ------
     InputError
         The endpoint is malformed, the connection fails, or the address cannot be bound.
+    RefusedError
+        Who answers at the endpoint does not accept the session.
     """
+    config = make_config(options)
     try:
-        return zenoh.open(make_config(options))
+        return zenoh.open(config)
     except zenoh.ZError as error:
-        raise _refusal(options, error) from error
+        why = "" if options.connect is None else refusal(options.connect, options.credentials)
+        if why:
+            raise RefusedError(options, why) from error
+        raise _no_session(options, error) from error
 
 
 def connected(session: Any) -> bool:
@@ -155,7 +123,7 @@ def connected(session: Any) -> bool:
     return bool(session.info.peers_zid() or session.info.routers_zid())
 
 
-def _refusal(options: SessionOptions, error: Exception) -> InputError:
+def _no_session(options: SessionOptions, error: Exception) -> InputError:
     text = str(error).split(" at /")[0]
     quoted = re.search(r'msg: "(.*?)"?\}?\)?$', text)
     reason = (quoted.group(1) if quoted else text).strip().rstrip("!.")[:160]

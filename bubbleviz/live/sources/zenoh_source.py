@@ -24,6 +24,7 @@ from bubbleviz.live.sources.zenoh_keys import (
     unpack_attachment,
 )
 from bubbleviz.live.sources.zenoh_session import (
+    RefusedError,
     SessionOptions,
     connected,
     make_config,
@@ -65,6 +66,7 @@ class ZenohSource:
         self._counts: dict[tuple[bytes, str], int] = {}
         self._missed = 0
         self._link: Link = "connecting"
+        self._refusal = ""
         self._lock = threading.Lock()
         self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
@@ -103,8 +105,8 @@ class ZenohSource:
         return self._missed
 
     def problem(self) -> str:
-        """Error that ended the subscription thread."""
-        return "" if self._connector is None else self._connector.problem
+        """Why the endpoint accepts no session, or the error that ended the subscription thread."""
+        return self._refusal or ("" if self._connector is None else self._connector.problem)
 
     def _named(self) -> list[tuple[str, str]]:
         names = self._names
@@ -140,7 +142,9 @@ class ZenohSource:
         while self._session is None:
             try:
                 self._session = open_session(self._options)
-            except InputError:  # no router or peer yet
+                self._refusal = ""
+            except InputError as error:  # no router or peer yet, or one with other passwords
+                self._refusal = f"refused: {error.why}" if isinstance(error, RefusedError) else ""
                 if not pace.wait_until(time.monotonic() + wait):
                     return False
                 wait = min(1.5 * wait, BACK_OFF_S[1])

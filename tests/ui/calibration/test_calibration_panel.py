@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from window_driver import Driver
 
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.workbench import Step
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor
@@ -168,6 +170,44 @@ def test_a_sample_is_taken_out_and_the_rest_is_kept(bench: Bench) -> None:
     assert after.contact_free is before.contact_free
     assert after.tension.tension.value != before.tension.tension.value
     assert panel.frames.said.text().startswith("frames 0–4, 10–")
+
+
+def test_another_range_replaces_the_frames_and_what_was_found_of_them(bench: Bench) -> None:
+    bench.identify()
+    panel, frames = bench.panel, bench.panel.frames
+    bench.click(panel.steps.button(2))
+    panel.surface.nodes.setValue(150)
+    bench.done()
+    before, verdict = panel.calibration.answer, panel.verdict.text()
+    bench.click(panel.steps.button(0))
+    type_range(bench, "3", "14")
+    bench.click(frames.replace)
+    after = panel.calibration.answer
+    assert after.draft.ranges == ((3, 15),) == panel.strip.ranges
+    assert after.work.settings.nodes == 150  # what was chosen later stays
+    assert after.draft.tension.tension.value != before.draft.tension.tension.value
+    value = after.draft.tension.tension.value
+    assert f"{value:.2f} N/m" in panel.verdict.text() != verdict
+    type_range(bench, "3", "5")
+    bench.click(frames.replace)
+    assert "at least 5" in bench.driver.window.message.label.text()
+    assert panel.verdict.text().startswith("Out of date, of what was chosen before: ")
+    tips = [panel.steps.button(k).toolTip() for k in range(7)]
+    assert tips[0].endswith("needs attention") and not any(tip.endswith("done") for tip in tips)
+    bench.click(panel.steps.button(6))
+    assert not panel.report.use_it.isEnabled() and not panel.report.save_as.isEnabled()
+    bench.undo()
+    assert panel.report.use_it.isEnabled() and panel.report.save_as.isEnabled()
+    assert panel.calibration.answer is after and "Out of date" not in panel.verdict.text()
+
+
+def type_range(bench: Bench, first: str, last: str) -> None:
+    for box, number in zip(
+        (bench.panel.frames.first, bench.panel.frames.last), (first, last), strict=True
+    ):
+        box.setFocus()
+        box.selectAll()
+        bench.driver.bot.keyClicks(box, number + "\r")
 
 
 def test_thresholds_move_the_mask_alone_and_a_drag_is_undone_at_once(bench: Bench) -> None:
@@ -385,6 +425,54 @@ def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(
     assert len(collector.frames) <= REST + 2
     bench.click(box.cancel)
     assert not collector.active and bench.panel.calibration.work.collected is None
+
+
+def test_frames_are_collected_live_again_and_replace_those_before(drive: Drive) -> None:
+    stuck = list[Frame]()  # the camera's, while it repeats one image
+
+    class Camera(RestingSource):
+        def __getitem__(self, index: int) -> Frame:
+            frame = super().__getitem__(index)
+            return replace(frame, depth_m=stuck[0].depth_m) if stuck else frame
+
+    bench = Bench(drive(lambda s: Camera(s, fresh=True), playing=True, live=True))
+    panel, box = bench.panel, bench.panel.frames.collect
+    box.count.setValue(8)
+    assert box.button.text() == "Collect 8 frames"
+    bench.click(box.button)
+    bench.driver.wait(lambda: not box.collector.active)
+    bench.done()
+    bench.click(panel.steps.button(1))
+    panel.pixels.deviations.box.setValue(4.0)
+    bench.done()
+    old, work = panel.calibration.answer, panel.calibration.work
+    bench.click(panel.steps.button(0))
+    assert (
+        box.button.text() == "Collect again: 8 frames" and box.said.text() == "8 frames collected."
+    )
+    box.count.setValue(2000)
+    bench.click(box.button)
+    bench.driver.wait(lambda: len(box.collector.frames) >= 3)
+    assert "until then the 8 frames collected before are in use" in box.said.text()
+    bench.click(box.cancel)
+    assert panel.calibration.work == work and panel.calibration.answer is old
+    stuck.append(panel.calibration.work.collected[0])
+    bench.click(box.button)
+    bench.driver.wait(lambda: len(box.collector.frames) > 0)
+    bench.click(box.stop)  # too few: refused, and nothing of the old frames passes for theirs
+    assert "at least 5" in bench.driver.window.message.label.text()
+    assert panel.verdict.text().startswith("Out of date")
+    assert panel.steps.button(0).toolTip().endswith("needs attention")
+    stuck.clear()
+    box.count.setValue(9)
+    bench.click(box.button)
+    bench.driver.wait(lambda: not box.collector.active)
+    bench.done()
+    new = panel.calibration.answer
+    assert len(new.draft.samples.frames) == 9 and new.work.settings.deviations == 4.0
+    assert new.draft.tension.tension.value != old.draft.tension.tension.value
+    assert f"{new.draft.tension.tension.value:.2f} N/m" in panel.verdict.text()
+    assert "Out of date" not in panel.verdict.text()
 
 
 @pytest.mark.long

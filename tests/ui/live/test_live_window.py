@@ -9,6 +9,7 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ import pytest
 from fakes import DentSource
 from live_bench import IMAGE, STRING, Bench, contents, robot, robot_sensor, sensor_file
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFileDialog
+from PySide6.QtWidgets import QDialogButtonBox, QFileDialog, QLabel
 from rosbags.highlevel import AnyReader
 from window_driver import texts
 
@@ -25,8 +26,10 @@ from bubbleviz.commands.record import record_source
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.live.source_status import STALE_AFTER_S
-from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live.sources.zenoh_credentials import Credentials
+from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import load_sensor, sensor_to_toml
@@ -488,6 +491,34 @@ def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
     dialog.accept()
     bench.wait(lambda: bench.live_controller.run is not None)
     assert bench.run.preset.sensors[0].sensor == file
+
+
+def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
+    open_bench: Open, certificates: Path
+) -> None:
+    bench = open_bench()
+    from bubbleviz_ui.live.connect_dialog import ConnectDialog
+
+    ca, other, cert, key = (
+        str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
+    )
+    place, own = f"tls/localhost:{free_port()}", Credentials(cert=cert, key=key)
+    why = f"refused: the certificate of localhost is not signed by ca={other}; check ca="
+    with open_session(SessionOptions("robot", listen=place, credentials=own)):
+        for sensor in (sensor_file(bench.folder), AUTO):
+            dialog = ConnectDialog(bench.window, bench.live_controller, sensor)
+            dialog.open()
+            for file, text in ((ca, "No topics yet; looking…"), (other, why)):
+                dialog.place.setEditText(f"{place}?ca={file}")
+                bench.wait(partial(shows, dialog.problem, text))
+            assert dialog.source.text() == f"zenoh:{place}?ca={other}"
+            dialog.buttons.button(QDialogButtonBox.StandardButton.Ok).click()
+            bench.wait(lambda: why in bench.window.live.state.text())
+            bench.window.live.leave.click()
+
+
+def shows(label: QLabel, text: str) -> bool:
+    return label.text() == text
 
 
 def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:

@@ -43,6 +43,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.step_buttons import StepButtons, StepState
 
+OUTDATED = "Out of date, of what was chosen before:"
 WIDTH = 380  # px: two columns of numbers with units
 
 
@@ -233,8 +234,10 @@ class Gamma0Panel(QWidget):
         verdict = answer.verdict
         self.verdict.setVisible(verdict is not None)
         if verdict is not None:
-            self.verdict.setText(verdict.summary)
-            self.verdict.setStyleSheet(f"color: {getattr(theme.of(self), verdict.grade)}")
+            outdated = calibration.outdated
+            colour = getattr(theme.of(self), "doubtful" if outdated else verdict.grade)
+            self.verdict.setText(f"{OUTDATED} {verdict.summary}" if outdated else verdict.summary)
+            self.verdict.setStyleSheet(f"color: {colour}")
         recorded = calibration.work.collected is None and not calibration.live
         self.strip.set_ranges(answer.axis, answer.draft.ranges)
         self.strip.setVisible(recorded and bool(answer.draft.ranges))
@@ -242,19 +245,25 @@ class Gamma0Panel(QWidget):
     def _state(self, number: int) -> StepState:
         """How far a step is; what was refused, or is doubtful, needs attention."""
         answer, page = self.calibration.answer, self.pages[number]
-        refused = self._refused_of is not None and number == self._refused_step()
+        changed = self._changed_step()
+        refused = self._refused_of is not None and number == changed
         doubtful = answer.verdict is not None and answer.verdict.grade == "doubtful"
         if refused or (doubtful and page is self.tension):
             return StepState.NEEDS_ATTENTION
-        return StepState.DONE if page.is_done(answer) else StepState.TO_DO
+        outdated = self.calibration.outdated and number >= changed
+        return StepState.DONE if page.is_done(answer) and not outdated else StepState.TO_DO
 
-    def _refused_step(self) -> int:
-        """The step whose settings were refused; where none differ, the first that is not done."""
-        wanted, shown = self.calibration.settings, self.calibration.answer.work.settings
+    def _changed_step(self) -> int:
+        """The first step that what is shown is out of date for; if none, the first not done."""
+        work, shown = self.calibration.work, self.calibration.answer.work
+        if work.collected is not shown.collected:
+            return 0
         for number, page in enumerate(self.pages):
-            if any(getattr(wanted, name) != getattr(shown, name) for name in page.sets):
+            if any(
+                getattr(work.settings, name) != getattr(shown.settings, name) for name in page.sets
+            ):
                 return number
-        return min(int(shown.reached), len(self.pages) - 1)
+        return min(int(shown.settings.reached), len(self.pages) - 1)
 
     def _known(self) -> int:
         """Pages there is something to see on."""

@@ -36,6 +36,8 @@ class Calibration(QObject):
     ----------
     changed : Signal
         Another choice, another answer, or work began or ended.
+    restarted : Signal
+        Another source is open.
     progressed : Signal
         Step in plain words and the share of it that is done.
     said : Signal
@@ -47,6 +49,7 @@ class Calibration(QObject):
     """
 
     changed = Signal()
+    restarted = Signal()
     progressed = Signal(str, float)
     said = Signal(object)
 
@@ -70,6 +73,11 @@ class Calibration(QObject):
     def busy(self) -> bool:
         """Something is being computed."""
         return self._jobs.busy
+
+    @property
+    def outdated(self) -> bool:
+        """What is shown is of other choices: it is being computed anew, or that was refused."""
+        return self.work != self.answer.work
 
     @property
     def settings(self) -> Settings:
@@ -96,9 +104,9 @@ class Calibration(QObject):
             return
         self._jobs.cancel()
         self._holding = True
-        while self.work != self.answer.work and self._is_own(self.stack.index() - 1):
+        while self.outdated and self._is_own(self.stack.index() - 1):
             self.stack.undo()
-        if self.work != self.answer.work:  # another setting was changed meanwhile
+        if self.outdated:  # another setting was changed meanwhile
             self.stack.push(Change("Cancel", self._apply, self.work, self.answer.work))
         self._holding = False
         self.changed.emit()
@@ -176,6 +184,7 @@ class Calibration(QObject):
         self.live, self.name = opened.facts.live, opened.facts.title
         self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
         self.answer = self._nothing = Answer(self.work, Draft(self.settings))
+        self.restarted.emit()
         self.changed.emit()
 
 

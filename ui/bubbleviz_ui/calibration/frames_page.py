@@ -58,17 +58,20 @@ class FramesPage(Page):
         self.first, self.last = QSpinBox(), QSpinBox()
         self.add = QPushButton("Add")
         self.remove = QPushButton("Remove")
+        self.replace = QPushButton("Replace")
         self.find_again = QPushButton("Find again")
-        self.first.setToolTip("First frame of a contact-free range to add")
-        self.last.setToolTip("Last frame of a contact-free range to add")
+        self.first.setToolTip("First frame of a range to add, to remove or to use alone")
+        self.last.setToolTip("Last frame of a range to add, to remove or to use alone")
         self.add.setToolTip("Add these frames to the contact-free ones")
         self.remove.setToolTip("Remove these frames from the contact-free ones")
+        self.replace.setToolTip("Use these frames instead of the contact-free ones")
         self.find_again.setToolTip("Search the recording for contact-free frames anew")
         self.collect = CollectBox(calibration, units)
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
         self.add.clicked.connect(self._on_add)
         self.remove.clicked.connect(self._on_remove)
+        self.replace.clicked.connect(self._on_replace)
         self.find_again.clicked.connect(
             lambda: calibration.edit("Find contact-free frames", ranges=None, reached=self._least())
         )
@@ -94,7 +97,7 @@ class FramesPage(Page):
             box.setMaximum(max(answer.frames - 1, 0))
         count = len(numbers(ranges))
         live = self.calibration.live
-        for widget in (self.find_again, self.add, self.remove):
+        for widget in (self.find_again, self.add, self.remove, self.replace):
             widget.setEnabled(answer.frames > 0)
         self.collect.setVisible(live)
         if not answer.frames:
@@ -119,6 +122,10 @@ class FramesPage(Page):
         more = (self.first.value(), self.last.value() + 1)
         self.set_ranges(tidy([*self.ranges(answer), more], answer.frames), "Add frames")
 
+    def _on_replace(self) -> None:
+        new = (self.first.value(), self.last.value() + 1)
+        self.set_ranges(tidy([new], self.calibration.answer.frames), "Replace frames")
+
     def _on_remove(self) -> None:
         first, last = self.first.value(), self.last.value()
         left = without(self.ranges(self.calibration.answer), first, last + 1)
@@ -126,17 +133,10 @@ class FramesPage(Page):
 
     def _lay_out(self) -> None:
         fill(self.column, self.plot, self.strip, self.said)
-        row = fill(
-            QHBoxLayout(),
-            QLabel("frames"),
-            self.first,
-            QLabel("to"),
-            self.last,
-            self.add,
-            self.remove,
-            1,
-        )
-        fill(self.column, row, self.find_again, self.collect, 1)
+        numbers = (QLabel("frames"), self.first, QLabel("to"), self.last, 1)
+        buttons = (self.add, self.remove, self.replace, self.find_again, 1)
+        rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]
+        fill(self.column, *rows, self.collect, 1)
 
 
 class CollectBox(QGroupBox):
@@ -150,9 +150,9 @@ class CollectBox(QGroupBox):
         self.untouched = QCheckBox("Skip frames with contact")
         self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
         self.count.setToolTip("Frames of the untouched membrane to collect")
-        self.button.setToolTip("Collect frames of the live source")
+        self.button.setToolTip("Collect frames of the live source; they replace those there are")
         self.stop.setToolTip("Stop collecting; calibrate with the frames there are")
-        self.cancel.setToolTip("Stop collecting and forget the frames")
+        self.cancel.setToolTip("Stop collecting; everything is as it was before")
         self.said = QLabel(wordWrap=True)
         self._lay_out()
         self.button.clicked.connect(self._start)
@@ -164,6 +164,7 @@ class CollectBox(QGroupBox):
         calibration.controller.shown.connect(self.collector.take)
         calibration.controller.state.link_changed.connect(self._show)
         calibration.changed.connect(self._show)
+        calibration.restarted.connect(self.collector.cancel)  # frames of one source only
         self._show()
 
     def _lay_out(self) -> None:
@@ -208,12 +209,15 @@ class CollectBox(QGroupBox):
         collector = self.collector
         why_none = NO_FRAMES.get(self._calibration.controller.state.badge, "")
         self.button.setEnabled(not why_none)
-        self.button.setText(f"Collect {count_of(self.count.value(), 'frame')}")
+        kept = self._calibration.work.collected
+        again = "Collect" if kept is None else "Collect again:"
+        self.button.setText(f"{again} {count_of(self.count.value(), 'frame')}")
         self.button.setVisible(not collector.active)
         self.stop.setVisible(collector.active)
         self.cancel.setVisible(collector.active)
         if not collector.active:
-            self.said.setText(why_none)
+            there = "" if kept is None else f"{count_of(len(kept), 'frame')} collected."
+            self.said.setText(f"{there} {why_none}".strip())
             return
         text = f"{len(collector.frames)} of {self.count.value()} frames"
         tension = collector.tension
@@ -221,4 +225,6 @@ class CollectBox(QGroupBox):
             share = self._units.share.text(tension.half_width / tension.value)
             shown = self._units.tension.with_interval(tension.value, tension.half_width)
             text += f" · γ0 so far {shown} ({share})"
+        if kept is not None:
+            text += f" · until then the {count_of(len(kept), 'frame')} collected before are in use"
         self.said.setText(f"{text} {collector.message} {why_none}".strip())

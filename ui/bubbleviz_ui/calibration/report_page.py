@@ -70,8 +70,9 @@ class ReportPage(Page):
     def show_answer(self, answer: Answer) -> None:
         """Show verdict, table and difference."""
         verdict, comparison = answer.verdict, answer.comparison
+        ready = not self.calibration.busy and not self.calibration.outdated
         for button in (self.use_it, self.save_as):
-            button.setEnabled(comparison is not None and not self.calibration.busy)
+            button.setEnabled(comparison is not None and ready)
         advice = "" if verdict is None else "\n".join(f"• {line}" for line in verdict.advice)
         self.advice.setText(advice)
         old = answer.compared_with

@@ -16,7 +16,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupt:
-    """Ends the event loop after ^C or SIGTERM, between two events.
+    """Ends the event loop that runs after ^C or SIGTERM, between two events.
+
+    Without one nothing is ended: whoever handles events by a loop of one's own looks at `came`. Qt
+    would remember it, and end the loop that runs next.
 
     Python runs a signal handler wherever the main thread happens to be. An exception in the middle
     of an import of Qt or VTK, or a window that is closed while VTK draws, ends in a crash. So the
@@ -69,5 +72,5 @@ class Interrupt:
 
     def _wake(self) -> None:
         self._read.recv(64)  # Python runs the handler before this line
-        if self.came:
+        if self.came and self._application.thread().loopLevel() > 0:
             self._application.exit(EXIT_CODE)

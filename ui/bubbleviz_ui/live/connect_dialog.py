@@ -103,8 +103,9 @@ class ConnectDialog(QDialog):
         if kind == TOGETHER:
             return ""
         topic = self._topic()
-        option = f"?depth={quote(topic)}" if topic else ""
-        return f"{kind}:{self.place.currentText().strip()}{option}"
+        place = self.place.currentText().strip()
+        option = f"{'&' if '?' in place else '?'}depth={quote(topic)}" if topic else ""
+        return f"{kind}:{place}{option}"
 
     def accept(self) -> None:
         """Connect, where what was chosen can be read."""
@@ -147,6 +148,7 @@ class ConnectDialog(QDialog):
     def _connect(self) -> None:
         self.kind.currentIndexChanged.connect(lambda _: self._show_kind())
         self.place.editTextChanged.connect(lambda _: self._rest.start())
+        self.place.editTextChanged.connect(lambda _: self._show_source())
         self._rest.timeout.connect(self._look)
         self.sensor.currentIndexChanged.connect(lambda _: self._look())
         self.topics.currentItemChanged.connect(lambda *_: self._show_source())

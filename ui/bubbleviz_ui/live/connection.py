@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from PySide6.QtCore import QObject, Signal
 
@@ -61,7 +60,7 @@ class Connection(QObject):
         super().__init__()
         self.preset = preset
         self._pre_roll_s = pre_roll_s
-        self._session: LiveSession | None = None
+        self._awaited: LiveStream | None = None
         self._jobs = Jobs("live connection")
 
     def start(self) -> None:
@@ -78,18 +77,18 @@ class Connection(QObject):
 
     def text(self) -> str:
         """How far it is, in a few words."""
-        session = self._session
-        if session is None:
-            return "starting"
-        stream = next((e.stream for e in session.sensors if not e.stream.counters().frames), None)
+        stream = self._awaited
         return "starting" if stream is None else _waiting_for(stream)
 
     def _connected(self, progress: Progress) -> LiveRun:
-        waiting = partial(progress, "waiting", 0.0)  # cancelled by this
+        def waiting(stream: LiveStream) -> None:
+            self._awaited = stream
+            progress("waiting", 0.0)  # cancelled by this
+
         self.preset = _with_sensors(self.preset, waiting)
+        self._awaited = None
         session = LiveSession(self.preset, self._pre_roll_s)
         session.__enter__()
-        self._session = session
         frames = tuple(
             LiveFrames(
                 _title(self.preset, k),
@@ -102,7 +101,7 @@ class Connection(QObject):
         try:
             for source, each in zip(frames, session.sensors, strict=True):
                 while not source.came(LOOK_S):
-                    waiting()
+                    waiting(source.stream)
                     _check(source.stream, each.place.sensor)
         except BaseException:
             session.__exit__()
@@ -143,7 +142,7 @@ def _title(preset: SessionPreset, number: int) -> str:
     return place.source if len(preset.sensors) == 1 else f"{preset.title}, {place.name}"
 
 
-def _with_sensors(preset: SessionPreset, waiting: Callable[[], None]) -> SessionPreset:
+def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) -> SessionPreset:
     """The preset with the names of sensors that were left to the size of the images."""
     places = tuple(
         place.model_copy(

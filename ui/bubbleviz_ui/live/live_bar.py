@@ -55,7 +55,7 @@ class LiveBar(QFrame):
         super().__init__()
         self._live, self._units = live, units
         self.setObjectName("live")
-        self.state = QLabel()
+        self.state = QLabel(wordWrap=True)  # why a robot refuses is a whole sentence
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
         self.zero = self._button(
@@ -120,7 +120,8 @@ class LiveBar(QFrame):
 
     def _lay_out(self) -> None:
         self._row = QHBoxLayout()
-        fill(self._row, self.state, 1, self.record, self.zero, self.publish, self.leave, spacing=6)
+        controls = (self.record, self.zero, self.publish, self.leave)
+        fill(self._row, (self.state, 1), *controls, spacing=6)
         fill(QVBoxLayout(self), self._row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:

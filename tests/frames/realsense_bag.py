@@ -1,0 +1,95 @@
+"""ROS 1 bags as the recorder of the RealSense library (2.x) lays them out, written with rosbags."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+HEIGHT, WIDTH = 24, 32
+STATIC = 1
+"""Log time of what does not change, ns; the frames' begins at 0 with the recording."""
+CLOCK_MS, PERIOD_MS = 1_234_567.25, 1e3 / 30.0
+"""Of the camera, which counts from when it was switched on."""
+SENSOR = "/device_0/sensor_0"
+OWN_TYPES = {
+    "realsense_msgs/msg/StreamInfo": "uint32 fps\nstring encoding\nbool is_recommended\n",
+}
+
+
+def depth_units(k: int) -> np.ndarray:
+    """Frame k in units of the device: every pixel and frame differs; 0 where no return."""
+    units = 1000 + 40 * k + np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
+    units[0, :3] = 0
+    return units
+
+
+def write_realsense_bag(path: Path, unit_m: float | None, option: str = "Depth_Units") -> None:
+    """Four frames of depth and infrared.
+
+    Parameters
+    ----------
+    path : Path
+    unit_m : float or None
+        Of the depth images, m; None: the option is not recorded.
+    option : str
+        What its topic calls it; the older library had the space of its name.
+    """
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, text in OWN_TYPES.items():
+        store.register(get_types_from_msg(text, name))
+    types, connections = store.types, dict[str, Any]()
+    writer = Writer(path)
+    writer.set_compression(Writer.CompressionFormat.LZ4)
+
+    def write(topic: str, kind: str, log_ns: int, **fields: Any) -> None:
+        if topic not in connections:
+            connections[topic] = writer.add_connection(topic, kind, typestore=store)
+        payload = store.serialize_ros1(types[kind](**fields), kind)
+        writer.write(connections[topic], log_ns, payload)
+
+    def header(number: int, stamp_ms: float) -> Any:
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(round(1e6 * stamp_ms), 10**9))
+        return types["std_msgs/msg/Header"](number, stamp, "0")
+
+    def image(stream: str, encoding: str, pixels: np.ndarray, k: int) -> None:
+        data = np.frombuffer(pixels.tobytes(), np.uint8)
+        log = round(1e6 * PERIOD_MS * k) + 5_000_000
+        rows = {"height": HEIGHT, "width": WIDTH, "step": 2 * WIDTH, "is_bigendian": 0}
+        head, topic = header(k, CLOCK_MS + PERIOD_MS * k), f"{SENSOR}/{stream}/image"
+        kind = "sensor_msgs/msg/Image"
+        write(f"{topic}/data", kind, log, header=head, encoding=encoding, data=data, **rows)
+        note(f"{topic}/metadata", log, "timestamp_domain", "Hardware Clock")
+
+    def note(topic: str, log_ns: int, key: str, value: str) -> None:
+        write(topic, "diagnostic_msgs/msg/KeyValue", log_ns, key=key, value=value)
+
+    def streaming(stream: str, encoding: str, model: str, bent: list[float]) -> None:
+        topic, region = f"{SENSOR}/{stream}/info", types["sensor_msgs/msg/RegionOfInterest"]
+        own = "realsense_msgs/msg/StreamInfo"
+        write(topic, own, STATIC, fps=30, encoding=encoding, is_recommended=False)
+        matrix = np.array([30.0, 0, 15.25, 0, 31.0, 11.75, 0, 0, 1])
+        write(
+            f"{topic}/camera_info", "sensor_msgs/msg/CameraInfo", STATIC,
+            header=header(0, 0.0), height=HEIGHT, width=WIDTH, distortion_model=model,
+            D=np.array(bent), K=matrix, R=np.zeros(9), P=np.zeros(12),
+            binning_x=0, binning_y=0, roi=region(0, 0, 0, 0, False),
+        )  # fmt: skip
+
+    with writer:
+        write("/file_version", "std_msgs/msg/UInt32", STATIC, data=4)
+        note("/device_0/info", STATIC, "Name", "Intel RealSense D405")
+        note(f"{SENSOR}/info", STATIC, "Name", "Stereo Module")
+        streaming("Infrared_1", "16UC1", "None", 5 * [0.0])
+        streaming("Depth_0", "mono16", "Brown Conrady", [0.1, 0.0, 0.0, 0.0, 0.01])
+        if unit_m is not None:
+            topic = f"{SENSOR}/option/{option}"
+            write(f"{topic}/value", "std_msgs/msg/Float32", STATIC, data=unit_m)
+            said = "Number of meters represented by a single depth unit"
+            write(f"{topic}/description", "std_msgs/msg/String", STATIC, data=said)
+        for k in range(4):
+            image("Infrared_1", "16UC1", depth_units(k)[::-1], k)
+            image("Depth_0", "mono16", depth_units(k), k)
