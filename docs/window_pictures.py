@@ -195,7 +195,7 @@ def main() -> None:
             open_panel(session, "threshold", least_area_m2=20e-6)
             picture(session, docs / "workbench" / "threshold.png", LARGE)
         with opened(synthetic, None, SYNTHETIC_FRAME, load_scene("press")) as session:
-            session.state.choose(theme="dark", compared=(Setting(), Setting(nodes=400)))
+            session.state.choose(theme="dark", compared=(Setting(), Setting(nodes=400, kappa=8.0)))
             open_panel(session, "compare")
             picture(session, docs / "workbench" / "compare.png", LARGE)
         with opened(sensor, recording, 0) as session:

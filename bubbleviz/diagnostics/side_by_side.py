@@ -11,15 +11,14 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.diagnostics.frame_numbers import numbers_of
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.study.error_metrics import iou
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
-SETTLING = 3
-"""Times a new pipeline sees its first frame before it is measured: the solver is built then, and
-rays are cast again at the shape it ends at."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +27,11 @@ class Measured:
 
     Attributes
     ----------
+    result : Result
+        What it made of the frame.
+    mesh : MembraneMesh
+        Reference surface it did that on.
     solver, status : str
-    nodes : int
-        Of the mesh.
     total_ms, solve_ms : float
         Depth image in → patch and its pixels out; the solver alone.
     force_n, area_m2, residual_m : float
@@ -43,9 +44,10 @@ class Measured:
         Length of the difference of the force vectors over the length of the true one.
     """
 
+    result: Result
+    mesh: MembraneMesh
     solver: str
     status: str
-    nodes: int
     total_ms: float
     solve_ms: float
     force_n: float
@@ -83,18 +85,33 @@ class SideBySide:
         self,
         options: EstimatorOptions,
         frame: Frame,
-        kappa: float | None = None,
+        rule: FrameOptions | None = None,
         truth: Truth | None = None,
+        *,
+        settled: bool = False,
     ) -> Measured:
-        """Process a frame with a setting, warm-started from the frame before as in playback.
+        """Process a frame with a setting.
+
+        Parameters
+        ----------
+        options : EstimatorOptions
+        frame : Frame
+            Its gas pressure as it is to be believed.
+        rule : FrameOptions, optional
+            What makes the patch.
+        truth : Truth, optional
+        settled : bool
+            The frame has one answer; else it is warm-started from the frame before, as in playback.
 
         Raises
         ------
         InputError
             The setting is impossible.
         """
-        pipeline = self._pipeline(options, frame)
-        result = pipeline.process(frame, PRODUCTS, FrameOptions(kappa))
+        pipeline = self._pipeline(options)
+        if settled or not pipeline.counts:
+            pipeline.settle(frame)
+        result = pipeline.process(frame, PRODUCTS, rule)
         estimate, patch = result.estimate, result.patch
         if estimate is None or patch is None or patch.pixel_mask is None:
             raise AssertionError("asked for all of them")
@@ -108,9 +125,10 @@ class SideBySide:
             }
         numbers = numbers_of(result, pipeline.model.gas)
         return Measured(
+            result,
+            pipeline.mesh,
             solver=pipeline.estimator.solver_name,
             status=estimate.status,
-            nodes=len(pipeline.mesh.nodes),
             total_ms=result.times_ms["total"],
             solve_ms=estimate.solve_ms,
             force_n=numbers.force_n,
@@ -120,11 +138,10 @@ class SideBySide:
             **errors,
         )
 
-    def _pipeline(self, options: EstimatorOptions, frame: Frame) -> Pipeline:
+    def _pipeline(self, options: EstimatorOptions) -> Pipeline:
         pipeline = self.pipelines.get(options)
         if pipeline is None:
             pipeline = Pipeline.of(self._sensor, self._intrinsics, options)
-            for _ in range(SETTLING):
-                pipeline.process(frame, PRODUCTS)
+            pipeline.prepare(PRODUCTS)
             self.pipelines[options] = pipeline
         return pipeline

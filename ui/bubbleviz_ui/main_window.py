@@ -341,6 +341,7 @@ class MainWindow(QMainWindow):
         self._connect_messages()
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
+        self.compare.measured.connect(self.scene.compare)
         self.view.dropped_files.connect(self._open_dropped)
         panels, keys = self.open_panels, self.shortcuts
         watch = self.settings.watch

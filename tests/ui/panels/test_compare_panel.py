@@ -1,22 +1,145 @@
-"""Two settings side by side, κ among them, and one of them used in the whole window."""
+"""Two settings side by side, in numbers and outlines, and one of them used in the whole window."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from fakes import DentSource
-from PySide6.QtCore import Qt
+from live_bench import Bench, sensor_file
+from PySide6.QtCore import QPoint, Qt
 from window_driver import Driver
 
+from bubbleviz.calibration.pressure_zero import ENOUGH
+from bubbleviz.result import Result
+from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.choices import Setting
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_maps import rgb
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
+CONTACT = 75
 
 
 def number(text: str) -> float:
     return float(text.split()[0])
+
+
+def outlines(driver: Driver) -> list[int]:
+    """How many pixels of the 3-D view have the colour of A's outline, and of B's."""
+    pixels = driver.window.view.pixels()
+    return [int(np.all(pixels == rgb(c), axis=2).sum()) for c in theme.COMPARED]
+
+
+def text(driver: Driver, row: str) -> str:
+    return driver.window.compare.a.values[row].text()
+
+
+def is_as_shown(driver: Driver) -> bool:
+    """Whether A, the window's own setting, is measured to be what the window shows of the frame."""
+    result, units = driver.window.controller.result, driver.state.units
+    assert result is not None and result.patch is not None and driver.window.controller.settled
+    driver.wait(lambda: text(driver, "frame") == f"{result.frame.index}")
+    force = units.force.text(float(np.linalg.norm(result.patch.force_n)))
+    return (text(driver, "force"), text(driver, "area")) == (
+        force,
+        units.area.text(result.patch.area_m2),
+    )
+
+
+def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> None:
+    driver = drive(DentSource, frame=8)
+    window, panel, controller = driver.window, driver.window.compare, driver.window.controller
+    a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=4.0, nodes=300)
+    driver.state.choose(layers=frozenset({"membrane", "compared"}), compared=(a, b))
+    driver.settle()
+    assert outlines(driver) == [0, 0]
+    window.panels["compare"].show()
+    driver.wait(lambda: min(outlines(driver)) > 20)
+    assert outlines(driver)[0] > 1.1 * outlines(driver)[1]  # A's patch is the larger one
+    driver.bot.mouseClick(panel.outlines, LEFT, pos=QPoint(10, 10))
+    assert outlines(driver) == [0, 0]
+    driver.bot.mouseClick(panel.outlines, LEFT, pos=QPoint(10, 10))
+    assert min(outlines(driver)) > 20
+    driver.state.seek(9)
+    assert outlines(driver) == [0, 0]
+    driver.wait(lambda: text(driver, "frame") == "9")
+    assert min(outlines(driver)) > 20
+    stale: list[bool] = []
+
+    def look(result: Result) -> None:
+        if text(driver, "frame") not in ("–", f"{result.frame.index}"):
+            stale.append(outlines(driver) != [0, 0])
+
+    shown = controller.shown.connect(look)
+    driver.state.set_playing(True)
+    driver.wait(lambda: len(stale) > 3)
+    driver.state.set_playing(False)
+    controller.shown.disconnect(shown)
+    assert not any(stale)
+    driver.seek(9)
+    driver.settle()
+    driver.state.choose(compared=(a, Setting(solver="no such")))
+    assert outlines(driver) == [0, 0]
+    driver.wait(lambda: panel.b.values["status"].text() == "impossible")
+    assert outlines(driver)[0] > 20 and outlines(driver)[1] == 0
+    driver.state.seek(0)
+    driver.wait(lambda: text(driver, "status") == "no_contact")
+    assert outlines(driver) == [0, 0]
+    driver.seek(9)
+    driver.wait(lambda: outlines(driver)[0] > 20)
+    window.panels["compare"].hide()
+    assert outlines(driver) == [0, 0]
+
+
+def test_the_window_s_own_setting_measures_what_the_window_shows(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.window.panels["compare"].show()
+    driver.state.choose(compared=(Setting(), Setting(solver="linear", nodes=100)))
+    assert is_as_shown(driver)
+    for frame in (CONTACT - 15, CONTACT):  # from elsewhere, with another warm start
+        driver.seek(frame)
+        assert is_as_shown(driver)
+    driver.state.choose(least_area_m2=1.0)
+    driver.wait(lambda: driver.window.controller.result.patch.area_m2 == 0.0)
+    driver.wait(lambda: text(driver, "area").startswith("0 "))
+
+
+def test_numbers_say_which_frame_they_are_of(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    driver.window.panels["compare"].show()
+    driver.wait(lambda: text(driver, "frame") == f"{CONTACT}")
+    driver.state.seek(2)
+    assert {text(driver, row) for row in ("frame", "status", "force")} == {"–"}
+    named: list[tuple[str, int]] = []
+    compared = driver.window.controller.compared
+    naming = compared.connect(lambda new: named.append((text(driver, "frame"), new.request.index)))
+    driver.state.set_playing(True)
+    driver.wait(lambda: len(named) > 5)
+    driver.state.set_playing(False)
+    driver.settle()
+    driver.wait(lambda: text(driver, "frame") == f"{driver.state.frame}")
+    compared.disconnect(naming)
+    assert all(text == f"{index}" for text, index in named)
+
+
+def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(
+    open_bench: Callable[[], Bench],
+) -> None:
+    live = open_bench()
+    live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
+    zero = live.run.session.sensors[0].zero
+    zero.zero_now()
+    for _ in range(ENOUGH):
+        zero.learn(zero.reference_pa + 250.0, contact_free=True)
+    live.window.panels["compare"].show()
+    live.follow()
+    live.wait(lambda: live.window.controller.result.patch.area_m2 > 0.0)
+    live.state.freeze(True)
+    live.settle()
+    assert is_as_shown(live)
 
 
 def test_settings_that_differ_in_kappa_differ_in_area_alone(drive: Drive) -> None:

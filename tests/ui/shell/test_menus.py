@@ -1,14 +1,19 @@
-"""Check marks in the menus: each turns its thing on and off, and follows it however it changes."""
+"""Menus: check marks follow what they turn on and off; Close closes what is open."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from fakes import DentSource
+from live_bench import Bench, contents, sensor_file
 from PySide6.QtCore import Qt
-from window_driver import Driver
+from window_driver import Driver, texts
+
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.live.connection import single
 
 Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
+LEFT, CTRL = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ControlModifier
 
 
 def test_check_marks_follow_the_state(drive: Drive) -> None:
@@ -57,3 +62,46 @@ def test_what_has_no_live_source_cannot_be_checked(drive: Drive) -> None:
         assert action.isCheckable()
         action.trigger()
         assert not action.isChecked(), name
+
+
+def close(driver: Driver) -> None:
+    """Press Ctrl+W and wait until the sensor is alone."""
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(driver.window, Qt.Key.Key_W, CTRL)
+    driver.wait(lambda: driver.window.windowTitle().startswith("nothing open (simulated) – "))
+    driver.settle()
+
+
+def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(
+    drive: Drive, sensor: Sensor
+) -> None:
+    source = DentSource(sensor)
+    driver = drive(lambda _: source, frame=11)
+    assert len(driver.warm_pixels()) > 100 and not source.closed
+    close(driver)
+    assert source.closed and driver.pipeline.model.sensor == sensor
+    assert not len(driver.warm_pixels()) and driver.state.facts.frames == 1
+    assert driver.window.status.labels["force"].text() == "force 0.00 N"
+    assert "no contact" in texts(driver)
+    driver.bot.keyClick(driver.window, Qt.Key.Key_Space)
+    driver.bot.keyClick(driver.window, Qt.Key.Key_End)
+    close(driver)
+    again = lambda made: DentSource(made)  # noqa: E731
+    driver.window.controller.opening.open("dent", again, lambda: sensor, frame=11, playing=False)
+    driver.wait(lambda: driver.state.facts.title == "dent")
+    driver.settle()
+    assert len(driver.warm_pixels()) > 100
+
+
+def test_a_live_source_is_closed_and_what_was_being_recorded_is_whole(
+    open_bench: Callable[[], Bench],
+) -> None:
+    live = open_bench()
+    live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
+    live.record()
+    path = live.status().path
+    close(live)
+    live.wait(lambda: "Recorded" in live.window.notice.label.text())
+    assert contents(path) and live.live_controller.run is None
+    assert not live.state.playing

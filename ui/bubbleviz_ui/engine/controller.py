@@ -9,7 +9,6 @@ import numpy as np
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.diagnostics.inspector import Inspection
-from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -20,6 +19,7 @@ from bubbleviz_ui.engine.requests import (
     AnalyseRequest,
     Answer,
     Compared,
+    ComparedOptions,
     CompareRequest,
     Failed,
     Followed,
@@ -107,8 +107,7 @@ class Controller(QObject):
     @property
     def settled(self) -> bool:
         """Whether nothing is to be settled of what is shown: it goes on, or is settled."""
-        going_on = self.state.playing and not self.state.frozen
-        return going_on or self.client.result is None or self.client.settled
+        return self._goes_on or self.client.result is None or self.client.settled
 
     @property
     def dropped(self) -> int:
@@ -142,9 +141,10 @@ class Controller(QObject):
         frame = client.frame_request(self.state.frame, demand) if fit else None
         self._ask(FollowRequest(client.session, demand, object_name, unit, start, frame))
 
-    def compare(self, settings: tuple[tuple[EstimatorOptions, float | None], ...]) -> None:
-        """Measure two settings and their κ, or none, on the frame at the cursor, in spare time."""
-        self._ask(CompareRequest(self.client.session, self.state.frame, settings))
+    def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
+        """Measure two settings, or none, on the frame at the cursor, in spare time."""
+        session, stands = self.client.session, not self._goes_on
+        self._ask(CompareRequest(session, self.state.frame, settings, stands))
 
     def turn_to(self, client: SensorClient) -> SensorClient:
         """Have the panels show the other sensor of a session; gives back the one they showed."""
@@ -187,6 +187,11 @@ class Controller(QObject):
             self.client.ask_patch()
 
     # -- requests -----------------------------------------------------------------------------
+
+    @property
+    def _goes_on(self) -> bool:
+        """Whether other frames come by themselves."""
+        return self.state.playing and not self.state.frozen
 
     @property
     def _grows(self) -> bool:

@@ -17,11 +17,15 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.gaps import Gap
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.pipeline import FrameOptions
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
+
+ComparedOptions = tuple[EstimatorOptions, FrameOptions]
+"""What makes the estimate and the patch of a setting."""
 
 
 @dataclass(frozen=True)
@@ -129,11 +133,15 @@ class AnalyseRequest:
 
 @dataclass(frozen=True)
 class CompareRequest:
-    """Measure two settings and their κ on one frame; none: let go of what was built for that."""
+    """Measure two settings on one frame; none: let go of what was built for that.
+
+    `settled`: the same whatever was looked at before it, as the frame one stays at.
+    """
 
     session: int
     index: int
-    settings: tuple[tuple[EstimatorOptions, float | None], ...]
+    settings: tuple[ComparedOptions, ...]
+    settled: bool = False
 
 
 @dataclass(frozen=True)

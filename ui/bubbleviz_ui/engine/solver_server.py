@@ -166,10 +166,12 @@ class Server:
         if not request.settings:
             return None
         frame, truth = session.source[request.index], truth_of(session.source, request.index)
-        measured: list[Measured | str] = []
-        for options, kappa in request.settings:
+        if isinstance(session.source, LiveFrames):
+            frame = session.source.zero.applied(frame)
+        bench, settled, measured = session.side_by_side, request.settled, list[Measured | str]()
+        for options, rule in request.settings:
             try:
-                measured.append(session.side_by_side.measure(options, frame, kappa, truth))
+                measured.append(bench.measure(options, frame, rule, truth, settled=settled))
             except InputError as error:
                 measured.append(str(error))
         return Compared(request, (measured[0], measured[1]))

@@ -12,6 +12,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import check_fits, preset_for
 from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.noisy_loop import NoisyLoop
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth, default_press, truth_of
 from bubbleviz.simulation.truth_file import KnownRecording, known_beside
@@ -74,6 +75,13 @@ def synthetic(sensor: Sensor) -> FrameSource:
     for index in range(len(source)):
         _ = source[index]
     return NoisyLoop(source, press.camera, press.noise)
+
+
+def at_rest(sensor: Sensor) -> FrameSource:
+    """What is there while nothing is open: one frame of the untouched sensor, simulated."""
+    source = default_press(sensor, frames=1)
+    source.name, source.noise = "nothing open", DepthNoise()
+    return source
 
 
 class CachedSource:

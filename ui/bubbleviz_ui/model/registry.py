@@ -44,6 +44,9 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "contour": LayerKind(
             "Patch contour", "Where the contact pressure crosses the κ threshold", PATCH
         ),
+        "compared": LayerKind(
+            "Compared outlines", "Patch of settings A and B, while the Compare panel is open"
+        ),
         "cloud": LayerKind(
             "Measured points", "Depth image as points in the bubble frame", frozenset({"cloud"})
         ),

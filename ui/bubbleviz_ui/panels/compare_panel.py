@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
+    QCheckBox,
     QComboBox,
     QDoubleSpinBox,
     QGridLayout,
@@ -21,20 +23,23 @@ from PySide6.QtWidgets import (
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS
+from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Compared
-from bubbleviz_ui.model.choices import SETTINGS, Setting
+from bubbleviz_ui.engine.requests import Compared, ComparedOptions, CompareRequest, Failed
+from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
-from bubbleviz_ui.panels.binding import bind, options
+from bubbleviz_ui.panels.binding import bind, bind_member, options
 from bubbleviz_ui.panels.kappa_panel import HIGHEST
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
 NODES, STEP = 5_000, 100
 """Most nodes to choose, below MAX_NODES, and a step."""
 BLOCKS = 16
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
+    "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
     "status": ("Status", lambda m, u: m.status),
     "total": ("Total time", lambda m, u: u.duration.text(m.total_ms)),
@@ -44,7 +49,7 @@ ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
     "iou": ("Patch IoU", lambda m, u: NOTHING if math.isnan(m.iou) else f"{m.iou:.2f}"),
-    "nodes": ("Nodes used", lambda m, u: f"{m.nodes}"),
+    "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),
 }
 """What is measured, by its title and its text."""
 
@@ -78,6 +83,10 @@ class Column:
         self._bind("kappa", 0.0)
         for label in self.values.values():
             label.setObjectName("value")
+        self.title = QLabel(SETTINGS[number])
+        colours = f"background: {theme.COMPARED[number]}; color: {theme.ON_BADGE}"
+        self.title.setStyleSheet(f"{colours}; padding: 1px 5px")
+        self.title.setToolTip("The outline of its patch in the 3-D view has this colour")
 
     def _bind(self, name: str, usual: Any) -> None:
         """Bind a control to the field of its name; what is usual stands for None."""
@@ -122,7 +131,14 @@ class ComparePanel(QWidget):
     """Two settings A and B; measures whenever the frame or a setting is another.
 
     What it measures it asks of the solver thread, which does it when nobody waits for a frame.
+
+    Attributes
+    ----------
+    measured : Signal
+        What the panel shows of A and of B, each a `Measured`, or anything else for none.
     """
+
+    measured = Signal(object)
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
@@ -130,19 +146,25 @@ class ComparePanel(QWidget):
         self._state, self._controller = state, controller
         self._answer: Compared | None = None
         self.a, self.b = Column(state, 0), Column(state, 1)
+        self.outlines = QCheckBox("Outlines in the 3-D view")
+        self.outlines.setToolTip("Of the patches of A and B, in their colours")
+        bind_member(self.outlines, state, "layers", "compared")
         self._lay_out()
         controller.compared.connect(self._on_compared)
+        controller.failed.connect(self._on_failed)
         keep_keys(self)
-        state.frame_changed.connect(self._ask)
-        state.source_changed.connect(self._ask)
+        state.frame_changed.connect(self._on_frame)
+        state.source_changed.connect(self._ask_anew)
+        state.playing_changed.connect(self._ask)
+        state.frozen_changed.connect(self._ask)
         state.choices_changed.connect(self._on_choices)
 
     def _lay_out(self) -> None:
         grid = QGridLayout()
         grid.setHorizontalSpacing(4)
         grid.setVerticalSpacing(3)
-        for place, title in enumerate(("A", "B"), start=1):
-            grid.addWidget(QLabel(title), 0, place)
+        for place, each in enumerate((self.a, self.b), start=1):
+            grid.addWidget(each.title, 0, place)
         controls = {
             "Solver": ("solver", "Of the inverse problem: rubber is the exact membrane"),
             "Pressure prior": (
@@ -160,7 +182,7 @@ class ComparePanel(QWidget):
             for place, each in enumerate((self.a, self.b), start=1):
                 control = getattr(each, name)
                 control.setToolTip(tip)
-                control.setMinimumWidth(84)
+                control.setMinimumWidth(94)
                 grid.addWidget(control, row, place)
         for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):
             grid.addWidget(QLabel(title), row, 0)
@@ -170,40 +192,64 @@ class ComparePanel(QWidget):
         grid.setColumnStretch(2, 1)
         self.hint = QLabel("Force error and IoU need a simulation's truth.", wordWrap=True)
         self.hint.setObjectName("dim")
-        fill(QVBoxLayout(self), grid, self.hint, 1, margins=(6, 8, 2, 8))
+        fill(QVBoxLayout(self), grid, self.outlines, self.hint, 1, margins=(6, 8, 2, 8))
 
     @property
     def _seen(self) -> bool:
         """Neither closed nor behind another tab, where Qt still calls it visible."""
         return "compare" in self._state.choices.panels
 
+    @property
+    def _settings(self) -> tuple[ComparedOptions, ...]:
+        """What makes the estimates and the patches of A and B now."""
+        choices = self._state.choices
+        kappa, least = choices.rule
+        return tuple(
+            (s.options, FrameOptions(kappa if s.kappa is None else s.kappa, least))
+            for s in choices.compared
+        )
+
     def _on_choices(self, names: frozenset[str]) -> None:
         if "panels" in names and not self._seen:
-            self._forget()
-        elif names & {"kappa", "compared"} or self._answer is None:
+            self._controller.compare(())
+            self._take(None)
+        elif names & ({"compared"} | PATCH_CHOICES):
+            self._ask_anew()
+        elif "panels" in names and self._answer is None:
             self._ask()
         else:
             self._show()
 
-    def _forget(self) -> None:
-        """Measure nothing more; old numbers would look like new ones."""
-        self._answer = None
-        self._controller.compare(())
-        self._show()
+    def _on_frame(self, _: int, by_playback: bool) -> None:
+        self._ask() if by_playback else self._ask_anew()
+
+    def _ask_anew(self) -> None:
+        """Ask, and show nothing until it has come: old numbers would look like new ones."""
+        self._take(None)
+        self._ask()
 
     def _ask(self) -> None:
         if self._seen and self._state.facts is not None:
-            choices = self._state.choices
-            rules = [choices.kappa if s.kappa is None else s.kappa for s in choices.compared]
-            estimators = [setting.options for setting in choices.compared]
-            self._controller.compare(tuple(zip(estimators, rules, strict=True)))
+            self._controller.compare(self._settings)
 
     def _on_compared(self, answer: Compared) -> None:
-        if self._seen:
+        if self._seen and answer.request.settings == self._settings:
+            self._take(answer)
+
+    def _on_failed(self, failed: Failed) -> None:
+        if isinstance(failed.request, CompareRequest):
+            self._take(None)
+
+    def _take(self, answer: Compared | None) -> None:
+        if answer is not self._answer:
             self._answer = answer
             self._show()
+            self.measured.emit(self._measured)
+
+    @property
+    def _measured(self) -> tuple[Measured | str | None, ...]:
+        return (None, None) if self._answer is None else self._answer.measured
 
     def _show(self) -> None:
-        measured = self._answer.measured if self._answer is not None else (None, None)
-        for column, one in zip((self.a, self.b), measured, strict=True):
+        for column, one in zip((self.a, self.b), self._measured, strict=True):
             column.show_measured(one, self._state.units)

@@ -63,6 +63,7 @@ class Menus:
         self._recent(menu.addMenu("Open &recent"))
         self._add(menu, "Re&load", self._saver.reload, "F5")
         self._add(menu, "Infor&mation…", self._window.show_information, "Alt+Return")
+        self._add(menu, "&Close", self._close, "Ctrl+W")
         menu.addSeparator()
         self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
         self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
@@ -349,6 +350,11 @@ class Menus:
         path = file_to_open(self._bar, "Open truth", kinds, of="recording")
         if path is not None:
             self._window.controller.opening.truth(path)
+
+    def _close(self) -> None:
+        """Close the recording or the live source; what is being recorded is whole then."""
+        self._window.live_controller.disconnect_all()
+        self._window.controller.opening.nothing()
 
     def _open_session(self) -> None:
         path = file_to_open(self._bar, "Open session", SESSIONS, of="session")

@@ -12,7 +12,7 @@ from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.layers.axes_layer import AxesLayer
 from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
-from bubbleviz_ui.view3d.layers.contour_layer import ContourLayer
+from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer, ContourLayer
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
@@ -30,6 +30,7 @@ CLASSES: tuple[type[Layer], ...] = (
     MembraneLayer,
     WireframeLayer,
     ContourLayer,
+    ComparedLayer,
     CloudLayer,
     ForceLayer,
     ReadoutLayer,

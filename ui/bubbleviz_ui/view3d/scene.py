@@ -6,12 +6,14 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.diagnostics.probe import Probed
+from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
+from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
@@ -52,7 +54,7 @@ class Scene:
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.marks = ProbeMarks(view)
         self._text = PlaceText(view, units)
-        cut = [layer.actor for layer in self.layers.values() if layer.cut]
+        cut = [actor for layer in self.layers.values() if layer.cut for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
         on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
         self._picker = Picker(view, surfaces=[on], clouds=[beside])
@@ -121,6 +123,11 @@ class Scene:
         # The bounds of what is drawn would be gathered from every point of every layer.
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
+
+    def compare(self, measured: tuple[Measured | str | None, ...]) -> None:
+        """Draw the outlines of compared settings into pictures of the frame they are of."""
+        self._drawn.of(ComparedLayer).take(measured)
+        self.apply(self._choices)
 
     def apply(self, choices: Choices) -> None:
         """Draw the last result again with other choices."""

@@ -47,7 +47,7 @@ class AxesLayer(Layer):
             self._axes.GetZAxisCaptionActor2D(),
         ):
             write_in(canvas.view, caption.GetCaptionTextProperty(), TEXT)
-        self._actors += [self._label, self._axes]
+        self.actors += [self._label, self._axes]
         self._length_m = 0.0
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:

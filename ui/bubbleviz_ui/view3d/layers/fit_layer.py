@@ -43,7 +43,7 @@ class FitLayer(Layer):
         )  # fmt: skip
         self.lines = self.add(self._lines, color=theme.ORANGE, line_width=1, lighting=False)
         self.arrows = self.add(self._arrows, color=theme.NODE, line_width=3, lighting=False)
-        for actor in self._actors:
+        for actor in self.actors:
             actor.SetPickable(False)
             in_front(actor, TO_THE_FRONT)
         self._has(False)

@@ -47,6 +47,8 @@ class Layer:
         Of `registry.LAYERS`.
     cut : bool
         The section plane cuts it open.
+    actors : list
+        What VTK draws of it, the main one first.
     """
 
     name = ""
@@ -54,18 +56,18 @@ class Layer:
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
-        self._actors: list[Any] = []
+        self.actors: list[Any] = []
         self._visible, self._any = True, True
 
     @property
     def actor(self) -> Any:
         """The first actor, which is the layer's main one."""
-        return self._actors[0]
+        return self.actors[0]
 
     def add(self, data: Any, **look: Any) -> Any:
         """Add an actor, seen while the layer is; as `View.add_mesh`."""
         actor = self.canvas.view.add_mesh(data, reset_camera=False, render=False, **look)
-        self._actors.append(actor)
+        self.actors.append(actor)
         return actor
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -85,7 +87,7 @@ class Layer:
         self._update()
 
     def _update(self) -> None:
-        for actor in self._actors:
+        for actor in self.actors:
             actor.SetVisibility(self._visible and self._any)
 
 

@@ -29,7 +29,7 @@ class ReadoutLayer(Layer):
         self._head = _text_actor(canvas.view, size=26, top=14)
         self._rest = _text_actor(canvas.view, size=15, top=50)
         self._alarm = _text_actor(canvas.view, size=26, top=14, colour=theme.UNTRUSTED)
-        self._actors += [self._head, self._rest, self._alarm]
+        self.actors += [self._head, self._rest, self._alarm]
 
     def draw(self, picture: Picture) -> None:
         """Write the numbers of this result."""
