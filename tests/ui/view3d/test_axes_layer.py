@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver, axes_corner, in_view
+from window_driver import Driver, axes_corner, in_view, texts
 
 from bubbleviz_ui.view3d.colour_bar import WIDTH
 
 Drive = Callable[..., Driver]
-LENGTH_M = 0.05
-"""Of the scale bar of the sensor of these tests: its rim is 150 mm wide."""
 
 
 def seen_of_axes(driver: Driver) -> np.ndarray:
@@ -27,17 +26,33 @@ def seen_of_axes(driver: Driver) -> np.ndarray:
     return np.abs(pictures[1] - pictures[0]).max(axis=2) > 40
 
 
-def test_the_scale_bar_is_as_long_as_it_says(drive: Drive) -> None:
+def said_m(driver: Driver) -> float:
+    """Length that the scale bar says."""
+    (said,) = (text for text in texts(driver) if re.fullmatch(r"[\d.]+ mm", text))
+    return 1e-3 * float(said.split()[0])
+
+
+def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive: Drive) -> None:
+    """Of a large view and of a small one, from far away and near to."""
     driver = drive()
-    window = driver.window
-    window.resize(1280, 800)
-    window.scene.look("top")
-    seen = seen_of_axes(driver)
-    corner = axes_corner(seen)
-    assert (seen & corner).any()  # the axes themselves
-    columns = np.flatnonzero((seen & ~corner).any(axis=0))
-    left, right = (in_view(driver, np.array([x, 0.0, 0.0])).x() for x in (0.0, LENGTH_M))
-    assert np.ptp(columns) == pytest.approx(right - left, abs=4)
+    window, lengths = driver.window, set[float]()
+    view = window.view
+    for size, nearer in (((1280, 800), 1.0), ((1280, 800), 8.0), ((800, 500), 30.0)):
+        window.resize(*size)
+        window.scene.look("top")
+        view.camera.Dolly(nearer)
+        seen = seen_of_axes(driver)
+        corner = axes_corner(seen)
+        assert (seen & corner).any()  # the axes themselves
+        seen &= ~corner
+        assert not (seen[0] | seen[-1]).any() and not (seen[:, 0] | seen[:, -1]).any()
+        ends = np.flatnonzero(seen[-12:].any(axis=0))  # below the number
+        middle, half = np.array(view.camera.focal_point), np.array([said_m(driver) / 2.0, 0.0, 0.0])
+        left, right = (in_view(driver, middle + side * half).x() for side in (-1.0, 1.0))
+        assert np.ptp(ends) == pytest.approx(right - left, abs=3) and right - left > 25
+        assert f"{said_m(driver):.0e}"[0] in "125"
+        lengths.add(said_m(driver))
+    assert len(lengths) == 3
 
 
 def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:

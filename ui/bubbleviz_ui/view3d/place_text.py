@@ -15,8 +15,6 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
 
 SIZE = 13  # px
-OPACITY = 0.75
-"""Of the ground below the text: what is behind it stays in sight."""
 
 
 class PlaceText:
@@ -30,7 +28,6 @@ class PlaceText:
         self._actor.SetVisibility(False)
         style = self._actor.GetTextProperty()
         write_in(view, style, SIZE)
-        style.SetBackgroundOpacity(OPACITY)
         view.follow_theme(self._paint)
         view.renderer.AddViewProp(self._actor)
 

@@ -6,9 +6,7 @@ import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
-from bubbleviz_ui.view3d.render_view import View
-
-POINTS_PER_INCH = 72
+from bubbleviz_ui.view3d.render_view import POINTS_PER_INCH, View
 
 
 def still(view: View, width: int, height: int) -> np.ndarray:
