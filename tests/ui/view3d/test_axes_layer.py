@@ -11,7 +11,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 from window_driver import Driver, axes_corner, in_view, texts
 
-from bubbleviz_ui.view3d.colour_bar import WIDTH
+from bubbleviz_ui.view3d.colour_bar import LOWEST, TEXT, WIDTH
 
 Drive = Callable[..., Driver]
 
@@ -53,6 +53,26 @@ def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive: Drive) -> No
         assert f"{said_m(driver):.0e}"[0] in "125"
         lengths.add(said_m(driver))
     assert len(lengths) == 3
+
+
+def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive: Drive) -> None:
+    """Each row of text is apart from the next: no number touches another, or a title."""
+    driver = drive()
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    window, counts = driver.window, []
+    for height in (700, 340, 100):
+        window.resize(1024, height)
+        window.view.camera.Azimuth(180.0)  # nothing behind the bars
+        window.view.camera.Dolly(0.1)
+        driver.settle()
+        ink = window.view.pixels()[:, -WIDTH + 20 :].min(axis=2) > 120  # right of the colours
+        rows = np.flatnonzero(np.diff(np.r_[0, ink.any(axis=1), 0])).reshape(-1, 2)
+        assert (rows[1:, 0] - rows[:-1, 1]).min() >= 2
+        assert rows[0, 0] > 0 and rows[-1, 1] < window.view.height()
+        counts.append(int(np.count_nonzero(np.diff(rows, axis=1) <= TEXT)))
+    of_a_title = 2  # the other one's rows touch
+    assert counts == [10 + of_a_title, 6 + of_a_title, 4 + of_a_title]
+    assert window.view.height() == LOWEST
 
 
 def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:

@@ -11,6 +11,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.colour_bar import LOWEST, WIDTH
 from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
@@ -58,6 +59,7 @@ class Scene:
         self._picker = Picker(view, surfaces=[on], clouds=[beside])
         self.depth_camera: DepthCamera | None = None
         view.resized.connect(self._stay_whole)
+        view.setMinimumSize(2 * WIDTH, LOWEST)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another sensor; the camera stays where the user has put it."""

@@ -39,7 +39,7 @@ def look_along(view: View, name: Viewpoint, bounds_m: list[float]) -> None:
 
 def beside_colour_bars(view: View, points_m: np.ndarray) -> None:
     """Move the picture to the left, and make it smaller, until points (k, 3) miss the bars."""
-    camera, free = view.camera, 1.0 - 2.0 * bar_width(view)
+    camera, free = view.camera, 1.0 - 2.0 * bar_width(view.width())
     camera.SetWindowCenter(0.0, 0.0)
     aspect = view.width() / max(view.height(), 1)
     matrix = camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
