@@ -60,6 +60,8 @@ class View(QtInteractor):  # type: ignore[misc]
         Real renders of VTK.
     render_count : int
         Renders since the view exists.
+    of_the_mouse : list
+        Props that say what the mouse points at: seen in the window, not in pictures of the view.
     busy_s : float
         Time the GUI thread has spent on pictures: changing the scene and rendering it, s.
     """
@@ -77,6 +79,7 @@ class View(QtInteractor):  # type: ignore[misc]
         direct_swap.prepare(self)
         self.renders = RateMeter()
         self.render_count = 0
+        self.of_the_mouse: list[Any] = []
         self.busy_s = 0.0
         self._due = QTimer(self, singleShot=True)
         self._due.timeout.connect(self._draw)

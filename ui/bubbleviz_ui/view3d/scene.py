@@ -53,6 +53,7 @@ class Scene:
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.marks = ProbeMarks(view)
         self._text = PlaceText(view, units)
+        view.of_the_mouse += [*self.marks.actors, self._text.actor]
         cut = [layer.actor for layer in self.layers.values() if layer.cut]
         self.section = Section(view, self._surface, cut)
         on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
