@@ -139,7 +139,7 @@ class ComparePanel(QWidget):
 
     def _lay_out(self) -> None:
         grid = QGridLayout()
-        grid.setHorizontalSpacing(4)
+        grid.setHorizontalSpacing(8)
         grid.setVerticalSpacing(3)
         for place, title in enumerate(("A", "B"), start=1):
             grid.addWidget(QLabel(title), 0, place)

@@ -15,6 +15,8 @@ WIDTH = 112
 """Width that the widest title needs, px."""
 HEIGHT, BORDER = 0.42, 0.04
 """Of a bar with its title, and of what is free above and below, as shares of the view's."""
+EDGE = 0.01
+"""Free beside the bars, as a share of the view's width."""
 LEAST_BORDER = 15
 """So far the title reaches beyond the bar's height, px."""
 TEXT, LINE = 12, 15  # px, of a font and of a line of it
@@ -27,6 +29,11 @@ LOWEST = 2 * (TITLE + LINE) + 3 * LEAST_BORDER
 def bar_width(width: float) -> float:
     """Width of the colour bars as a share of that of the view, px."""
     return min(max(0.11, WIDTH / max(width, 1.0)), 0.5)
+
+
+def beside_bars(width: float) -> float:
+    """What is left of the colour bars, as a share of the width of the view, px."""
+    return 1.0 - bar_width(width) - 2.0 * EDGE
 
 
 class ColourBar:
@@ -69,7 +76,7 @@ class ColourBar:
         bottom = height - border - tall if self._upper else border
         self._bar.SetWidth(share)
         self._bar.SetHeight(tall / height)
-        self._bar.SetPosition(0.99 - share, bottom / height)
+        self._bar.SetPosition(1.0 - EDGE - share, bottom / height)
         lines = (tall - TITLE) / LINE
         self._bar.SetNumberOfLabels(next((n for n in (5, 3) if n - 1 <= lines), 2))
         self._bar.SetVerticalTitleSeparation(round(6 * self._view.pixel))

@@ -12,7 +12,7 @@ from bubbleviz.result import Result
 from bubbleviz_ui.model.result_text import DOUBTS, force_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_bar import bar_width
+from bubbleviz_ui.view3d.colour_bar import beside_bars
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
@@ -72,8 +72,7 @@ class ReadoutLayer(Layer):
         view, box = self.canvas.view, [0.0] * 4
         text.GetBoundingBox(view.renderer, box)
         width = view.room[0]
-        free = width * (1.0 - bar_width(width) - 2.0 * LEFT)
-        return free * view.pixel / max(box[1] - box[0], 1.0)
+        return width * (beside_bars(width) - LEFT) * view.pixel / max(box[1] - box[0], 1.0)
 
 
 def readout(result: Result, units: Units) -> tuple[str, str]:
