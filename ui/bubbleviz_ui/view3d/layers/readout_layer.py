@@ -53,10 +53,13 @@ class ReadoutLayer(Layer):
         """Keep the text beside the colour bars: a smaller headline, more lines below it."""
         height = self.canvas.view.room[1]
         share = min(1.0, max(SMALLEST, height / TALL))
+        head, rest, top = share * HEAD, share * REST, 1.0 - share * TOP / height
         for text in (self._head, self._alarm):
-            _put(text, share * HEAD, 1.0 - share * TOP / height)
-            _put(text, share * HEAD * min(1.0, self._room_for(text)), 1.0 - share * TOP / height)
-        _put(self._rest, share * REST, 1.0 - share * (TOP + BELOW) / height)
+            _put(text, head, top)
+            size = head * min(1.0, self._room_for(text))
+            _put(text, size, top)
+            rest = min(rest, size)
+        _put(self._rest, rest, 1.0 - share * (TOP + BELOW) / height)
         self._rest.SetInput(self._about)
         if self._room_for(self._rest) < 1.0:
             self._rest.SetInput("\n".join(map(self._wrapped, self._about.split(APART))))
