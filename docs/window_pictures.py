@@ -5,13 +5,18 @@ Run as `.venv/bin/python docs/window_pictures.py ../shared/data/punyo_press_a do
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, get_args
 
+import numpy as np
+from PIL import Image
 from PySide6.QtWidgets import QWidget
 
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
@@ -20,6 +25,8 @@ from bubbleviz.live.session_preset import load_session
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.export_dialog import ExportDialog
+from bubbleviz_ui.importing.image_fields import RATE
+from bubbleviz_ui.importing.import_dialog import ImportDialog
 from bubbleviz_ui.model.choices import Choices, ImageName, Setting
 from bubbleviz_ui.model.demand import PLOTS
 from bubbleviz_ui.model.registry import PANELS
@@ -34,6 +41,11 @@ MARKED = 75
 LOOPED = (60, 85)
 SYNTHETIC_FRAME = 76
 SMALL, LARGE = (960, 600), (1280, 800)
+SIZES = {
+    "1920x1080": (1920, 1080, 1.0), "1280x800": (1280, 800, 1.0), "1024x700": (1024, 700, 1.0),
+    "1024x700-150": (683, 467, 1.5),
+}  # fmt: skip
+"""Width and height in Qt's pixels, and how many of the screen each has along a side."""
 SHOWN = ("kappa", "threshold", "compare", "tools", "pose", "calibration", "plots", "images")
 ALWAYS = ("playback", "status")
 COMPUTED_S = 5.0  # until a panel has what it computes by itself
@@ -67,11 +79,20 @@ def settled(session: WindowSession) -> None:
 
 def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
     """Write the whole window."""
-    session.window.resize(*size)
-    settled(session)
+    for _ in range(2):  # the docks' place, on which the least size depends, follows the size
+        session.window.resize(*size)
+        settled(session)
     rest(session)
     session.settle()
     session.save(out)
+    in_few_colours(out)
+
+
+def in_few_colours(out: Path) -> None:
+    """Make a file half as large, which nobody sees."""
+    image = Image.open(out).convert("RGB")
+    colours = image.quantize(256, Image.Quantize.FASTOCTREE)
+    image.quantize(palette=colours, dither=Image.Dither.FLOYDSTEINBERG).save(out, optimize=True)
     print(f"wrote {out}")
 
 
@@ -121,6 +142,7 @@ def panels(session: WindowSession, folder: Path, theme: str) -> None:
     for show, kind, name in (
         (window.show_costs, CostsPopup, "costs"),
         (window.show_export, ExportDialog, "export"),
+        (window.show_import, ImportDialog, "import"),
         (window.show_palette, CommandPalette, "palette"),
         (window.show_shortcuts, ShortcutsDialog, "shortcuts"),
     ):
@@ -141,6 +163,34 @@ def workbench(session: WindowSession, folder: Path, theme: str) -> None:
     open_panel(session, "tools", **SECTION)
     picture(session, folder / f"tools{end}.png", LARGE)
     session.state.choose(**before)
+
+
+def import_images(session: WindowSession) -> None:
+    """Have the dialog import a folder of depth images."""
+    with TemporaryDirectory() as folder, chdir(folder):
+        images = Path("press-01")
+        images.mkdir()
+        for k in range(3):
+            np.save(images / f"{k}.npy", np.full((24, 32), 0.1))
+        session.window.show_import()
+        (dialog,) = session.window.findChildren(ImportDialog)
+        dialog.source.line.setText(str(images))
+        dialog.images.timing.setCurrentText(RATE)
+        dialog.begin.click()
+        session.wait_for(lambda: bool(dialog.made.text()), "importing")
+        dialog.close()
+
+
+def sized(recording: Path, out: Path, width: int, height: int, scale: float) -> None:
+    """The press with its plots in a window of another size; for a process of its own."""
+    os.environ["QT_SCALE_FACTOR"] = str(scale)
+    _, sensor = checked_sensor(recording, "auto")
+    with (
+        screen_for_pictures(round(scale * width), round(scale * height)),
+        opened(sensor, recording, FRAME, load_scene("press")) as session,
+    ):
+        session.state.choose(theme="dark")
+        picture(session, out, (width, height))
 
 
 def gamma0(session: WindowSession, out: Path) -> None:
@@ -165,7 +215,7 @@ def live_pair(session: WindowSession, out: Path) -> None:
 
     session.wait_for(both_touch, "contact of both")
     session.save_still(out)
-    print(f"wrote {out}")
+    in_few_colours(out)
 
 
 @contextmanager
@@ -181,11 +231,17 @@ def opened(*arguments: Any, **named: Any) -> Iterator[WindowSession]:
 def main() -> None:
     """Make all of them."""
     recording, docs = map(Path, sys.argv[1:])
+    for name, size in SIZES.items():
+        out = docs / "sizes" / f"{name}.png"
+        process = get_context("spawn").Process(target=sized, args=(recording, out, *size))
+        process.start()
+        process.join()
     _, sensor = checked_sensor(recording, "auto")
     synthetic = load_sensor(SYNTHETIC_SENSOR)
     with screen_for_pictures(*LARGE):
         with opened(sensor, recording, FRAME, load_scene("press")) as session:
             analyse(session)
+            import_images(session)
             session.state.toggle_marker(MARKED)
             for theme in ("dark", "light"):
                 session.state.choose(theme=theme)

@@ -78,9 +78,7 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     measured = np.where(mask, new.statistics.range_m, np.nan)
     misfits = [
         Row(name, "fine length", _rms(measured - was), _rms(measured - now))
-        for name, was, now in zip(
-            ("rms misfit of surface", "rms misfit with bias"), before, after, strict=True
-        )
+        for name, was, now in zip(("rms misfit", "rms with bias"), before, after, strict=True)
     ]
     noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))
     used = None if pixels is None else float(pixels.mask.sum())
@@ -115,7 +113,7 @@ def _numbers(old: SensorModel, new: Identification) -> list[Row]:
             for name, size in _sizes(new.mesh).items()
         ),
         Row("membrane area", "area", float(mesh.areas.sum()), float(new.mesh.areas.sum())),
-        Row("volume under the cap", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
+        Row("cap volume", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
         Row("chamber volume", "volume", was.chamber_volume_m3, now.chamber_volume_m3),
     ]
 

@@ -19,7 +19,7 @@ import bubbleviz
 from bubbleviz.frames.frame import Frame
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_bar import bar_width
+from bubbleviz_ui.view3d.colour_bar import beside_bars
 from bubbleviz_ui.view3d.colour_maps import rgb
 
 Drive = Callable[..., Driver]
@@ -358,7 +358,7 @@ def test_a_large_scale_on_a_small_screen_holds_the_window(drive: Drive) -> None:
     assert window.playback.mapTo(window, window.playback.rect().bottomRight()).x() <= 675
     assert window.layers.visibleRegion().boundingRect().height() > 50
     assert window.view.width() > 350 and window.view.height() > 150
-    bars = window.view.width() * (1.0 - bar_width(window.view))
+    bars = window.view.width() * beside_bars(window.view.width())
     (rest,) = (text for text in written(driver) if text.GetInput().startswith("peak"))
     assert 0.3 * bars < right_end(driver, rest) < bars
     window.resize(1200, 700)

@@ -89,8 +89,7 @@ def warm(pixels: np.ndarray) -> np.ndarray:
 def axes_corner(pixels: np.ndarray) -> np.ndarray:
     """Where the axes are in a picture, (height, width) bool."""
     corner = np.zeros(pixels.shape[:2], bool)
-    high, wide = corner.shape
-    corner[int((1.0 - CORNER[3]) * high) :, : int(CORNER[2] * wide) + 1] = True
+    corner[-CORNER:, :CORNER] = True
     return corner
 
 

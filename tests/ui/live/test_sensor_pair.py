@@ -11,11 +11,13 @@ import pytest
 from fakes import DentSource
 from live_bench import IMAGE, Bench, contents, robot_sensor, two
 from PySide6.QtCore import Qt
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import props
 
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 
 Open = Callable[[], Bench]
 
@@ -156,6 +158,49 @@ def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: O
     bench.window.scene.reset_view()  # with nothing beside it in view
     middle = [0.0, 0.0, 0.5 * robot_sensor().membrane.height_m]
     np.testing.assert_allclose(bench.window.view.camera.focal_point, middle, atol=1e-3)
+
+
+def ends_kpa(bench: Bench) -> tuple[float, float, float]:
+    """Upper end of the pressure scale: what the bar states, and by which both are coloured."""
+    (bar,) = (
+        prop
+        for prop in props(bench)
+        if isinstance(prop, vtkScalarBarActor) and "pressure" in prop.GetTitle()
+    )
+    parts = drawing(bench).GetParts()
+    (membrane,) = (
+        part.GetMapper()
+        for part in (parts.GetItemAsObject(k) for k in range(parts.GetNumberOfItems()))
+        if part.GetVisibility() and part.GetMapper().GetArrayName() == Surface.PRESSURE
+    )
+    own = bench.window.scene.layers["membrane"].actor.mapper
+    return bar.GetLookupTable().GetRange()[1], own.GetScalarRange()[1], membrane.GetScalarRange()[1]
+
+
+def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) -> None:
+    """In each picture, the first ones too, also while one is pressed harder than the other."""
+    bench, seen = open_bench(), list[tuple[float, float, float]]()
+    preset, source = two(bench.folder), DentSource(robot_sensor())
+    with RecordingWriter(bench.folder / "dent.mcap") as writer:
+        for k in range(len(source)):
+            writer.write(source[k])
+    replay = f"replay:{bench.folder / 'dent.mcap'}?loop=true"
+    hard = preset.sensors[1].model_copy(update={"source": replay})
+    bench.state.choose(layers=frozenset({"membrane"}))
+    bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], hard)}))
+    pair = bench.window.pair
+
+    def look() -> None:
+        if pair.drawing is not None and drawing(bench).GetVisibility():
+            seen.append(ends_kpa(bench))
+
+    bench.window.view.rendered.connect(look)
+    for _ in range(2):
+        before = len(seen)
+        bench.wait(lambda before=before: len(seen) > before + 20)
+        bench.live_controller.choose_other()
+    assert all(len(set(ends)) == 1 for ends in seen), seen
+    assert len(set(seen)) > 1  # the scale has changed
 
 
 def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench: Open) -> None:

@@ -256,6 +256,7 @@ def test_images_are_as_large_as_can_be() -> None:
     assert best_columns(6, 310, 600) == 2
     assert best_columns(3, 310, 900) == 1
     assert best_columns(4, 900, 200) == 4
+    assert best_columns(3, 340, 140) == 2  # three would write over each other
 
 
 def test_all_images_may_be_hidden(drive: Drive) -> None:

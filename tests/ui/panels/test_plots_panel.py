@@ -309,7 +309,7 @@ def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive: D
     driver.wait(lambda: table.item(4, 0).text() == "4")
     driver.bot.mouseClick(panel.statistics.copy, LEFT)
     rows = [line.split("\t") for line in copied().splitlines()]
-    assert rows[0][:3] == ["Frames 6 to 9", "Force (N)", "Gas pressure change p_v, estimated (Pa)"]
+    assert rows[0][:3] == ["Frames 6 to 9", "Force (N)", "Gas pressure change p_v, gas law (Pa)"]
     assert [row[0] for row in rows[1:]] == [
         "mean", "standard deviation", "minimum", "maximum", "frames"
     ]  # fmt: skip

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver, axes_corner, in_view
+from window_driver import Driver, axes_corner, in_view, texts
 
-from bubbleviz_ui.view3d.colour_bar import WIDTH
+from bubbleviz_ui.view3d.colour_bar import LOWEST, TEXT, WIDTH
 
 Drive = Callable[..., Driver]
-LENGTH_M = 0.05
-"""Of the scale bar of the sensor of these tests: its rim is 150 mm wide."""
 
 
 def seen_of_axes(driver: Driver) -> np.ndarray:
@@ -27,17 +26,53 @@ def seen_of_axes(driver: Driver) -> np.ndarray:
     return np.abs(pictures[1] - pictures[0]).max(axis=2) > 40
 
 
-def test_the_scale_bar_is_as_long_as_it_says(drive: Drive) -> None:
+def said_m(driver: Driver) -> float:
+    """Length that the scale bar says."""
+    (said,) = (text for text in texts(driver) if re.fullmatch(r"[\d.]+ mm", text))
+    return 1e-3 * float(said.split()[0])
+
+
+def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive: Drive) -> None:
+    """Of a large view and of a small one, from far away and near to."""
     driver = drive()
-    window = driver.window
-    window.resize(1280, 800)
-    window.scene.look("top")
-    seen = seen_of_axes(driver)
-    corner = axes_corner(seen)
-    assert (seen & corner).any()  # the axes themselves
-    columns = np.flatnonzero((seen & ~corner).any(axis=0))
-    left, right = (in_view(driver, np.array([x, 0.0, 0.0])).x() for x in (0.0, LENGTH_M))
-    assert np.ptp(columns) == pytest.approx(right - left, abs=4)
+    window, lengths = driver.window, set[float]()
+    view = window.view
+    for size, nearer in (((1280, 800), 1.0), ((1280, 800), 8.0), ((800, 500), 30.0)):
+        window.resize(*size)
+        window.scene.look("top")
+        view.camera.Dolly(nearer)
+        seen = seen_of_axes(driver)
+        corner = axes_corner(seen)
+        assert (seen & corner).any()  # the axes themselves
+        seen &= ~corner
+        assert not (seen[0] | seen[-1]).any() and not (seen[:, 0] | seen[:, -1]).any()
+        ends = np.flatnonzero(seen[-12:].any(axis=0))  # below the number
+        middle, half = np.array(view.camera.focal_point), np.array([said_m(driver) / 2.0, 0.0, 0.0])
+        left, right = (in_view(driver, middle + side * half).x() for side in (-1.0, 1.0))
+        assert np.ptp(ends) == pytest.approx(right - left, abs=3) and right - left > 25
+        assert f"{said_m(driver):.0e}"[0] in "125"
+        lengths.add(said_m(driver))
+    assert len(lengths) == 3
+
+
+def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive: Drive) -> None:
+    """Each row of text is apart from the next: no number touches another, or a title."""
+    driver = drive()
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    window, counts = driver.window, []
+    for height in (700, 340, 100):
+        window.resize(1024, height)
+        window.view.camera.Azimuth(180.0)  # nothing behind the bars
+        window.view.camera.Dolly(0.1)
+        driver.settle()
+        ink = window.view.pixels()[:, -WIDTH + 20 :].min(axis=2) > 120  # right of the colours
+        rows = np.flatnonzero(np.diff(np.r_[0, ink.any(axis=1), 0])).reshape(-1, 2)
+        assert (rows[1:, 0] - rows[:-1, 1]).min() >= 2
+        assert rows[0, 0] > 0 and rows[-1, 1] < window.view.height()
+        counts.append(int(np.count_nonzero(np.diff(rows, axis=1) <= TEXT)))
+    of_a_title = 2  # the other one's rows touch
+    assert counts == [10 + of_a_title, 6 + of_a_title, 4 + of_a_title]
+    assert window.view.height() == LOWEST
 
 
 def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:
@@ -51,7 +86,7 @@ def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:
         driver.settle()
         places = [in_view(driver, node) for node in mesh.nodes[mesh.rim]]
         across = [place.x() for place in places]
-        assert min(across) >= -1 and max(across) <= window.view.width() - WIDTH + 1, size
+        assert min(across) >= -1 and max(across) <= 0.98 * window.view.width() - WIDTH + 1, size
 
 
 def test_calibration_is_not_crushed_in_a_small_window(drive: Drive) -> None:

@@ -10,7 +10,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from window_driver import Driver, drawn_points, in_view, near, texts
+from window_driver import Driver, drawn_points, hover, in_view, near, texts
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -241,6 +241,25 @@ def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
     np.testing.assert_array_equal(driver.window.view.pixels(), before)
     tools.save_picture(tmp_path / "missing" / "view.png")
     assert "cannot be written" in driver.window.message.label.text()
+
+
+def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
+    opened(driver)
+    driver.state.choose_panel("images", True)  # the place is marked, too
+    view = driver.window.view
+    QApplication.processEvents()
+    driver.settle()
+    before, size = still(view, 640, 400), view.size()
+    hover(view, in_view(driver, nodes(driver)[int(np.argmax(nodes(driver)[:, 2]))]))
+    numbers = lambda: [text for text in texts(driver) if "node" in text]  # noqa: E731
+    driver.wait(lambda: bool(numbers()))
+    assert view.size() == size
+    np.testing.assert_array_equal(still(view, 640, 400), before)
+    assert numbers()
+    driver.window.tools.use_tool("probe")
+    driver.bot.mouseClick(view, LEFT, pos=view.rect().center())
+    assert np.any(still(view, 640, 400) != before)  # what was asked for by a click stays
 
 
 def test_the_turntable_turns_until_it_is_told(drive: Drive) -> None:

@@ -86,6 +86,7 @@ class ImageView(QWidget):
             interactive=False,
             colorMapMenu=False,
         )
+        self._bar.getAxis("bottom").enableAutoSIPrefix(False)  # "mm (x0.001)"
         self._bar.setImageItem(self._cell.item)
         self._host.arrange([self._cell.frame, self._bar])
         self._host.canvas.setFixedHeight(HEIGHT)

@@ -167,6 +167,8 @@ class SensorPair(QObject):
     def _on_shown(self) -> None:
         """Let both go on at once: neither takes the other's time."""
         self._shown_s = time.perf_counter()
+        if self.drawing is not None and not self.drawing.visible:
+            self._show()
         if self._playing:
             self._follow()
 
@@ -220,9 +222,12 @@ class SensorPair(QObject):
         self._show()
 
     def _show(self) -> None:
-        """Draw with the chosen sensor's next picture: two sensors cost one picture, not two."""
+        """Draw with the chosen sensor's next picture: two sensors cost one picture, not two.
+
+        Not before it has one: until then the colour bars are those of what was open before.
+        """
         result = None if self.second is None else self.second.result
-        if self.drawing is None or result is None:
+        if self.drawing is None or result is None or self._controller.result is None:
             return
         self.drawing.show(result, self._state.choices)
         if time.perf_counter() - self._shown_s > ALONE_S:

@@ -71,7 +71,8 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             "Fit", "Contact points by distance from the object, and what is not determined"
         ),
         "axes": LayerKind(
-            "Axes and scale", "Axes of the bubble frame, and a length beside the rim"
+            "Axes and scale",
+            "Axes of the bubble frame, and a length in the depth of the point the view turns about",
         ),
     }
 )  # fmt: skip

@@ -161,7 +161,7 @@ class ComparePanel(QWidget):
 
     def _lay_out(self) -> None:
         grid = QGridLayout()
-        grid.setHorizontalSpacing(4)
+        grid.setHorizontalSpacing(8)
         grid.setVerticalSpacing(3)
         for place, each in enumerate((self.a, self.b), start=1):
             grid.addWidget(each.title, 0, place)

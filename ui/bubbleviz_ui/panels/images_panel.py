@@ -23,6 +23,8 @@ from bubbleviz_ui.shell.layouts import fill
 EVERY_MS = 150
 """While playing: colouring a large image takes some ms."""
 ASPECT = 4 / 3
+NARROWEST = 130
+"""Column in which the scale above an image is whole, screen pixels."""
 HEADER = 90
 """Height of what is above the images, screen pixels."""
 
@@ -163,4 +165,5 @@ def best_columns(count: int, width: int, height: int) -> int:
         rows = -(-count // columns)
         return min(width / columns, ASPECT * (height / rows))
 
-    return max(range(1, count + 1), key=size)
+    most = min(count, max(width // NARROWEST, 1))
+    return max(range(1, most + 1), key=size)

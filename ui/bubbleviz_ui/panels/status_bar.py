@@ -21,7 +21,8 @@ TIPS = {
     " its 95 % interval by depth noise, γ0, gauge pressure and λ",
     "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact"
     " patch panel says by which rule",
-    "gas": "Gas pressure change p_v against the reference: measured, or by the gas law (Eq. 9)",
+    "gas": "Gas pressure change p_v against the reference: measured, or by the gas law (Eq. 9);"
+    " of the rubber model what measurement and shape say together",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",
     "solve": "Depth image in → products out, and frames processed in the last second; click: more",

@@ -65,7 +65,7 @@ TRACES = MappingProxyType(
             "Gas pressure change p_v",
             lambda u: u.gas_pressure,
             {"gas_law_pa": BLUE, "gas_measured_pa": ORANGE},
-            ("estimated", "measured"),
+            ("gas law", "measured"),
             short="p_v",
         ),
         "area": Trace("Patch area", lambda u: u.area, {"area_m2": BLUE}),

@@ -76,21 +76,39 @@ class DrawnLayers:
         self.surface, self._ranges = Surface(units), ranges
         canvas = Canvas(view, self.surface, units)
         self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
+        self._picture: Picture | None = None
+        view.rendering.connect(self._keep_scale)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take the geometry of another sensor."""
+        self._picture = None
         self.surface.set_mesh(mesh)
         for layer in self.by_name.values():
             layer.set_sensor(sensor, mesh)
 
     def draw(self, result: Result, choices: Choices) -> None:
         """Draw a result with what the user chose to see."""
+        self._ranges.take(self, result)
+        self._draw(result, choices)
+
+    def hide(self) -> None:
+        """Show nothing, and have no say in the scales."""
+        self._picture = None
+        self._ranges.leave(self)
+
+    def _keep_scale(self) -> None:
+        """Draw once more where another sensor has changed the scales since."""
+        drawn = self._picture
+        if drawn is not None and drawn.ranges != self._ranges.of(drawn.choices):
+            self._draw(drawn.result, drawn.choices)
+
+    def _draw(self, result: Result, choices: Choices) -> None:
         shape = None
         if any(layer.cut for name, layer in self.by_name.items() if name in choices.layers):
             shape = self.surface.shape_of(result.estimate, choices.exaggeration)
         if shape is not None:
             self.surface.draw(shape)
-        picture = Picture(result, shape, self._ranges.take(result, choices), choices)
+        self._picture = picture = Picture(result, shape, self._ranges.of(choices), choices)
         for name, layer in self.by_name.items():
             layer.set_visible(name in choices.layers)
             if name in choices.layers:

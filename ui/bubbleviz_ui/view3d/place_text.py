@@ -15,33 +15,35 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
 
 SIZE = 13  # px
-OPACITY = 0.75
-"""Of the ground below the text: what is behind it stays in sight."""
 
 
 class PlaceText:
-    """A few short lines that stay at their place however the scene is turned."""
+    """A few short lines that stay at their place however the scene is turned.
+
+    Attributes
+    ----------
+    actor : vtkTextActor
+    """
 
     def __init__(self, view: View, units: Units) -> None:
         self._view, self._units = view, units
         self._place: Probed | None = None
-        self._actor = vtkTextActor()
-        self._actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
-        self._actor.SetVisibility(False)
-        style = self._actor.GetTextProperty()
+        self.actor = vtkTextActor()
+        self.actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
+        self.actor.SetVisibility(False)
+        style = self.actor.GetTextProperty()
         write_in(view, style, SIZE)
-        style.SetBackgroundOpacity(OPACITY)
         view.follow_theme(self._paint)
-        view.renderer.AddViewProp(self._actor)
+        view.renderer.AddViewProp(self.actor)
 
     def show(self, place: Probed | None, drawn_m: np.ndarray | None) -> None:
         """Write the numbers of a place at `drawn_m` (3,), where its node is drawn; or nothing."""
         self._place = place
-        self._actor.SetVisibility(place is not None)
+        self.actor.SetVisibility(place is not None)
         if place is not None and drawn_m is not None:
             self.write()
-            self._actor.GetPositionCoordinate().SetValue(*drawn_m)
-            at, style = self._view.place_of(drawn_m), self._actor.GetTextProperty()
+            self.actor.GetPositionCoordinate().SetValue(*drawn_m)
+            at, style = self._view.place_of(drawn_m), self.actor.GetTextProperty()
             # towards the middle of the view, where there is room
             right = at.x() > self._view.width() / 2
             style.SetJustificationToRight() if right else style.SetJustificationToLeft()
@@ -53,11 +55,11 @@ class PlaceText:
     def write(self) -> None:
         """Write the numbers in the operator's units, which may be others by now."""
         if self._place is not None:
-            self._actor.SetInput(beside(self._place, self._units))
+            self.actor.SetInput(beside(self._place, self._units))
 
     def _paint(self, colours: theme.Colours) -> None:
         ground = (c / 255 for c in rgb(colours.field))
-        self._actor.GetTextProperty().SetBackgroundColor(*ground)
+        self.actor.GetTextProperty().SetBackgroundColor(*ground)
 
 
 def beside(place: Probed, units: Units) -> str:

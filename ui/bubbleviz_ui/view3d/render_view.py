@@ -28,6 +28,8 @@ from bubbleviz_ui.model.rate_meter import RateMeter
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d import direct_swap
 
+POINTS_PER_INCH = 72
+"""At which a pixel of text is one of the picture."""
 CLICK = 3.0
 """How far the mouse may move in a click, screen pixels."""
 
@@ -50,17 +52,22 @@ class View(QtInteractor):  # type: ignore[misc]
         The mouse is elsewhere.
     resized : Signal
         The view has another size.
+    rendering : Signal
+        A picture is about to be made, perhaps of another size: what is laid out by pixels is now.
     rendered : Signal
         A new picture is on the screen.
     renders : RateMeter
         Real renders of VTK.
     render_count : int
         Renders since the view exists.
+    of_the_mouse : list
+        Props that say what the mouse points at: seen in the window, not in pictures of the view.
     busy_s : float
         Time the GUI thread has spent on pictures: changing the scene and rendering it, s.
     """
 
     dropped_files = Signal(list)
+    rendering = Signal()
     rendered = Signal()
     moved = Signal(float, float)
     clicked = Signal(float, float)
@@ -72,6 +79,7 @@ class View(QtInteractor):  # type: ignore[misc]
         direct_swap.prepare(self)
         self.renders = RateMeter()
         self.render_count = 0
+        self.of_the_mouse: list[Any] = []
         self.busy_s = 0.0
         self._due = QTimer(self, singleShot=True)
         self._due.timeout.connect(self._draw)
@@ -81,6 +89,7 @@ class View(QtInteractor):  # type: ignore[misc]
         self._tags = [
             (subject, subject.AddObserver(event, callback))
             for subject, event, callback in (
+                (self.ren_win, "StartEvent", lambda *_: self.rendering.emit()),
                 (self.ren_win, "EndEvent", self._count_render),
                 (self.iren.interactor, "RenderEvent", self._on_vtk_wants_render),
             )
@@ -115,6 +124,17 @@ class View(QtInteractor):  # type: ignore[misc]
         flat = np.frombuffer(image.constBits(), np.uint8)
         rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
         return rows.reshape(image.height(), image.width(), 3).copy()
+
+    @property
+    def pixel(self) -> float:
+        """Qt's pixel, in which text has its size, in pixels of the picture that is made."""
+        return float(self.ren_win.GetDPI()) / POINTS_PER_INCH
+
+    @property
+    def room(self) -> tuple[float, float]:
+        """Width and height of the picture that is made, in Qt's pixels."""
+        width, height = self.ren_win.GetSize()
+        return width / self.pixel, height / self.pixel
 
     def place_of(self, point_m: np.ndarray) -> QPointF:
         """Where a point (3,) in B is drawn, in Qt's pixels."""

@@ -40,21 +40,23 @@ def rounded_up(value: float) -> float:
 class HeldRanges:
     """Scales that grow with the data and never shrink, so colours stay comparable.
 
-    That of pressure covers the frame that is shown, and all that were seen but the highest two.
+    That of pressure covers the frames that are shown, and all that were seen but the highest two.
+    All sensors of a view are drawn on the same.
     """
 
     def __init__(self) -> None:
         self._held = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
-        self._peaks_pa: dict[int, float] = {}
+        self._peaks_pa: dict[tuple[object, int], float] = {}
+        self._shown_pa: dict[object, float] = {}
 
     def set_sensor(self, sensor: Sensor) -> None:
         """Begin anew for another source."""
         start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
         self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
-        self._peaks_pa = {}
+        self._peaks_pa, self._shown_pa = {}, {}
 
-    def take(self, result: Result, choices: Choices) -> Ranges:
-        """Scales to draw a result with."""
+    def take(self, who: object, result: Result) -> None:
+        """Cover what one of the sensors shows."""
         pressure, residual, force = 0.0, 0.0, 0.0
         if result.estimate is not None and result.estimate.status == "ok":
             pressure = float(result.estimate.contact_pressure_pa.max(initial=0.0))
@@ -63,19 +65,29 @@ class HeldRanges:
             residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
         if result.trusted_patch is not None:
             force = float(np.linalg.norm(result.trusted_patch.force_n))
-        held = self._held
+        held, self._shown_pa[who] = self._held, pressure
         self._held = Ranges(
-            _grown(held.pressure_pa, self._usual_peak(result.frame.index, pressure)),
+            _grown(held.pressure_pa, self._usual_peak((who, result.frame.index), pressure)),
             _grown(held.residual_m, residual),
             _grown(held.force_n, force),
         )
+
+    def leave(self, who: object) -> None:
+        """Forget what a sensor showed that shows nothing any more."""
+        self._shown_pa.pop(who, None)
+
+    def of(self, choices: Choices) -> Ranges:
+        """Scales to draw with."""
+        pressure = self._held.pressure_pa
+        for shown in self._shown_pa.values():
+            pressure = _grown(pressure, shown)
         return Ranges(
-            choices.pressure_max_pa or _grown(self._held.pressure_pa, pressure),
+            choices.pressure_max_pa or pressure,
             choices.residual_max_m or self._held.residual_m,
             self._held.force_n,
         )
 
-    def _usual_peak(self, frame: int, peak_pa: float) -> float:
+    def _usual_peak(self, frame: tuple[object, int], peak_pa: float) -> float:
         """Highest pressure of the frames seen, Pa, the `OUTLIERS` highest left out."""
         if math.isfinite(peak_pa):
             self._peaks_pa[frame] = max(peak_pa, self._peaks_pa.get(frame, 0.0))

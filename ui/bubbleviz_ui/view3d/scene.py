@@ -12,6 +12,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.colour_bar import LOWEST, WIDTH
 from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
 from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
@@ -54,12 +55,14 @@ class Scene:
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.marks = ProbeMarks(view)
         self._text = PlaceText(view, units)
+        view.of_the_mouse += [*self.marks.actors, self._text.actor]
         cut = [actor for layer in self.layers.values() if layer.cut for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
         on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
         self._picker = Picker(view, surfaces=[on], clouds=[beside])
         self.depth_camera: DepthCamera | None = None
         view.resized.connect(self._stay_whole)
+        view.setMinimumSize(2 * WIDTH, LOWEST)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take another sensor; the camera stays where the user has put it."""

@@ -13,6 +13,8 @@ from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.render_view import View
 
 VTK_FONT_FILE = 4
+OPACITY = 0.7
+"""Of the ground below text: it can be read over the membrane, which stays in sight."""
 
 
 @cache
@@ -29,8 +31,10 @@ def write_in(view: View, style: Any, size: int, colour: str | None = None) -> No
     style.SetBold(False)
     style.SetItalic(False)
     style.SetShadow(False)
+    style.SetBackgroundOpacity(OPACITY)
 
     def paint(colours: theme.Colours) -> None:
         style.SetColor(*(c / 255 for c in rgb(colour or colours.text)))
+        style.SetBackgroundColor(*(c / 255 for c in rgb(colours.view)))
 
     view.follow_theme(paint)

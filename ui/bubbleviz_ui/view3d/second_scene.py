@@ -50,6 +50,11 @@ class SecondScene:
         self._drawn.set_sensor(sensor, mesh)
         self._drawn.of(RimLayer).paint(colour)
 
+    @property
+    def visible(self) -> bool:
+        """Whether it is in the view."""
+        return bool(self._assembly.GetVisibility())
+
     def show(self, result: Result, choices: Choices) -> None:
         """Have the next picture show a result with what the user chose to see."""
         self._drawn.draw(result, choices)
@@ -57,6 +62,7 @@ class SecondScene:
 
     def hide(self) -> None:
         """Show nothing."""
+        self._drawn.hide()
         self._assembly.SetVisibility(False)
         self._view.refresh()
 

@@ -44,7 +44,7 @@ class CloudLayer(Layer):
         )
         actor.mapper.SetScalarModeToUsePointFieldData()
         actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
-        self._bar = ColourBar(view, self._table, "residual", bottom=0.04)
+        self._bar = ColourBar(view, self._table, "residual", upper=False)
         view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:

@@ -33,7 +33,7 @@ class MembraneLayer(Layer):
         )
         actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
         actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
-        self._bar = ColourBar(canvas.view, self._table, "contact pressure", bottom=0.53)
+        self._bar = ColourBar(canvas.view, self._table, "contact pressure", upper=True)
 
     def draw(self, picture: Picture) -> None:
         """Take the colour range and the opacity; the surface itself is shared."""

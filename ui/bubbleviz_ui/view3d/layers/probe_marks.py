@@ -16,7 +16,12 @@ TO_THE_FRONT = -6000.0
 
 
 class ProbeMarks:
-    """Two dots and a line, in front of everything; hidden while nothing is pointed at."""
+    """Two dots and a line, in front of everything; hidden while nothing is pointed at.
+
+    Attributes
+    ----------
+    actors : list of actors
+    """
 
     def __init__(self, view: View) -> None:
         self._view = view
@@ -25,13 +30,13 @@ class ProbeMarks:
         self._dots.point_data["colour"] = np.array([rgb(theme.LINE), rgb(theme.NODE)], np.uint8)
         self._ray = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         looks = {"lighting": False, "reset_camera": False, "render": False}
-        self._actors = [
+        self.actors = [
             view.add_mesh(self._ray, color=theme.LINE, line_width=1, opacity=0.6, **looks),
             view.add_mesh(
                 self._dots, scalars="colour", rgb=True, style="points", point_size=11, **looks
             ),
         ]
-        for actor in self._actors:
+        for actor in self.actors:
             actor.SetPickable(False)
             in_front(actor, TO_THE_FRONT)
         view.follow_theme(self._paint)
@@ -41,7 +46,7 @@ class ProbeMarks:
         """Take the colour of text for what was measured: it lies off the membrane, too."""
         self._dots.point_data["colour"][0] = rgb(colours.text)
         self._dots.Modified()
-        self._actors[0].prop.color = colours.text
+        self.actors[0].prop.color = colours.text
 
     def set_camera(self, position_m: np.ndarray) -> None:
         """Take where the depth camera is, (3,) in B."""
@@ -57,6 +62,6 @@ class ProbeMarks:
             self._ray.points[:] = np.array([self._camera_m, point])
             self._dots.Modified()
             self._ray.Modified()
-        for actor in self._actors:
+        for actor in self.actors:
             actor.visibility = place is not None
         self._view.refresh()

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz_ui.view3d.colour_bar import bar_width
+from bubbleviz_ui.view3d.colour_bar import beside_bars
 from bubbleviz_ui.view3d.render_view import View
 
 Viewpoint = Literal["top", "side", "front", "camera"]
@@ -39,7 +39,7 @@ def look_along(view: View, name: Viewpoint, bounds_m: list[float]) -> None:
 
 def beside_colour_bars(view: View, points_m: np.ndarray) -> None:
     """Move the picture to the left, and make it smaller, until points (k, 3) miss the bars."""
-    camera, free = view.camera, 1.0 - 2.0 * bar_width(view)
+    camera, free = view.camera, 2.0 * beside_bars(view.width()) - 1.0
     camera.SetWindowCenter(0.0, 0.0)
     aspect = view.width() / max(view.height(), 1)
     matrix = camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
