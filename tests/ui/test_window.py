@@ -158,6 +158,7 @@ def test_points_of_the_patch_follow_kappa_and_have_their_own_colour(drive: Drive
     driver.state.choose(cloud_colour="patch")
     result = lambda: driver.window.controller.result  # noqa: E731
     driver.wait(lambda: result().patch.pixel_mask is not None)
+    driver.settle()
     few = result().patch.pixel_mask.sum()
     solved = driver.pipeline.counts["estimate"]
     driver.state.choose(kappa=0.2)

@@ -218,6 +218,19 @@ def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
     assert driver.window.controller.dropped == 0
 
 
+def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive: Drive) -> None:
+    driver = drive(partial(DentSource, slow_s=0.1))
+    state, shown = driver.state, driver.window.controller
+    state.set_playing(True)
+    driver.wait(lambda: state.frame > shown.result.frame.index > 0)
+    before = shown.result.frame.index
+    key(driver, Qt.Key.Key_M)
+    assert len(state.markers) == 1 and state.markers[0] in (before, shown.result.frame.index)
+    state.set_playing(False)
+    driver.settle()
+    assert state.playhead == state.frame == shown.result.frame.index
+
+
 def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
     driver = drive(playing=True, live=True)
     panel, title = driver.window.playback, driver.window.windowTitle

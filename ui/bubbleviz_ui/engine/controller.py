@@ -275,9 +275,12 @@ class Controller(QObject):
 
     def _show(self, result: Result) -> None:
         """Draw a result that came, if the client shows it."""
-        self.state.history_changed.emit()
         shown = self.client.result
-        if shown is not None and shown.frame.index == result.frame.index:
+        seen = shown is not None and shown.frame.index == result.frame.index
+        if seen:
+            self.state.shown = result.frame.index
+        self.state.history_changed.emit()
+        if seen:
             self.shown.emit(shown)
         self._wait_to_settle()
 

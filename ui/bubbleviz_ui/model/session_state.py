@@ -40,6 +40,8 @@ class SessionState(QObject):
         None until a source is open.
     frame : int
         Cursor: the frame the user wants to see.
+    shown : int
+        Frame in the picture; while playing it is behind the cursor until that is solved.
     playing : bool
     frozen : bool
         The cursor stays while the live source goes on.
@@ -70,7 +72,7 @@ class SessionState(QObject):
         super().__init__()
         self.choices = choices or Choices()
         self.facts: SourceFacts | None = None
-        self.frame = 0
+        self.frame = self.shown = 0
         self.playing = False
         self.frozen = False
         self.link: Link = "disconnected"
@@ -96,10 +98,15 @@ class SessionState(QObject):
             self.markers = tuple(sorted({frame for frame, _ in facts.marks}))
         self.facts = facts
         self.history = History(facts.frames) if history is None else history
-        self.frame = self.now = min(max(frame, 0), facts.frames - 1)
+        self.frame = self.shown = self.now = min(max(frame, 0), facts.frames - 1)
         self.frozen = False
         self.source_changed.emit(facts)
         self.set_playing(playing)
+
+    @property
+    def playhead(self) -> int:
+        """The frame to point at and to mark: the cursor, while playing the one in the picture."""
+        return self.shown if self.playing and not self.frozen else self.frame
 
     def seek(self, index: int, *, by_playback: bool = False) -> None:
         """Move the cursor, held inside the recording; a live source goes on without it."""

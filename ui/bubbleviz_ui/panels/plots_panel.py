@@ -198,7 +198,7 @@ class PlotsPanel(QWidget):
         facts = self._state.facts
         if not self._host.ready or facts is None:
             return
-        frame = min(self._state.frame, facts.frames - 1)
+        frame = min(self._state.playhead, facts.frames - 1)
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)

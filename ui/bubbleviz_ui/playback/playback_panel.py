@@ -135,7 +135,7 @@ class PlaybackPanel(QWidget):
             (self.speed, "speed"), (self.mode, "every_frame"), (self.loop, "loop")
         ):  # fmt: skip
             bind(control, state, field)
-        self.mark.clicked.connect(lambda: state.toggle_marker(state.frame))
+        self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
         self.freeze.clicked.connect(state.freeze)
         self.now.clicked.connect(lambda: state.freeze(False))
 
@@ -194,8 +194,8 @@ class PlaybackPanel(QWidget):
 
     def _show_frame(self) -> None:
         self.timeline.update()
-        self.mark.setChecked(self._state.frame in self._state.markers)
-        self.readout.setText(self._text(self._state.frame))
+        self.mark.setChecked(self._state.playhead in self._state.markers)
+        self.readout.setText(self._text(self._state.playhead))
 
     def _text(self, frame: int) -> str:
         facts = self._state.facts

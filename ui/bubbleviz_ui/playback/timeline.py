@@ -233,7 +233,7 @@ class Timeline(QWidget):
         if self._state.frozen:
             now = self.x_of(self._state.now)
             painter.fillRect(QRectF(now - 1, RULER, 2, BAND), QColor(theme.FORCE))
-        x = self.x_of(self._state.frame)
+        x = self.x_of(self._state.playhead)
         painter.fillRect(QRectF(x - 1, RULER - 4, 2, BAND + 4), QColor(theme.of(self).text))
         if self.hasFocus():
             painter.setPen(QPen(QColor(theme.of(self).accent), 1))

@@ -144,10 +144,11 @@ class Menus:
         menu.addSeparator()
         CheckMark(
             self._switch(menu, "&Mark this frame", "M"),
-            lambda: state.frame in state.markers,
-            lambda _: state.toggle_marker(state.frame),
+            lambda: state.playhead in state.markers,
+            lambda _: state.toggle_marker(state.playhead),
             state.markers_changed,
             state.frame_changed,
+            state.history_changed,
             state.source_changed,
         )
         self._add(menu, "Next marker", lambda: state.seek_marker(1), "PgDown")
@@ -285,7 +286,8 @@ class Menus:
         state = self._window.state
         if state.facts is not None:
             first, last = state.play_range or (0, state.facts.frames - 1)
-            state.choose_range((first, state.frame) if end else (state.frame, last))
+            here = state.playhead
+            state.choose_range((first, here) if end else (here, last))
 
     def _last_frame(self) -> None:
         facts = self._window.state.facts
