@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
-from bubbleviz_ui.engine.source_openers import RecordingOpener, at_rest, recording, sensor_for
+from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener, recording, sensor_for
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
@@ -152,7 +152,7 @@ class Opening(QObject):
         """Close what is open; the sensor stays, at rest."""
         sensor = self.sensor
         if sensor is not None:
-            self.open("the sensor at rest", at_rest, lambda: sensor, playing=False, live=True)
+            self.open("the sensor at rest", NothingOpen, lambda: sensor, playing=False)
 
     def look_at(self, answer: Answer) -> None:
         """Notice that what was asked for has come, or has failed."""

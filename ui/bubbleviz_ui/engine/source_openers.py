@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import check_fits, preset_for
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.noisy_loop import NoisyLoop
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth, default_press, truth_of
 from bubbleviz.simulation.truth_file import KnownRecording, known_beside
@@ -77,11 +78,21 @@ def synthetic(sensor: Sensor) -> FrameSource:
     return NoisyLoop(source, press.camera, press.noise)
 
 
-def at_rest(sensor: Sensor) -> FrameSource:
-    """What is there while nothing is open: one frame of the untouched sensor, simulated."""
-    source = default_press(sensor, frames=1)
-    source.name, source.noise = "nothing open", DepthNoise()
-    return source
+class NothingOpen:
+    """What is there while nothing is open: one image in which no pixel has a return."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.name, self.times_s = "nothing open", np.zeros(1)
+        self._size = sensor.camera.height, sensor.camera.width
+
+    def __len__(self) -> int:
+        return 1
+
+    def __getitem__(self, index: int) -> Frame:
+        return Frame(index, 0.0, np.full(self._size, np.nan, np.float32))
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 class CachedSource:

@@ -28,8 +28,7 @@ class MembraneLayer(Layer):
             smooth_shading=False,
             ambient=0.25,
             diffuse=0.75,
-            specular=0.15,
-            specular_power=25,
+            specular=0.0,  # a highlight would look like pressure
         )
         actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
         actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
