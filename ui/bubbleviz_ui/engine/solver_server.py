@@ -40,6 +40,7 @@ from bubbleviz_ui.engine.requests import (
     Thresholded,
     Waited,
 )
+from bubbleviz_ui.engine.source_openers import NothingOpen
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -250,6 +251,8 @@ def _kept_numbers(session: Session, result: Result) -> Numbers:
 def _look(session: Session, result: Result, demand: Demand) -> Inspection:
     """A closer look at a result, beside the truth where the source knows it."""
     truth = None
+    if isinstance(session.source, NothingOpen):
+        return Inspection()
     if "kappa_curve" in demand.looks:
         truth = truth_of(session.source, result.frame.index)
     mask = truth.patch_mask if truth is not None else None
@@ -264,7 +267,9 @@ def _process(
     *,
     settled: bool = False,
 ) -> Result:
-    """Products of a frame; a live one's gas pressure is zeroed."""
+    """Products of a frame; a live one's gas pressure is zeroed. Nothing open has none."""
+    if isinstance(source, NothingOpen):
+        return Result(frame)
     if isinstance(source, LiveFrames):
         frame = zeroed(frame, source.zero, pipeline)
     if settled:
