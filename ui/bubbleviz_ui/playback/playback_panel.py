@@ -144,7 +144,8 @@ class PlaybackPanel(QWidget):
         self._show_all()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        self._on_history() if by_playback else self._show_frame()
+        if not by_playback:  # else it is pointed at once it is in the picture
+            self._show_frame()
 
     def _on_history(self) -> None:
         now = time.perf_counter()
