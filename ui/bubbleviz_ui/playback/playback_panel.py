@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
-from PySide6.QtCore import QEvent, Qt
+from PySide6.QtCore import QEvent, Qt, QTimer
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
@@ -27,7 +26,7 @@ from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
-EVERY_S = 0.1
+SOON_MS = 50
 """While playing: nobody reads faster."""
 MODES = {False: "real time", True: "every frame"}
 JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
@@ -49,7 +48,8 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self._shown_at = 0.0
+        self._due = QTimer(self, singleShot=True, interval=SOON_MS)
+        self._due.timeout.connect(lambda: self._show_frame())
         self.first = self._button("First frame (Home)")
         self.back = self._button("One frame back (←)")
         self.play = self._button("Play or pause (Space)")
@@ -148,10 +148,10 @@ class PlaybackPanel(QWidget):
             self._show_frame()
 
     def _on_history(self) -> None:
-        now = time.perf_counter()
-        if not self._state.playing or now - self._shown_at >= EVERY_S:
-            self._shown_at = now
+        if not self._state.playing:
             self._show_frame()
+        elif not self._due.isActive():
+            self._due.start()
 
     def _show_all(self) -> None:
         facts, live = self._state.facts, False
