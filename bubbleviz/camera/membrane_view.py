@@ -55,10 +55,9 @@ class MembraneView:
         excess = np.einsum("mk,mkj->mj", field[reaching] - level, faces)
         triangle, pixel = self._candidates(local, reaching)
         rays = self.camera.directions[pixel].T
-        seen = np.ones(len(pixel), bool)
-        for form in (faces[:, 0], faces[:, 1], faces[:, 2], excess):
-            x, y, z = form[triangle].T * rays
-            seen &= x + y + z >= 0.0
+        seen = np.einsum("pj,jp->p", excess[triangle], rays) > 0.0
+        for face in faces.transpose(1, 0, 2):
+            seen &= np.einsum("pj,jp->p", face[triangle], rays) >= 0.0
         mask.ravel()[pixel[seen]] = True
         return mask
 
