@@ -1,4 +1,4 @@
-"""Why who answers at a Zenoh endpoint accepts no session; Zenoh itself gives no reason."""
+"""Why a Zenoh endpoint that answers accepts no session: Zenoh itself gives no reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import ssl
 from bubbleviz.live.sources.zenoh_credentials import Credentials
 
 PATIENCE_S = 1.0
-"""With a host that is asked, s; chosen."""
+"""Longest wait for an answer of the host, s; chosen."""
 UNTRUSTED = range(18, 22)
 """OpenSSL's codes of certificates that no authority known here has signed."""
 

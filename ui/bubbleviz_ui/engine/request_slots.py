@@ -39,7 +39,7 @@ class RequestSlots:
     def put(self, request: Request) -> Request | None:
         """Leave a request; returns the one it replaces, which will never be served.
 
-        Another frame also replaces what was to be settled: nobody stays there any more.
+        A request for a frame also drops one to settle a frame: the user has left it.
         """
         with self._changed:
             replaced = self._waiting.get(type(request))

@@ -267,7 +267,7 @@ def _process(
     *,
     settled: bool = False,
 ) -> Result:
-    """Products of a frame; a live one's gas pressure is zeroed. Nothing open has none."""
+    """Products of a frame; a live one's gas pressure is zeroed. `NothingOpen` has none."""
     if isinstance(source, NothingOpen):
         return Result(frame)
     if isinstance(source, LiveFrames):

@@ -52,7 +52,7 @@ class Unit:
         )
 
     def with_range(self, si: float, low: float, high: float) -> str:
-        """Number, the range it may be in, and unit; nothing is in no range."""
+        """Number, the range it may be in unless that is empty, and unit."""
         if high <= 0.0 or not math.isfinite(si + low + high):
             return self.text(si)
         value, least, most = (f"{self.of(each):.{self.digits}f}" for each in (si, low, high))

@@ -144,7 +144,7 @@ class PlaybackPanel(QWidget):
         self._show_all()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        if not by_playback:  # else it is pointed at once it is in the picture
+        if not by_playback:  # else shown together with its picture
             self._show_frame()
 
     def _on_history(self) -> None:

@@ -18,7 +18,7 @@ HEIGHT, BORDER = 0.42, 0.04
 EDGE = 0.01
 """Free beside the bars, as a share of the view's width."""
 LEAST_BORDER = 15
-"""So far the title reaches beyond the bar's height, px."""
+"""How far the title reaches beyond the bar's height, px."""
 TEXT, LINE = 12, 15  # px, of a font and of a line of it
 TITLE = 2 * LINE + 6
 """Of a bar's height, px."""

@@ -29,7 +29,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d import direct_swap
 
 POINTS_PER_INCH = 72
-"""At which a pixel of text is one of the picture."""
+"""Resolution of a picture in which text has as many pixels as its font size says."""
 CLICK = 3.0
 """How far the mouse may move in a click, screen pixels."""
 
