@@ -8,7 +8,7 @@ import numpy as np
 
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.patch_finder import area_above, mean_pressure
+from bubbleviz.patch.patch_finder import areas_above, mean_pressure
 from bubbleviz.result import Estimate
 
 KAPPAS = np.geomspace(0.1, 100.0, 61)
@@ -62,7 +62,7 @@ def kappa_curve(
     levels = KAPPAS * mean_pressure(mesh, pressure)
     areas = np.zeros(len(KAPPAS))
     if pressure.any():
-        areas = np.array([area_above(mesh, pressure, level) for level in levels])
+        areas = np.array(areas_above(mesh, pressure, levels))
     iou = None
     if truth is not None and view is not None:
         iou = _ious(view, estimate, truth, levels)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.patch_finder import area_above, area_interval
+from bubbleviz.patch.mesh_region import connected_parts, neighbourhoods
+from bubbleviz.patch.patch_finder import area_above, area_and_interval
 from bubbleviz.result import Estimate, Patch
 
 
@@ -39,10 +38,11 @@ class Component:
 
 def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Component, ...]:
     """Parts of a patch, the largest first; their areas add up to the patch's."""
-    inside = np.flatnonzero(patch.level > 0.0)
-    if not len(inside):
+    above = patch.level > 0.0
+    if not above.any():
         return ()
-    count, label = connected_components(_edges(mesh)[inside][:, inside], directed=False)
+    inside = np.flatnonzero(above)
+    count, label = connected_parts(neighbourhoods(mesh), above)
     nodes = mesh.deformed(estimate.motion_m)
     parts = [_component(mesh, estimate, patch, nodes, inside[label == k]) for k in range(count)]
     return tuple(sorted(parts, key=lambda part: -part.area_m2))
@@ -71,21 +71,22 @@ def without_small(
         here = np.concatenate([part.nodes for part in kept])
         load = mesh.areas[here] * estimate.contact_pressure_pa[here]
         center = load @ mesh.deformed(estimate.motion_m)[here] / load.sum()
+    area_m2, area_interval_m2 = area_and_interval(mesh, level, band)
     return replace(
         patch,
         level=level,
-        area_m2=area_above(mesh, level, 0.0),
-        area_interval_m2=area_interval(mesh, level, band),
+        area_m2=area_m2,
+        area_interval_m2=area_interval_m2,
         center_of_pressure_m=center,
     )
 
 
 def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
     """Remove the bands of edges from a level where no patch is left."""
-    near = np.flatnonzero(level > -band)
-    count, label = connected_components(_edges(mesh)[near][:, near], directed=False)
+    near = level > -band
+    count, label = connected_parts(neighbourhoods(mesh), near)
     empty = np.bincount(label, level[near] > 0.0, minlength=count) == 0.0
-    level[near[empty[label]]] = -band
+    level[np.flatnonzero(near)[empty[label]]] = -band
 
 
 def _component(
@@ -103,9 +104,3 @@ def _component(
         peak_pa=float(pressure[here].max()),
         center_m=load @ nodes[here] / total if total > 0.0 else nodes[here].mean(axis=0),
     )
-
-
-def _edges(mesh: MembraneMesh) -> sparse.csr_array:
-    a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-    count = len(mesh.nodes)
-    return sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))

@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import Region, contour_points
+from bubbleviz.patch.mesh_region import Region, among, contour_points, neighbourhoods
 
 _INSET = 0.2  # how far, in mesh edges, the half height of p̂ lies inside that of the blurred p_c
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
@@ -35,19 +35,23 @@ class PatchEdge:
     mesh : MembraneMesh
     resolution_m : float
         ℓ, see `resolution.resolution_m`.
+
+    Attributes
+    ----------
+    resolution : float
+        ℓ, or half a mesh edge where that is more, m.
+    ring : (n, n) sparse array
+        Pattern of each node with its neighbours.
     """
 
     def __init__(self, mesh: MembraneMesh, resolution_m: float) -> None:
         self.mesh = mesh
-        count = len(mesh.nodes)
         a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
         self._edge = float(np.linalg.norm(mesh.nodes[a] - mesh.nodes[b], axis=1).mean())
         # Below half an edge it is the mesh that blurs.
         self.resolution = max(resolution_m, 0.5 * self._edge)
-        pairs = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))
-        self._ring = sparse.csr_array(pairs + pairs.T + sparse.eye_array(count))
-        self._ring.data[:] = 1.0
-        self._degree = np.diff(self._ring.indptr) - 1
+        self.ring = neighbourhoods(mesh)
+        self._degree = np.diff(self.ring.indptr) - 1
         self._rings = ceil(_HOLE * self.resolution / self._edge) + 2
         self._far = _HOLE * self.resolution + self._edge
         # One-ring maximum beside a blurred straight step, as a fraction of the step.
@@ -133,9 +137,9 @@ class PatchEdge:
     def _around(self, mask: np.ndarray) -> Region:
         """The part of the mesh within a few rings of a set of nodes."""
         for _ in range(self._rings):
-            mask = (self._ring @ mask.astype(float)) > 0.0
+            mask = (self.ring @ mask.astype(float)) > 0.0
         index = np.flatnonzero(mask)
-        ring = self._ring[index][:, index]
+        ring = among(self.ring, mask)
         neighbours = np.diff(ring.indptr) - 1
         rows = np.repeat(np.arange(len(index)), neighbours + 1)
         weight = np.where(rows == ring.indices, 0.0, 1.0 / np.maximum(neighbours, 1)[rows])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.mesh_region import connected_parts
 from bubbleviz.patch.patch_edge import PatchEdge
 from bubbleviz.result import Estimate, Patch
 
@@ -41,9 +42,6 @@ class PatchFinder:
         self._mesh, self._held = mesh, held_pressure_pa
         self._edge = PatchEdge(mesh, resolution_m)
         self._cell_m2 = np.pi * self._edge.resolution**2
-        a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-        count = len(mesh.nodes)
-        self._pairs = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))
 
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
         """Patch of an estimate: what carries the gas pressure, or by the paper's threshold κ.
@@ -67,14 +65,15 @@ class PatchFinder:
         if contact.any():
             load = mesh.areas * contact
             center = load @ mesh.deformed(estimate.motion_m) / load.sum()
+        area_m2, area_interval_m2 = area_and_interval(mesh, level, band)
         return Patch(
             threshold_pa=threshold,
             level=level,
             force_n=force,
             center_of_pressure_m=center,
-            area_m2=area_above(mesh, level, 0.0),
+            area_m2=area_m2,
             edge_half_width_m=band,
-            area_interval_m2=area_interval(mesh, level, band),
+            area_interval_m2=area_interval_m2,
             kappa=kappa,
         )
 
@@ -85,11 +84,11 @@ class PatchFinder:
         membrane, where noise leaves some pressure everywhere, below half the gas pressure.
         """
         pressure, linear = estimate.contact_pressure_pa, estimate.force_n is None
-        above = np.flatnonzero(pressure > (0.5 * gas_pa if linear else 0.0))
+        above = pressure > (0.5 * gas_pa if linear else 0.0)
         part = np.full(len(pressure), -1)
-        if not above.size:
+        if not above.any():
             return np.zeros(len(pressure)), part
-        parts, part[above] = connected_components(self._pairs[above][:, above], directed=False)
+        parts, part[above] = connected_parts(self._edge.ring, above)
         highest = np.zeros(parts)
         np.maximum.at(highest, part[above], pressure[above])
         touches = highest >= gas_pa
@@ -109,31 +108,45 @@ class PatchFinder:
         small = np.flatnonzero((contact > 0.0) & ~drawn[part])
         if len(small):
             edge = self._mesh.edge_length
-            beside = self._pairs[small].indices
+            beside = self._edge.ring[small].indices
             level[beside] = np.where(level[beside] > 0.0, level[beside], -edge)
             inside = (contact[small] / gas_pa - 0.5) * edge
             level[small] = np.minimum(inside, self._edge.resolution)
         return level
 
 
-def area_interval(mesh: MembraneMesh, level: np.ndarray, band: float) -> tuple[float, float]:
-    """Areas in m² within the inner and the outer line of an edge's band; NaN without a band."""
+def area_and_interval(
+    mesh: MembraneMesh, level: np.ndarray, band: float
+) -> tuple[float, tuple[float, float]]:
+    """Areas in m² within an edge, and within the inner and the outer line of its band if any."""
     if np.isnan(band):
-        return np.nan, np.nan
-    return area_above(mesh, level, band), area_above(mesh, level, -band)
+        return area_above(mesh, level, 0.0), (np.nan, np.nan)
+    inner, edge, outer = areas_above(mesh, level, (band, 0.0, -band))
+    return edge, (inner, outer)
 
 
 def area_above(mesh: MembraneMesh, field: np.ndarray, level: float) -> float:
-    """Area in m² of the reference surface where a nodal field exceeds a level.
+    """Area in m² of the reference surface where a nodal field exceeds a level."""
+    return areas_above(mesh, field, (level,))[0]
+
+
+def areas_above(
+    mesh: MembraneMesh, field: np.ndarray, levels: Sequence[float] | np.ndarray
+) -> tuple[float, ...]:
+    """Areas in m² of the reference surface where a nodal field exceeds each level.
 
     Exact for the piecewise linear field: of a triangle with one corner above the level, the part
     beyond the level line is the product of the two cut edge fractions.
     """
-    corners = field[mesh.triangles]
-    reaching = np.any(corners > level, axis=1)
-    low, middle, high = np.sort(corners[reaching], axis=1).T
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        one = (high - level) ** 2 / ((high - low) * (high - middle))
-        two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
-    fraction = np.select([low > level, middle > level, high > level], [1.0, two, one], 0.0)
-    return float(fraction @ mesh.facet_areas[reaching])
+    corners = field[mesh.triangles].T
+    reaching = corners.max(axis=0) > min(levels)
+    low, middle, high = np.sort(corners[:, reaching], axis=0)
+    facet_areas = mesh.facet_areas[reaching]
+    areas = []
+    for level in levels:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            one = (high - level) ** 2 / ((high - low) * (high - middle))
+            two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
+        part = np.where(middle > level, two, np.where(high > level, one, 0.0))
+        areas.append(float(np.where(low > level, 1.0, part) @ facet_areas))
+    return tuple(areas)
