@@ -36,8 +36,8 @@ class RectificationPage(Page):
         self.vented = QPushButton("Open chamber…")
         self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
         self.numbers = Numbers()
-        row = fill(QHBoxLayout(), self.add, self.drop, self.vented)
-        fill(self.column, self.before, self.after, self.numbers, self.levels, row, 1)
+        row = fill(QHBoxLayout(), self.add, self.drop)
+        fill(self.column, self.before, self.after, self.numbers, self.levels, row, self.vented, 1)
         self.add.clicked.connect(self._choose_level)
         self.vented.clicked.connect(self._choose_vented)
         self.drop.clicked.connect(
