@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
+import pyqtgraph as pg
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
@@ -24,7 +27,9 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.study.error_metrics import iou
 from bubbleviz_ui.model.frame_history import thinned
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
+from bubbleviz_ui.panels.time_plot import Band
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -132,6 +137,17 @@ def test_curves_and_bands_break_where_frames_are_missing(drive: Drive) -> None:
     band = force.bands["force_n"]
     for edge in (band.low, band.high):
         np.testing.assert_array_equal(edge.getOriginalDataset()[0], times)
+
+
+def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp: QApplication) -> None:
+    facts = cast(SourceFacts, SimpleNamespace(times_s=np.arange(10.0), gaps=()))
+    values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, np.nan, 6.0, 7.0, np.nan, 9.0])
+    box = pg.ViewBox(enableMenu=False)  # owns what is in it
+    band = Band(box, "#ffffff")
+    band.draw(facts, values, np.full(10, 0.2), (0.0, 9.0))
+    path = band.fill.path()
+    filled = [t for t in np.arange(0.25, 9.0, 0.5) if path.contains(QPointF(t, t))]
+    assert filled == [0.25, 0.75, 1.25, 1.75, 6.25, 6.75]
 
 
 def test_the_numbers_follow_a_click_and_the_mouse(drive: Drive) -> None:

@@ -9,7 +9,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from PySide6.QtGui import QColor
+from PySide6.QtCore import QPointF, Qt
+from PySide6.QtGui import QColor, QPainterPath, QPolygonF
+from PySide6.QtWidgets import QGraphicsPathItem
 
 from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, History, thinned
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -204,6 +206,8 @@ class Band:
     ----------
     low, high : pyqtgraph.PlotDataItem
         Its edges.
+    fill : QGraphicsPathItem
+        What lies between them. FillBetweenItem would fill gaps beside a single known frame.
     """
 
     def __init__(self, box: Any, colour: str) -> None:
@@ -212,7 +216,10 @@ class Band:
         shade = QColor(colour)
         shade.setAlpha(70)
         self.low, self.high = (pg.PlotDataItem(pen=shade, connect="finite") for _ in range(2))
-        for item in (self.low, self.high, pg.FillBetweenItem(self.low, self.high, brush=shade)):
+        self.fill = QGraphicsPathItem()
+        self.fill.setBrush(shade)
+        self.fill.setPen(Qt.PenStyle.NoPen)
+        for item in (self.low, self.high, self.fill):
             box.addItem(item)
 
     def draw(
@@ -223,8 +230,21 @@ class Band:
         window_s: tuple[float, float],
     ) -> None:
         """Draw values ± half widths, (F,), in the operator's unit."""
-        for edge, item in ((values - half, self.low), (values + half, self.high)):
-            item.setData(*thinned(facts.times_s, edge, window_s, facts.gaps))
+        times, low = thinned(facts.times_s, values - half, window_s, facts.gaps)
+        _, high = thinned(facts.times_s, values + half, window_s, facts.gaps)
+        self.low.setData(times, low)
+        self.high.setData(times, high)
+        path = QPainterPath()
+        known = np.isfinite(low)
+        for run in np.split(np.arange(len(low)), np.flatnonzero(np.diff(known)) + 1):
+            if len(run) > 1 and known[run[0]]:
+                there = np.concatenate([times[run], times[run][::-1]])
+                path.addPolygon(_polygon(there, np.concatenate([low[run], high[run][::-1]])))
+        self.fill.setPath(path)
+
+
+def _polygon(x: np.ndarray, y: np.ndarray) -> QPolygonF:
+    return QPolygonF([QPointF(*point) for point in zip(x.tolist(), y.tolist(), strict=True)])
 
 
 def alone(values: np.ndarray) -> bool:
