@@ -27,21 +27,18 @@ from bubbleviz.frames.depth_topics import (
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_of
 from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.time_series import Series
+from bubbleviz.frames.time_series import Laps, Series
 
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
-REORDERED_NS = 1_000_000_000
-"""A network swaps messages of a second at most; further back the clock was set, or it is a replay
-that began again."""
 _GARBAGE_NS = 3_600_000_000_000  # one hour: a stamp further off is from an unset clock
 
 
 class Recording:
     """Frames of a rosbag2 (folder, `.mcap`, `.db3`), a ROS 1 `.bag` or one of a RealSense.
 
-    Frames are ordered by the header stamps of the depth images. When any of them is unset, or they
-    begin again as a looped replay's do, the log times take their place for all frames. Any thread
-    may read; one reads at a time.
+    Frames are ordered by the header stamps of the depth images. When any of them is unset, the log
+    times take their place for all frames. Where they begin again, as a looped replay's do, one lap
+    follows the other. Any thread may read; one reads at a time.
 
     Parameters
     ----------
@@ -121,16 +118,16 @@ class Recording:
                     f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
                     f"{self.size[1]} pixels"
                 )
-            stamp, log = int(self.stamps_ns[index]), int(self._images.log_ns[k])
-            pressure = self._pressure.at(stamp, log) if self._pressure else None
+            key, log = int(self._keys[index]), int(self._images.log_ns[k])
+            pressure = self._pressure.at(key, log) if self._pressure else None
             return Frame(
                 index=index,
                 time_s=float(self.times_s[index]),
                 depth_m=depth,
                 intrinsics=self.intrinsics,
                 gas_pressure_pa=None if pressure is None else float(pressure[0]),
-                wrench=self._wrench.at(stamp, log) if self._wrench else None,
-                stamp_ns=stamp,
+                wrench=self._wrench.at(key, log) if self._wrench else None,
+                stamp_ns=int(self.stamps_ns[index]),
             )
 
     def __enter__(self) -> Recording:
@@ -198,11 +195,15 @@ class Recording:
         self.size = self._size_of(first, info_topic)
         self.encoding = str(getattr(first, "encoding", "points"))
         stamps = _without_garbage(_header_stamps(self._images), self._images.log_ns)
-        self._by_log = not stamps.all() or _begin_again(stamps)
+        self._by_log = not stamps.all()
         if self._by_log:
             stamps = self._images.log_ns
-        self._order = np.argsort(stamps, kind="stable")
-        self.stamps_ns = stamps[self._order]
+        laps = Laps(stamps, self._images.log_ns)
+        self._laps = laps if len(laps) > 1 and not self._by_log else None
+        times = stamps if self._laps is None else laps.times_ns(stamps)
+        self._order = np.argsort(times, kind="stable")
+        self._keys = laps.keys(stamps, laps.number)[self._order]
+        self.stamps_ns = times[self._order]
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
     def _series(self, kind: str, name: str | None, value: Any) -> Series | None:
@@ -210,7 +211,9 @@ class Recording:
         if topic is None:
             return None
         messages = self.bag.messages(topic)
-        return Series(messages, value, by_log=self._by_log) if len(messages) else None
+        return (
+            Series(messages, value, by_log=self._by_log, laps=self._laps) if len(messages) else None
+        )
 
 
 def _without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
@@ -222,14 +225,6 @@ def _without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
     usual = int(np.median(ahead))
     garbage = (np.abs(ahead - usual) > _GARBAGE_NS) & (stamps_ns != 0)
     return np.where(garbage, log_ns + usual, stamps_ns)
-
-
-def _begin_again(stamps_ns: np.ndarray) -> bool:
-    """Whether stamps, in the order of their arrival, go back far, or to one that was there."""
-    back = np.maximum.accumulate(stamps_ns) - stamps_ns
-    values, counts = np.unique(stamps_ns, return_counts=True)
-    again = np.isin(stamps_ns, values[counts > 1])
-    return bool(np.any(back > REORDERED_NS) or np.any((back > 0) & again))
 
 
 def _header_stamps(images: Messages) -> np.ndarray:

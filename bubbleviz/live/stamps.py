@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from bubbleviz.frames.recording import REORDERED_NS
+from bubbleviz.frames.time_series import REORDERED_NS
 
 Verdict = Literal["ok", "jump", "duplicate", "out_of_order", "bad"]
 
