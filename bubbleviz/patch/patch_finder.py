@@ -11,9 +11,14 @@ from bubbleviz.patch.mesh_region import connected_parts
 from bubbleviz.patch.patch_edge import PatchEdge
 from bubbleviz.result import Estimate, Patch
 
-MODEL_ERROR = 0.05
+LINEAR_ERROR = 0.05
 """Share of the load that the linear model misplaces: its error in force on a ball pressed 2 mm into
 the bubble, against the exact solution (`study.oracles`); it grows with depth."""
+
+FRICTION_ERROR = 0.1
+"""Share of the load that the exact membrane misplaces on a real sensor: a depth image does not tell
+what friction does. Where the tangential motion was measured, too, by flow of the colour image, the
+force of the one real press there is was a tenth larger."""
 
 
 def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
@@ -25,8 +30,8 @@ class PatchFinder:
     """Finds the patch in an estimate.
 
     By default the physics of contact draws it: each part must somewhere reach the gas pressure, as
-    what lies on something flat or convex does, and `PatchEdge` finds its edge. On the linear
-    membrane a part must also carry more than what noise or the model's own error could put there.
+    what lies on something flat or convex does, and carry more than what noise or the model's own
+    error could put there; `PatchEdge` finds its edge.
     With a factor κ it is the paper's: wherever p_c exceeds κ times its mean over the membrane.
 
     Parameters
@@ -92,10 +97,10 @@ class PatchFinder:
         highest = np.zeros(parts)
         np.maximum.at(highest, part[above], pressure[above])
         touches = highest >= gas_pa
-        if linear:
-            load = self._mesh.areas * pressure
-            loads = np.bincount(part[above], load[above], minlength=parts)
-            touches &= loads >= max(gas_pa * self._cell_m2, MODEL_ERROR * float(load.sum()))
+        load = self._mesh.areas * pressure
+        loads = np.bincount(part[above], load[above], minlength=parts)
+        least = (LINEAR_ERROR if linear else FRICTION_ERROR) * float(load.sum())
+        touches &= loads >= (max(gas_pa * self._cell_m2, least) if linear else least)
         contact = np.zeros(len(pressure))
         contact[above] = np.where(touches[part[above]], pressure[above], 0.0)
         return contact, part
