@@ -70,10 +70,17 @@ def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -
 def bench_monkey(
     recording: Path | None, sensor: str | None, minutes: float, seed: int, as_json: bool
 ) -> int:
-    """Click and type at random; exit code 1 after an exception or with 100 MiB more memory."""
-    from bubbleviz_ui.bench.monkey import monkey_run
+    """Click and type at random; exit code 1 after an exception or with 100 MiB more memory.
 
-    report = monkey_run(_sensor_for(recording, sensor), recording, 60.0 * minutes, seed)
+    Memory is compared in runs of a minute and more.
+    """
+    from bubbleviz_ui.bench.monkey import REST_EVERY_S, monkey_run
+
+    seconds = 60.0 * minutes
+    with_memory = seconds >= REST_EVERY_S
+    report = monkey_run(
+        _sensor_for(recording, sensor), recording, seconds, seed, memory=with_memory
+    )
     _print_measured(report.measured, as_json)
     for problem in report.problems:
         click.echo(problem, err=True)

@@ -92,8 +92,8 @@ class Report:
 
     @property
     def growth_mib(self) -> float:
-        """Memory with everything put away: at the end against after the first tour."""
-        return self.rest_mib[-1] - self.rest_mib[0] if self.rest_mib else 0.0
+        """Memory with everything put away: at the end against after the first tour; or NaN."""
+        return self.rest_mib[-1] - self.rest_mib[0] if self.rest_mib else float("nan")
 
     @property
     def passed(self) -> bool:
