@@ -52,6 +52,9 @@ class Estimate:
         Standard deviation of that by noise and material.
     gas_law_pa : float or None
         p_v by the gas law for the exact shape, Pa; None of the linear model.
+    resolution_m : float or None
+        Width of its response to a point load at the noise that it was solved with, m; None of the
+        linear model, whose noise is the camera's.
     reason : str
         Why there is no number to trust, in one clause; empty where there is one.
     """
@@ -68,6 +71,7 @@ class Estimate:
     force_n: np.ndarray | None = None
     force_sigma_n: np.ndarray | None = None
     gas_law_pa: float | None = None
+    resolution_m: float | None = None
     reason: str = ""
 
     @property

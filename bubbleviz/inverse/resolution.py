@@ -33,3 +33,8 @@ def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: f
     """
     cutoff = (information_per_m4 / (lambda_si * tension_n_per_m**2)) ** (1.0 / 6.0)
     return sqrt(3.0 * sqrt(3.0) / pi) / cutoff
+
+
+def at_noise(resolution_m: float, factor: float) -> float:
+    """Width ℓ where the noise is some factor larger, m: w falls with the square of it."""
+    return resolution_m * factor ** (1.0 / 3.0)

@@ -33,7 +33,7 @@ from bubbleviz.inverse.plausibility import (
     reason_against_fit,
     reason_against_gas,
 )
-from bubbleviz.inverse.resolution import resolution_m
+from bubbleviz.inverse.resolution import at_noise, resolution_m
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.gas import Gas
@@ -156,7 +156,8 @@ class RubberEstimator:
     held_pressure_pa : float
         Gauge pressure of the reference configuration, which a contact carries that flattens it.
     resolution_m : float
-        Width of the estimate's response to a point load, m.
+        Width of the estimate's response to a point load, m, at the noise of the camera; that of a
+        frame is in its estimate.
     """
 
     def __init__(
@@ -501,6 +502,7 @@ class RubberEstimator:
             force_n=-state.pressure @ vectors,
             force_sigma_n=answer.sigma_n,
             gas_law_pa=self._gas_at(state.x)[0],
+            resolution_m=at_noise(self.resolution_m, answer.noise),
         )
 
     def _nothing(self, status: Status, reason: str, misfit_m: float = np.nan) -> Estimate:

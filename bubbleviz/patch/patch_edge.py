@@ -1,18 +1,20 @@
 """The edge of the contact patch, below the blur of the estimated contact pressure.
 
 Noise and prior leave the estimate p̂ blurred by a Gaussian-like kernel of known width ℓ
-(`resolution.resolution_m`). The membrane lies on a flat or convex object with at least the gauge
-pressure, and on the edges of a flat face it carries a line load on top, so that across the true
-edge p̂ is a blurred step of height b (the interior) plus a blurred ridge. The contour at half the
-height of a step therefore lies on the edge where the interior is as high as the local maximum m
-(a ball), and ever further outside it, up to about ℓ √(2 ln 1/α), where the ridge is all there is
-(a sharp box).
-The contour is drawn there, smoothed over ℓ without shrinking it, and moved in by that much.
+(`resolution.resolution_m`), the mesh by half an edge. The membrane lies on a flat or convex object
+with at least the gauge pressure, and on the edges of a flat face it carries a line load on top, so
+that across the true edge p̂ is a blurred step of height b (the interior) plus a blurred ridge. The
+contour at half the height m beside the edge therefore lies on it where the interior is as high (a
+ball), and ever further outside, up to about ℓ √(2 ln 2), where the ridge is all there is (a sharp
+box). m is a mean over nodes that lie wholly inside: those at the edge carry the load of the part of
+their cell that touches, and the highest of all would be noise.
+The contour is drawn there, smoothed over ℓ, and moved in by that much. What smoothing and blur take
+off where it is curved is given back.
 """
 
 from __future__ import annotations
 
-from math import ceil, erf, log, sqrt
+from math import ceil, log, sqrt
 
 import numpy as np
 from scipy import sparse
@@ -21,10 +23,13 @@ from scipy.spatial import cKDTree
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.mesh_region import Region, among, contour_points, neighbourhoods
 
-_INSET = 0.2  # how far, in mesh edges, the half height of p̂ lies inside that of the blurred p_c
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, in which missing gauge pressure could go unnoticed
 _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is averaged
+_ROUND = 0.16
+"""How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
+edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the
+radius."""
 
 
 class PatchEdge:
@@ -33,89 +38,91 @@ class PatchEdge:
     Parameters
     ----------
     mesh : MembraneMesh
-    resolution_m : float
-        ℓ, see `resolution.resolution_m`.
 
     Attributes
     ----------
-    resolution : float
-        ℓ, or half a mesh edge where that is more, m.
     ring : (n, n) sparse array
         Pattern of each node with its neighbours.
     """
 
-    def __init__(self, mesh: MembraneMesh, resolution_m: float) -> None:
+    def __init__(self, mesh: MembraneMesh) -> None:
         self.mesh = mesh
         a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
         self._edge = float(np.linalg.norm(mesh.nodes[a] - mesh.nodes[b], axis=1).mean())
-        # Below half an edge it is the mesh that blurs.
-        self.resolution = max(resolution_m, 0.5 * self._edge)
         self.ring = neighbourhoods(mesh)
         self._degree = np.diff(self.ring.indptr) - 1
-        self._rings = ceil(_HOLE * self.resolution / self._edge) + 2
-        self._far = _HOLE * self.resolution + self._edge
-        # One-ring maximum beside a blurred straight step, as a fraction of the step.
-        edge = self._edge / self.resolution
-        self._beside = 0.5 * (1.0 + erf(edge / sqrt(2.0)))
-        # α is half the step as a fraction of that maximum, drawn `_INSET` further out.
-        self._level = (0.5 - _INSET * edge / sqrt(2.0 * np.pi)) / self._beside
 
-    def level_set(self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float) -> np.ndarray:
-        """Signed distance ψ (n,) to the edge in m, positive inside, to be interpolated linearly."""
-        psi = np.full(len(self.mesh.nodes), -self._far)
+    def blur_m(self, resolution_m: float) -> float:
+        """ℓ of an estimate of some resolution, m: below half an edge it is the mesh that blurs."""
+        return max(resolution_m, 0.5 * self._edge)
+
+    def level_set(
+        self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float, resolution_m: float
+    ) -> np.ndarray:
+        """Signed distance ψ (n,) to the edge in m, positive inside, to be interpolated linearly.
+
+        Parameters
+        ----------
+        contact_pressure_pa : (n,) array
+        gauge_pressure_pa : float
+        resolution_m : float
+            Of the estimate, see `resolution.resolution_m`.
+        """
+        blur = self.blur_m(resolution_m)
+        psi = np.full(len(self.mesh.nodes), -_HOLE * blur - self._edge)
         floor = _FLOOR * gauge_pressure_pa
         if not np.any(contact_pressure_pa > floor):
             return psi
-        region = self._around(contact_pressure_pa > floor)
+        region = self._around(contact_pressure_pa > floor, ceil(_HOLE * blur / self._edge) + 2)
         p = contact_pressure_pa[region.index]
-        psi[region.index] = self._edge_distance(region, p, floor)
+        psi[region.index] = self._edge_distance(region, p, floor, blur)
         return psi
 
-    def _edge_distance(self, region: Region, p: np.ndarray, floor: float) -> np.ndarray:
-        peak = region.maximum(p)
-        distance = self._distance(region, _contour(region, p, peak, self._level, floor))
-        filled = self._fill_holes(region, distance)
-        if filled is not distance:
-            distance = self._distance(region, filled)
-        reach = 3.0 * self.resolution
+    def _edge_distance(
+        self, region: Region, p: np.ndarray, floor: float, blur: float
+    ) -> np.ndarray:
+        outside = self._outside(region, p - floor, blur)
+        beside = _beside(region, p, outside)
+        distance = self._distance(region, _contour(region, p, beside, outside, floor), blur)
+        reach = 3.0 * blur
         before = np.clip(distance, -reach, reach)
-        smooth = self._smooth(region, before, self.resolution)
-        distance = self._distance(region, smooth)
-        distance -= self._dilation(region, p, peak, distance, before)
+        smooth = self._smooth(region, before, blur)
+        distance = self._distance(region, smooth, blur)
+        distance -= self._dilation(region, p, beside, distance, before, blur)
         return distance
 
     def _dilation(
         self,
         region: Region,
         p: np.ndarray,
-        peak: np.ndarray,
+        beside: np.ndarray,
         distance: np.ndarray,
         before: np.ndarray,
+        blur: float,
     ) -> np.ndarray:
-        """How far outside the edge the contour lies, m: ℓ √(2 ln 1/α) (1 − b/m : b/m of a step).
+        """How far outside the edge the contour lies, m: ℓ √(2 ln 2) (1 − b/m), less what is shrunk.
 
-        The profile is averaged along the contour; so is what the smoothing took off, given back.
+        The profile is averaged along the contour; so is what the smoothing took off.
         """
-        near = np.abs(distance) < self.resolution
-        deep = np.clip(distance / self.resolution - 1.0, 0.0, 1.0)
-        columns = [near * peak, near * (before - distance), near, deep * p, deep]
-        sums = self._smooth(region, np.stack(columns, axis=1), _PROFILE * self.resolution)
-        beside = np.maximum(sums[:, 2], 1e-9)
-        maximum = np.maximum(sums[:, 0] / beside, 1e-9)
-        shrunk = sums[:, 1] / beside
+        near = np.abs(distance) < blur
+        deep = np.clip(distance / blur - 1.0, 0.0, 1.0)
+        columns = [near * beside, near * (before - distance), near, deep * p, deep]
+        sums = self._smooth(region, np.stack(columns, axis=1), _PROFILE * blur)
+        count = np.maximum(sums[:, 2], 1e-9)
+        height = np.maximum(sums[:, 0] / count, 1e-9)
+        shrunk = sums[:, 1] / count
         # Where no interior is in sight, a step.
-        interior = (sums[:, 3] + 1e-6 * maximum / self._beside) / (sums[:, 4] + 1e-6)
-        step = self._beside * interior / maximum
-        ridge = self.resolution * sqrt(2.0 * log(1.0 / self._level))
-        dilation: np.ndarray = ridge * np.clip(1.0 - step, -0.5, 1.0) - shrunk
+        interior = (sums[:, 3] + 1e-6 * height) / (sums[:, 4] + 1e-6)
+        ridge = np.maximum(1.0 - interior / height, 0.0)
+        by_blur = np.clip(shrunk, -_ROUND * blur, _ROUND * blur)
+        dilation: np.ndarray = blur * sqrt(2.0 * log(2.0)) * ridge - shrunk - by_blur
         return dilation
 
-    def _fill_holes(self, region: Region, distance: np.ndarray) -> np.ndarray:
-        """Give to the patch the holes too small to be seen."""
-        outside = distance <= 0.0
-        seen = region.open | (distance < -_HOLE * self.resolution)
-        holes = outside & ~region.any_in_part(outside, seen)
-        return np.where(holes, 0.5 * self._edge, distance) if holes.any() else distance
+    def _outside(self, region: Region, over: np.ndarray, blur: float) -> np.ndarray:
+        """Nodes (k,) bool below the floor, but for holes too small to be seen."""
+        low = over <= 0.0
+        seen = region.open | (self._distance(region, over, blur) < -_HOLE * blur)
+        return region.any_in_part(low, seen)
 
     def _smooth(self, region: Region, field: np.ndarray, length: float) -> np.ndarray:
         """Gaussian smoothing of standard deviation `length` by random walks on the mesh."""
@@ -126,17 +133,18 @@ class PatchEdge:
             field = field + share * (region.step @ field - field)
         return field
 
-    def _distance(self, region: Region, field: np.ndarray) -> np.ndarray:
-        """Signed distance to the zero contour of a nodal field, m."""
+    def _distance(self, region: Region, field: np.ndarray, blur: float) -> np.ndarray:
+        """Signed distance to the zero contour of a nodal field, m; far where it has none."""
         points = contour_points(region, field)
         if len(points) == 0:
-            return np.where(field > 0.0, self._far, -self._far)
+            far = _HOLE * blur + self._edge
+            return np.where(field > 0.0, far, -far)
         distance, _ = cKDTree(points).query(region.points)
         return np.where(field > 0.0, distance, -distance)
 
-    def _around(self, mask: np.ndarray) -> Region:
-        """The part of the mesh within a few rings of a set of nodes."""
-        for _ in range(self._rings):
+    def _around(self, mask: np.ndarray, rings: int) -> Region:
+        """The part of the mesh within some rings of a set of nodes."""
+        for _ in range(rings):
             mask = (self.ring @ mask.astype(float)) > 0.0
         index = np.flatnonzero(mask)
         ring = among(self.ring, mask)
@@ -156,18 +164,29 @@ class PatchEdge:
         )
 
 
+def _beside(region: Region, p: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """Pressure (k,) inside next to each node, Pa: the largest local mean within one ring of it.
+
+    Means are over nodes with no neighbour outside; a contact too small to have any has the pressure
+    of its highest node.
+    """
+    inner = ~region.touches(outside)
+    count = region.ring @ inner.astype(float)
+    mean = (region.ring @ (p * inner)) / np.maximum(count, 1.0)
+    found = region.maximum(mean)
+    return np.where(found > 0.0, found, region.maximum(p))
+
+
 def _contour(
-    region: Region, p: np.ndarray, peak: np.ndarray, fraction: float, floor: float
+    region: Region, p: np.ndarray, beside: np.ndarray, outside: np.ndarray, floor: float
 ) -> np.ndarray:
-    """Field that changes sign at α of the local maximum, where that is reached from outside.
+    """Field that changes sign at half the pressure inside, where that is reached from outside.
 
     Lower ground behind a ridge is not reached from outside: it is the interior of the patch.
     """
-    level = np.maximum(floor, fraction * peak)
-    above = p > floor
-    flank = above & (p < level)
-    outer = region.any_in_part(flank, region.touches(~above))
-    inner = above & ~outer
-    field = np.where(inner, np.maximum(p - level, 0.5 * floor), p - level)
-    field /= np.maximum(peak, 2.0 * floor)
+    level = np.maximum(floor, 0.5 * beside)
+    flank = ~outside & (p < level)
+    outer = region.any_in_part(flank, region.touches(outside))
+    field = np.where(outside | outer, p - level, np.maximum(p - level, 0.5 * floor))
+    field /= np.maximum(beside, 2.0 * floor)
     return field

@@ -40,13 +40,13 @@ class PatchFinder:
     held_pressure_pa : float
         γ0 (κ1 + κ2): what the tension holds, the gauge pressure in the reference configuration.
     resolution_m : float
-        Width of the estimate's response, see `resolution.resolution_m`.
+        Width of the response of estimates that do not know their own, see
+        `resolution.resolution_m`.
     """
 
     def __init__(self, mesh: MembraneMesh, held_pressure_pa: float, resolution_m: float) -> None:
         self._mesh, self._held = mesh, held_pressure_pa
-        self._edge = PatchEdge(mesh, resolution_m)
-        self._cell_m2 = np.pi * self._edge.resolution**2
+        self._edge, self._resolution_m = PatchEdge(mesh), resolution_m
 
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
         """Patch of an estimate: what carries the gas pressure, or by the paper's threshold κ.
@@ -58,8 +58,10 @@ class PatchFinder:
         gas = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
         if kappa is None:
             threshold = 0.5 * gas
-            contact, part = self._contacts(estimate, gas)
-            level, band = self._level(contact, part, gas), self._edge.resolution
+            resolution = estimate.resolution_m or self._resolution_m
+            band = self._edge.blur_m(resolution)
+            contact, part = self._contacts(estimate, gas, band)
+            level = self._level(contact, part, gas, resolution)
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
@@ -82,7 +84,9 @@ class PatchFinder:
             kappa=kappa,
         )
 
-    def _contacts(self, estimate: Estimate, gas_pa: float) -> tuple[np.ndarray, np.ndarray]:
+    def _contacts(
+        self, estimate: Estimate, gas_pa: float, blur_m: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Contact pressure (n,) of the connected parts that are contact, and part of each node.
 
         Elsewhere the pressure is 0 Pa; what is too low to be in one has part −1: on the linear
@@ -100,13 +104,15 @@ class PatchFinder:
         load = self._mesh.areas * pressure
         loads = np.bincount(part[above], load[above], minlength=parts)
         least = (LINEAR_ERROR if linear else FRICTION_ERROR) * float(load.sum())
-        touches &= loads >= (max(gas_pa * self._cell_m2, least) if linear else least)
+        touches &= loads >= (max(gas_pa * np.pi * blur_m**2, least) if linear else least)
         contact = np.zeros(len(pressure))
         contact[above] = np.where(touches[part[above]], pressure[above], 0.0)
         return contact, part
 
-    def _level(self, contact: np.ndarray, part: np.ndarray, gas_pa: float) -> np.ndarray:
-        level = self._edge.level_set(contact, gas_pa)
+    def _level(
+        self, contact: np.ndarray, part: np.ndarray, gas_pa: float, resolution_m: float
+    ) -> np.ndarray:
+        level = self._edge.level_set(contact, gas_pa, resolution_m)
         drawn = np.zeros(part.max(initial=-1) + 2, bool)
         drawn[part[level > 0.0]] = True
         # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
@@ -116,7 +122,7 @@ class PatchFinder:
             beside = self._edge.ring[small].indices
             level[beside] = np.where(level[beside] > 0.0, level[beside], -edge)
             inside = (contact[small] / gas_pa - 0.5) * edge
-            level[small] = np.minimum(inside, self._edge.resolution)
+            level[small] = np.minimum(inside, self._edge.blur_m(resolution_m))
         return level
 
 

@@ -24,6 +24,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.touching_share import touching_share
 
 Model = Literal["rubber", "linear"]
 """The exact membrane, or the paper's linear one."""
@@ -51,7 +52,7 @@ class Truth:
     center_of_pressure_m : (3,) array
         In B; NaN without contact.
     patch_area_m2 : float
-        Area where the linear interpolation of "this node touches" is at least one half.
+        Where the linear interpolation of `touching_share` is at least one half.
     patch_mask : (H, W) bool array
         Pixels that see such a place.
     """
@@ -68,7 +69,7 @@ class Truth:
     @classmethod
     def of(cls, contact: Contact, view: MembraneView) -> Truth:
         """What is true of a contact on the mesh of a view."""
-        touching = (contact.contact_pressure_pa > 0.0).astype(np.float64)
+        touching = touching_share(view.mesh, contact.contact_pressure_pa)
         load = np.linalg.norm(contact.nodal_force_n, axis=1)
         moved = contact.displacement_3d_m
         center = np.full(3, np.nan)

@@ -111,15 +111,15 @@ def test_truth_mask_is_where_the_ball_touches(sensor):
     centre = np.array([0.0, 0.0, 0.05 - 0.012 + 0.015])
     assert np.abs(np.linalg.norm(on - centre, axis=1) - 0.015).max() < 3e-4
     assert np.linalg.norm(off - centre, axis=1).min() > 0.015 - 3e-4
-    # half-way between touching and free nodes: as the nearest node says, without bias
+    # cells that touch in part count in part
     touching = truth.contact_pressure_pa > 0.0
-    assert truth.patch_area_m2 == pytest.approx(source.mesh.areas[touching].sum(), rel=0.05)
+    cells_m2 = source.mesh.areas[touching].sum()
+    assert 0.8 * cells_m2 < truth.patch_area_m2 < 0.97 * cells_m2
     seen = np.flatnonzero(np.isfinite(frame.depth_m))
     deformed = source.mesh.deformed(truth.displacement_m)
     _, nearest = cKDTree(deformed).query(source.camera.points(frame.depth_m, seen))
     by_node = touching[nearest]
-    assert truth.patch_mask.sum() == pytest.approx(by_node.sum(), rel=0.05)
-    assert (by_node != truth.patch_mask.ravel()[seen]).sum() < 0.15 * by_node.sum()
+    assert not (truth.patch_mask.ravel()[seen] & ~by_node).sum() > 0.05 * by_node.sum()
     assert truth.force_n[2] < -1.0
     assert np.abs(truth.force_n[:2]).max() < 0.02 * -truth.force_n[2]
     np.testing.assert_allclose(truth.center_of_pressure_m[:2], 0.0, atol=5e-4)

@@ -1,0 +1,64 @@
+"""How much of a node's cell touches, against presses whose contact radius is known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation.touching_share import touching_share
+from bubbleviz.study.rubber_oracle import AxialRubber
+
+A, H, GAUGE, DEPTH, BALL = 0.045, 0.020, 2500.0, 0.006, 0.015
+CAP = spherical_cap(A, H)
+
+
+def exact_area() -> float:
+    """Of the contact on the surface at rest, m², by the equations of the meridian."""
+    press = AxialRubber.dome(A, H, 1.2, GAUGE).press(DEPTH, BALL)
+    s = np.interp(press.contact_radius_m, press.meridian.r_m, press.meridian.s_m)
+    R = (A**2 + H**2) / (2.0 * H)
+    return float(2.0 * np.pi * R**2 * (1.0 - np.cos(s / R)))
+
+
+def pressed(nodes: int) -> tuple[MembraneMesh, np.ndarray]:
+    """Mesh and contact pressure of the ball."""
+    mesh = mesh_cap(CAP, nodes)
+    membrane = RubberMembrane.uniform(mesh, GAUGE, GAUGE * (A**2 + H**2) / (4.0 * H), 1.2)
+    air = 101_325.0
+    gas = Gas(air + GAUGE, 3e-4 + mesh.cap_volume(), mesh.areas, -GAUGE, air)
+    pose = np.eye(4)
+    pose[2, 3] = H - DEPTH
+    contact = RubberForward(membrane, gas).press(load_object("sphere"), pose)
+    return mesh, contact.contact_pressure_pa
+
+
+def test_the_contact_of_a_ball_is_as_large_as_by_its_equations():
+    """Its edge lies anywhere between nodes: on the mean of some meshes there is no error."""
+    exact_m2, errors, by_nodes = exact_area(), [], []
+    for nodes in (1200, 1400, 1600, 1800, 2000):
+        mesh, pressure = pressed(nodes)
+        share = touching_share(mesh, pressure)
+        np.testing.assert_array_equal(share > 0.0, pressure > 0.0)
+        errors.append(area_above(mesh, share, 0.5) / exact_m2 - 1.0)
+        by_nodes.append(area_above(mesh, (pressure > 0.0).astype(float), 0.5) / exact_m2 - 1.0)
+    assert abs(np.mean(errors)) < 0.04
+    assert np.abs(errors).max() < 0.12
+    assert np.mean(by_nodes) > 0.15  # every node that touches at all
+
+
+def test_line_loads_and_contacts_without_an_interior_count_whole():
+    mesh = mesh_cap(CAP, 400)
+    out = np.hypot(*mesh.nodes[:, :2].T)
+    disc = np.where(out < 0.02, 1.0, 0.0)
+    touching = disc > 0.0
+    edge = touching & (out > 0.016)
+    np.testing.assert_array_equal(touching_share(mesh, np.where(edge, 30.0, disc)), disc)
+    few = np.where(out < 1e-6, 7.0, 0.0)
+    np.testing.assert_array_equal(touching_share(mesh, few), few > 0.0)
+    assert not touching_share(mesh, np.zeros(len(out))).any()
