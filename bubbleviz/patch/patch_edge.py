@@ -6,8 +6,8 @@ with at least the gauge pressure, and on the edges of a flat face it carries a l
 that across the true edge p̂ is a blurred step of height b (the interior) plus a blurred ridge. The
 contour at half the height m beside the edge therefore lies on it where the interior is as high (a
 ball), and ever further outside, up to about ℓ √(2 ln 2), where the ridge is all there is (a sharp
-box). m is a mean over nodes that lie wholly inside: those at the edge carry the load of the part of
-their cell that touches, and the highest of all would be noise.
+box). m is a mean over nodes that lie inside, above all wholly: those at the edge carry the load of
+the part of their cell that touches, and the highest of all would be noise.
 The contour is drawn there, smoothed over ℓ, and moved in by that much. What smoothing and blur take
 off where it is curved is given back.
 """
@@ -26,6 +26,8 @@ from bubbleviz.patch.mesh_region import Region, among, contour_points, neighbour
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, in which missing gauge pressure could go unnoticed
 _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is averaged
+_INSIDE = 4
+"""Power of the share of a node's neighbourhood inside by which the node counts; chosen."""
 _ROUND = 0.16
 """How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
 edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the
@@ -167,14 +169,15 @@ class PatchEdge:
 def _beside(region: Region, p: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """Pressure (k,) inside next to each node, Pa: the largest local mean within one ring of it.
 
-    Means are over nodes with no neighbour outside; a contact too small to have any has the pressure
-    of its highest node.
+    Means are over nodes with no neighbour outside. In a small contact those are one or none, and
+    one is noise: a mean over all nodes around, weighted by how far inside they are, counts as one
+    more.
     """
-    inner = ~region.touches(outside)
-    count = region.ring @ inner.astype(float)
-    mean = (region.ring @ (p * inner)) / np.maximum(count, 1.0)
-    found = region.maximum(mean)
-    return np.where(found > 0.0, found, region.maximum(p))
+    share = 1.0 - (region.ring @ outside.astype(float)) / np.diff(region.ring.indptr)
+    weight = np.where(outside, 0.0, share**_INSIDE)
+    around = (region.ring @ (weight * p)) / np.maximum(region.ring @ weight, 1e-9)
+    inner = (~region.touches(outside)).astype(float)
+    return region.maximum((region.ring @ (inner * p) + around) / (region.ring @ inner + 1.0))
 
 
 def _contour(
