@@ -146,7 +146,9 @@ def estimate_recording(
             "solver": solver or pipeline.estimator.solver_name,
         }
         zero = recorded_zero(source, pipeline) if zero_gas else None
-        gas = "" if zero else gas_warning(source[chosen[0]], sensor)
+        gas = ""
+        if zero is None:
+            gas = gas_warning(source[chosen[0]].gas_pressure_pa, pipeline.model.gas.P0)
         warning = "; ".join(filter(None, (source.bag.note, gas)))
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"

@@ -7,7 +7,6 @@ from pathlib import Path, PurePosixPath
 from bubbleviz.errors import InputError
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz.frames.depth_topics import CAMERA_INFO, of_type
-from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import Sensor, load_sensor
 
@@ -57,20 +56,22 @@ def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tu
     return shown, sensor
 
 
-def gas_warning(frame: Frame, sensor: Sensor) -> str:
+def gas_warning(measured_pa: float | None, known_pa: float, where: str = "in the recording") -> str:
     """What to say of a gas pressure that is not this sensor's; empty for nothing.
 
     Parameters
     ----------
-    frame : Frame
-        Any: a press adds hundreds of pascals.
-    sensor : Sensor
+    measured_pa : float or None
+        Absolute, Pa, of any frame: a press adds hundreds of pascals.
+    known_pa : float
+        Without contact, as the sensor file has it, Pa.
+    where : str
+        It was measured.
     """
-    measured, known = frame.gas_pressure_pa, sensor.pneumatics.reference_pressure_pa
-    if measured is None or abs(measured - known) <= WEATHER_PA:
+    if measured_pa is None or abs(measured_pa - known_pa) <= WEATHER_PA:
         return ""
     return (
-        f"gas pressure of {1e-3 * measured:.1f} kPa in the recording, {1e-3 * known:.1f} kPa "
+        f"gas pressure of {1e-3 * measured_pa:.1f} kPa {where}, {1e-3 * known_pa:.1f} kPa "
         "(atmospheric and gauge) in the sensor file: more than weather; correct the sensor file"
     )
 

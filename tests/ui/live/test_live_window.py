@@ -275,6 +275,29 @@ def test_another_sensor_file_moves_the_zero_of_the_gas_pressure(open_bench: Open
     assert "gas zero -750 Pa, waiting for a rest" in live.window.live.counts.toolTip()
 
 
+@pytest.mark.parametrize(("gauge_pa", "warned"), [(5585.5, False), (10585.5, True)])
+def test_a_sensor_file_that_the_gas_pressure_at_rest_contradicts_is_warned_of(
+    open_bench: Open, gauge_pa: float, warned: bool
+) -> None:
+    live = connected(open_bench)
+    zero = live.run.session.sensors[0].zero
+    zero.zero_now()
+    for _ in range(ENOUGH):
+        zero.learn(103_910.0, contact_free=True)
+    sensor = robot_sensor()
+    gas = sensor.pneumatics.model_copy(update={"gauge_pressure_pa": gauge_pa})
+    other = live.folder / "other.toml"
+    other.write_text(sensor_to_toml(sensor.model_copy(update={"pneumatics": gas})))
+    live.window.open_file(other)
+    live.wait(lambda: live.pipeline.model.sensor.pneumatics == gas)
+    live.follow(5)
+    with live.bot.waitSignal(live.live_controller.looked):
+        pass
+    assert live.window.message.isVisible() == warned
+    told = live.window.message.label.text()
+    assert ("of 103.9 kPa without contact, 111.9 kPa (atmospheric" in told) == warned
+
+
 def one_frame_everywhere(live: Bench) -> bool:
     """Whether 3-D view, panels and status bar show the same frame."""
     result, status = live.window.controller.result, live.window.status.labels

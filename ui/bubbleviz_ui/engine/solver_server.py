@@ -207,8 +207,8 @@ class Server:
         self.session = session
         grows = isinstance(source, LiveFrames)
         remarks = [str(getattr(source, "remark", ""))]  # recordings have one
-        if not grows:  # else its gas pressure is zeroed
-            remarks.append(gas_warning(frame, sensor))
+        if not grows:  # else its zero tells, once it is known
+            remarks.append(gas_warning(frame.gas_pressure_pa, pipeline.model.gas.P0))
         remark = " ".join(f"{text}." for text in remarks if text)
         marks = source.marks() if isinstance(source, Recording) else ()
         # a live source that does not grow is the press that the window loops

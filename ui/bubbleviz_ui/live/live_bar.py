@@ -101,7 +101,7 @@ class LiveBar(QFrame):
         self._say(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
         self._say_doubts()
-        self._counts = "  ·  ".join([*counted(counters), self._zero_text(), *_problem(counters)])
+        self._counts = "  ·  ".join([self._zero_text(), *counted(counters), *_problem(counters)])
         self.counts.setToolTip(self._counts)
         self._fit_counts()
 

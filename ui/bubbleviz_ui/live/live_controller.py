@@ -6,6 +6,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
+from bubbleviz.frames.sensor_matching import gas_warning
 from bubbleviz.live.live_session import LiveSensor
 from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz_ui.engine.controller import Controller
@@ -57,6 +58,7 @@ class LiveController(QObject):
         self.connection: Connection | None = None
         self.run: LiveRun | None = None
         self._marked: frozenset[int] = frozenset()
+        self._warnings: frozenset[str] = frozenset()
         self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self._on_tick)
         self._due = True
@@ -184,8 +186,21 @@ class LiveController(QObject):
         self._due = False
         if self.sensor is not None:
             self.state.set_link(self.sensor.stream.status().state)
+        self._warn()
         self.publishing.diagnose()
         self.looked.emit()
+
+    def _warn(self) -> None:
+        """Say once of each sensor whose zero is more than weather that its file is wrong."""
+        sensors = () if self.run is None else self.run.session.sensors
+        found: set[str] = set()
+        for live in sensors:
+            text = gas_warning(live.zero.rest_pa, live.zero.reference_pa, "without contact")
+            if text:
+                found.add(f"{live.place.name}: {text}." if len(sensors) > 1 else f"{text}.")
+        for text in sorted(found - self._warnings):
+            self.said.emit(UserMessage("warning", text))
+        self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
         self.disconnect_all()
@@ -220,6 +235,7 @@ class LiveController(QObject):
 
     def _on_opened(self, opened: Opened) -> None:
         self._marked = frozenset()
+        self._warnings = frozenset()  # the window has dropped its own
         if self.run is not None and self._is_ours(opened.request):
             self._pair.begin()
         elif self.run is not None:
