@@ -193,6 +193,24 @@ def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> N
     assert "again.mcap" in window.message.label.text()
 
 
+def test_marks_and_range_are_not_taken_over_by_another_recording_of_the_same_name(
+    drive: Drive, files: Path, tmp_path: Path
+) -> None:
+    driver, dome = drive(), lambda: load(files / "dome.toml")
+    state, opening = driver.state, driver.window.controller.opening
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        shutil.copy(files / "press.mcap", tmp_path / name)
+    opening.open("a", recording(tmp_path / "a" / "press.mcap"), dome, playing=False)
+    driver.wait(lambda: state.facts.frames == FRAMES)
+    state.choose_markers((1,))
+    state.choose_range((2, 10))
+    opened = driver.window.controller.client.session
+    opening.open("b", recording(tmp_path / "b" / "press.mcap"), dome, playing=False)
+    driver.wait(lambda: driver.window.controller.client.session > opened)
+    assert state.facts.title == "press.mcap" and not state.markers and state.play_range is None
+
+
 def test_recording_and_sensor_dropped_together(drive: Drive, files: Path) -> None:
     driver = drive(sensor=small_sensor("other", nodes=150))
     data = QMimeData()

@@ -40,7 +40,7 @@ from bubbleviz_ui.engine.requests import (
     Thresholded,
     Waited,
 )
-from bubbleviz_ui.engine.source_openers import NothingOpen
+from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -211,11 +211,14 @@ class Server:
             remarks.append(gas_warning(frame.gas_pressure_pa, pipeline.model.gas.P0))
         remark = " ".join(f"{text}." for text in remarks if text)
         marks = source.marks() if isinstance(source, Recording) else ()
+        opener = request.open_source
+        path = str(opener.path.resolve()) if isinstance(opener, RecordingOpener) else ""
         # a live source that does not grow is the press that the window loops
         simulated = source.simulated if isinstance(source, LiveFrames) else request.live
         facts = SourceFacts(
             source.name, sensor.name, source.times_s, request.live, grows, remark, marks, simulated,
             outages=source.outages if isinstance(source, LiveFrames) else (),
+            path=path,
         )  # fmt: skip
         numbers = _kept_numbers(session, result)
         inspection = _look(session, result, request.demand)

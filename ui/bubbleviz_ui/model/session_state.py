@@ -92,8 +92,7 @@ class SessionState(QObject):
         history: History | None = None,
     ) -> None:
         """Change to another source: choices stay, the cursor goes to `frame`."""
-        same = self.facts is not None and self.facts.title == facts.title
-        if not same or (self.facts is not None and self.facts.frames != facts.frames):
+        if self.facts is None or not self.facts.same_source(facts):
             self.play_range = None
             self.markers = tuple(sorted({frame for frame, _ in facts.marks}))
         self.facts = facts

@@ -41,6 +41,8 @@ class SourceFacts:
         Its live frames are a simulation's.
     outages : tuple of Gap
         Where a source that grows sent nothing; what a busy solver left out is none.
+    path : str
+        Resolved, of a recording's file or folder; empty for what is none.
     """
 
     title: str
@@ -52,6 +54,7 @@ class SourceFacts:
     marks: tuple[tuple[int, str], ...] = ()
     simulated: bool = False
     outages: tuple[Gap, ...] = ()
+    path: str = ""
 
     @property
     def frames(self) -> int:
@@ -67,6 +70,11 @@ class SourceFacts:
     def axis(self) -> TimeAxis:
         """Where its frames lie on a timeline."""
         return TimeAxis(self.times_s)
+
+    def same_source(self, other: SourceFacts) -> bool:
+        """Whether the other facts are of the same frames, with whatever sensor."""
+        mine, its = (facts.path or facts.title for facts in (self, other))
+        return mine == its and self.frames == other.frames
 
     @property
     def rate_hz(self) -> float:
