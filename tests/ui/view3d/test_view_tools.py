@@ -128,6 +128,33 @@ def test_a_place_is_picked_without_the_panel_until_escape(drive: Drive) -> None:
     assert driver.window.tools.picked.place is None and not written()
 
 
+def test_a_distance_is_written_at_its_line_without_the_panel(drive: Drive) -> None:
+    driver = drive(frame=3)
+    driver.window.panels["tools"].hide()
+    driver.window.scene.look("top")
+    driver.settle()
+    driver.window.shortcuts.actions["View › Measure a distance"].trigger()
+    ends = [node for node in nodes(driver) if node[2] > 0.045][:2]
+    true_m = float(np.linalg.norm(ends[1] - ends[0]))
+
+    def written(unit: str, true: float) -> bool:
+        """Whether the length stands in the view, beside that of the scale bar."""
+        found = [text.split() for text in texts(driver)]
+        lengths = [float(words[0]) for words in found if words[1:] == [unit]]
+        return any(length == pytest.approx(true, rel=0.05) for length in lengths)
+
+    for end in ends:
+        assert not written("mm", 1e3 * true_m)
+        driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, end))
+    assert written("mm", 1e3 * true_m)
+    driver.state.choose(length_unit="m")
+    assert written("m", true_m)
+    with driver.bot.waitActive(driver.window):
+        driver.window.activateWindow()
+    driver.bot.keyClick(driver.window, Qt.Key.Key_Escape)
+    assert not written("m", true_m)
+
+
 def test_dragging_is_no_click(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     tools = opened(driver)

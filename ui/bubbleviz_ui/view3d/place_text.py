@@ -1,4 +1,4 @@
-"""Numbers of a place, written beside it in the 3-D view."""
+"""Numbers of a place, or a length, written there in the 3-D view."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PlaceText:
 
     def __init__(self, view: View, units: Units) -> None:
         self._view, self._units = view, units
-        self._place: Probed | None = None
+        self._what: Probed | float | None = None
         self.actor = vtkTextActor()
         self.actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
         self.actor.SetVisibility(False)
@@ -36,11 +36,11 @@ class PlaceText:
         view.follow_theme(self._paint)
         view.renderer.AddViewProp(self.actor)
 
-    def show(self, place: Probed | None, drawn_m: np.ndarray | None) -> None:
-        """Write the numbers of a place at `drawn_m` (3,), where its node is drawn; or nothing."""
-        self._place = place
-        self.actor.SetVisibility(place is not None)
-        if place is not None and drawn_m is not None:
+    def show(self, what: Probed | float | None, drawn_m: np.ndarray | None) -> None:
+        """Write the numbers of a place, or a length in m, at `drawn_m` (3,) in B; or nothing."""
+        self._what = what
+        self.actor.SetVisibility(what is not None)
+        if what is not None and drawn_m is not None:
             self.write()
             self.actor.GetPositionCoordinate().SetValue(*drawn_m)
             at, style = self._view.place_of(drawn_m), self.actor.GetTextProperty()
@@ -54,8 +54,10 @@ class PlaceText:
 
     def write(self) -> None:
         """Write the numbers in the operator's units, which may be others by now."""
-        if self._place is not None:
-            self.actor.SetInput(beside(self._place, self._units))
+        if isinstance(self._what, Probed):
+            self.actor.SetInput(beside(self._what, self._units))
+        elif self._what is not None:
+            self.actor.SetInput(f" {self._units.length.text(self._what)} ")
 
     def _paint(self, colours: theme.Colours) -> None:
         ground = (c / 255 for c in rgb(colours.field))

@@ -41,6 +41,12 @@ class Distance:
             return None
         return float(np.linalg.norm(self.points_m[1] - self.points_m[0]))
 
+    @property
+    def middle_m(self) -> np.ndarray:
+        """Middle (3,) of what was clicked, in B."""
+        middle: np.ndarray = np.mean(self.points_m, axis=0)
+        return middle
+
     def add(self, point_m: np.ndarray) -> None:
         """Take a point (3,) in B."""
         self.points_m = [*self.points_m, point_m][-2:] if len(self.points_m) < 2 else [point_m]

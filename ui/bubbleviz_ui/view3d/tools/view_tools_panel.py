@@ -196,26 +196,29 @@ class ViewTools(QWidget):
         self._say()
 
     def _on_picked(self, place: Probed | None) -> None:
-        drawn_m = self._scene.drawn_node(place)
-        self._marks.show(place, drawn_m)
-        self._text.show(place, drawn_m)
+        self._marks.show(place, self._scene.drawn_node(place))
         self._say()
 
     def _say(self) -> None:
-        """Write what was pointed at, in the operator's units."""
+        """Write what was pointed at, in the view and in the panel, in the operator's units."""
+        place, length_m = self.picked.place, self.distance.length_m
+        if length_m is not None:
+            self._text.show(length_m, self.distance.middle_m)
+        else:
+            self._text.show(place, self._scene.drawn_node(place))
         lines = {
             "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
             "probe": ("Click on the membrane", "or on a measured point", ""),
             "distance": ("Click on two points", "", ""),
         }[self.tool]
         units, ends = self._state.units, self.distance.points_m
-        if self.tool == "probe" and self.picked.place is not None:
-            lines = words(self.picked.place, units)
-        elif self.tool == "distance" and self.distance.length_m is not None:
+        if self.tool == "probe" and place is not None:
+            lines = words(place, units)
+        elif self.tool == "distance" and length_m is not None:
             dx, dy, dz = (units.length.of(float(d)) for d in ends[1] - ends[0])
             digits = units.length.digits
             lines = (
-                f"distance {units.length.text(self.distance.length_m)}",
+                f"distance {units.length.text(length_m)}",
                 f"Δx {dx:.{digits}f} · Δy {dy:.{digits}f}",
                 f"Δz {dz:.{digits}f} {units.length.symbol}",
             )
@@ -231,6 +234,7 @@ class ViewTools(QWidget):
         self._reach_m = float(abs(opened.mesh.nodes).max())
         self.distance.clear()
         self._at.refresh()
+        self._say()
 
     def _on_choices(self) -> None:
         choices, length = self._state.choices, self._state.units.length
