@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
-from PySide6.QtWidgets import QApplication, QGraphicsView, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QGraphicsView,
+    QLineEdit,
+    QMessageBox,
+    QWidget,
+)
 from pytestqt.qtbot import QtBot
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
@@ -146,3 +155,36 @@ def idle(thing: QObject) -> bool:
 def near(pixels: np.ndarray, place: QPoint, colour: str) -> bool:
     part = pixels[place.y() - 8 : place.y() + 9, place.x() - 8 : place.x() + 9]
     return bool(np.all(part == rgb(colour), axis=2).any())
+
+
+def typed(driver: Driver, start: Callable[[], None], name: str) -> list[str]:
+    """Answer the dialog that `start` opens with a name; the kinds of dialogs seen.
+
+    A question whether a file may be replaced is answered with No, and then nothing is saved.
+    """
+    seen: list[str] = []
+    timer = QTimer(interval=20)
+
+    def answer() -> None:
+        dialog = QApplication.activeModalWidget()
+        if isinstance(dialog, QMessageBox):
+            seen.append("question")
+            dialog.button(QMessageBox.StandardButton.No).click()
+        elif isinstance(dialog, QFileDialog) and "question" in seen:
+            dialog.reject()
+        elif isinstance(dialog, QFileDialog) and not seen:
+            seen.append("dialog")
+            dialog.findChild(QLineEdit).setText(name)  # typed, it would be completed
+            kind, box = QDialogButtonBox.StandardButton, dialog.findChild(QDialogButtonBox)
+            done = box.button(kind.Save) or box.button(kind.Open)
+            # not here: a question would wait in it, and this timer with that
+            QTimer.singleShot(0, done.click)
+        elif isinstance(dialog, QDialog) and "dialog" in seen:
+            dialog.reject()
+
+    timer.timeout.connect(answer)
+    timer.start()
+    start()
+    driver.wait(lambda: QApplication.activeModalWidget() is None)
+    timer.stop()
+    return seen

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fakes import small_sensor
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtWidgets import QFileDialog, QWidget
+from PySide6.QtWidgets import QWidget
 from resting import REST, TENSION, RestingSource
 from window_driver import Driver
 
@@ -22,6 +22,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
+from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.frame_collector import FIRST_LOOK
 from bubbleviz_ui.engine.source_openers import recording
@@ -344,9 +345,9 @@ def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(
     check_report(panel, found)
     proposed = []
     monkeypatch.setattr(
-        QFileDialog,
-        "getSaveFileName",
-        lambda *given, **_: (proposed.append(given[2]) or str(out), ""),
+        report_page,
+        "new_file",
+        lambda *given, **_: (proposed.append(given[2]) or out, ""),
     )
     bench.click(panel.report.save_as)
     window = bench.driver.window

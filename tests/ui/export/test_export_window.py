@@ -16,10 +16,10 @@ from live_bench import Bench as LiveBench
 from live_bench import sensor_file
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QFileDialog, QLabel
+from PySide6.QtWidgets import QLabel
 from window_driver import Driver, texts, warm
 
-from bubbleviz_ui.export import video_export
+from bubbleviz_ui.export import export_dialog, video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.view3d.tools.still_picture import still
@@ -52,7 +52,7 @@ class Bench:
 
     def begin(self, title: str, out: Path, chosen: str = "") -> None:
         self.choose(title)
-        self._patch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(out), chosen))
+        self._patch.setattr(export_dialog, "new_file", lambda *_, **__: (out, chosen))
         assert self.dialog.export.isEnabled()
         self.driver.bot.mouseClick(self.dialog.export, LEFT)
         assert self.driver.window.exporting.busy or self.dialog.said.text(), "nothing began"

@@ -11,7 +11,7 @@ import pytest
 from fakes import DentSource, small_sensor
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
-from window_driver import Driver
+from window_driver import Driver, typed
 
 from bubbleviz.sensor import Calibration, Sensor, load_sensor, sensor_to_toml
 from bubbleviz_ui.sensor import sensor_panel
@@ -101,6 +101,17 @@ def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Pat
     assert panel.recording.text() == "rest.mcap"
     bench.driver.state.choose(pressure_unit="psi")
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
+
+
+def test_a_copy_named_without_its_suffix_is_a_toml(bench: Bench, left: Path) -> None:
+    bench.click(bench.panel.edit)
+    assert typed(bench.driver, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
+    bench.driver.wait(lambda: bench.sensor.file == "double.toml")
+    assert not bench.driver.window.message.isVisible()
+    bench.click(bench.panel.edit)
+    typed(bench.driver, bench.panel.save.click, str(left.parent / "double"))
+    bench.driver.wait(bench.driver.window.message.isVisible)
+    assert "double.toml: exists already" in bench.driver.window.message.label.text()
 
 
 def test_a_preset_says_so(drive: Drive) -> None:

@@ -7,18 +7,14 @@ from pathlib import Path
 
 import pytest
 from fakes import DentSource
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QAction, QImage
 from PySide6.QtWidgets import (
     QApplication,
-    QDialog,
-    QDialogButtonBox,
     QFileDialog,
-    QLineEdit,
-    QMessageBox,
     QWidget,
 )
-from window_driver import Driver
+from window_driver import Driver, typed
 
 from bubbleviz.files.defaults import SESSION_SUFFIX
 from bubbleviz.frames.recording_writer import RecordingWriter
@@ -26,39 +22,6 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 
 Drive = Callable[..., Driver]
-
-
-def typed(driver: Driver, start: Callable[[], None], name: str) -> list[str]:
-    """Answer the dialog that `start` opens with a name; the kinds of dialogs seen.
-
-    A question whether a file may be replaced is answered with No, and then nothing is saved.
-    """
-    seen: list[str] = []
-    timer = QTimer(interval=20)
-
-    def answer() -> None:
-        dialog = QApplication.activeModalWidget()
-        if isinstance(dialog, QMessageBox):
-            seen.append("question")
-            dialog.button(QMessageBox.StandardButton.No).click()
-        elif isinstance(dialog, QFileDialog) and "question" in seen:
-            dialog.reject()
-        elif isinstance(dialog, QFileDialog) and not seen:
-            seen.append("dialog")
-            dialog.findChild(QLineEdit).setText(name)  # typed, it would be completed
-            kind, box = QDialogButtonBox.StandardButton, dialog.findChild(QDialogButtonBox)
-            done = box.button(kind.Save) or box.button(kind.Open)
-            # not here: a question would wait in it, and this timer with that
-            QTimer.singleShot(0, done.click)
-        elif isinstance(dialog, QDialog) and "dialog" in seen:
-            dialog.reject()
-
-    timer.timeout.connect(answer)
-    timer.start()
-    start()
-    driver.wait(lambda: QApplication.activeModalWidget() is None)
-    timer.stop()
-    return seen
 
 
 def action(driver: Driver, text: str) -> QAction:

@@ -50,12 +50,8 @@ def file_to_save(
     One that is there may be replaced.
     """
     dialog = QFileDialog(parent, title, _folder(of), kinds)
-    dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
     dialog.setDefaultSuffix(Path(proposed).suffix)
-    dialog.selectFile(proposed)
-    chosen = dialog.selectedFiles() if dialog.exec() else [""]
-    dialog.deleteLater()
-    return _remembered(of, chosen[0])
+    return _remembered(of, _saved_as(dialog, proposed)[0])
 
 
 def new_file(
@@ -63,17 +59,26 @@ def new_file(
 ) -> tuple[Path | None, str]:
     """Name of a file or folder to make, None to cancel, and the filter that was chosen.
 
-    The proposed name has a number behind it where it is taken. Nothing is asked about one that is
-    there: whoever writes it refuses to replace it.
+    A file of one kind gets its suffix where it is given none. The proposed name has a number behind
+    it where it is taken. Nothing is asked about one that is there: whoever writes it refuses to
+    replace it.
     """
-    name, chosen = QFileDialog.getSaveFileName(
-        parent,
-        title,
-        str(free_name(Path(_folder(of)) / proposed)),
-        kinds,
-        options=QFileDialog.Option.DontConfirmOverwrite,
-    )
+    free = free_name(Path(_folder(of)) / proposed)
+    dialog = QFileDialog(parent, title, str(free.parent), kinds)
+    dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)
+    if ";;" not in kinds:  # else it is that of the filter
+        dialog.setDefaultSuffix(free.suffix)
+    name, chosen = _saved_as(dialog, free.name)
     return _remembered(of, name), chosen
+
+
+def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
+    """Name, empty to cancel, and filter that a dialog is answered with."""
+    dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+    dialog.selectFile(proposed)
+    name = dialog.selectedFiles()[0] if dialog.exec() else ""
+    dialog.deleteLater()
+    return name, dialog.selectedNameFilter()
 
 
 def _folder(of: str, at_first: Path | None = None) -> str:
