@@ -103,6 +103,20 @@ def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Pat
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
 
 
+def test_depth_noise_has_three_digits_and_says_of_what(drive: Drive, left: Path) -> None:
+    sensor = load_sensor(left)
+    camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
+    quiet = sensor.model_copy(update={"camera": camera})
+    driver = drive(DentSource, sensor=quiet)
+    driver.window.panels["sensor"].show()
+    row = driver.window.sensor.rows["camera.noise_relative"]
+    driver.wait(row.isVisible)
+    assert row.shown.text() == "0.0643 % of the range"
+    driver.bot.mouseClick(driver.window.sensor.edit, LEFT)
+    assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
+    assert row.unit.isVisible()
+
+
 def test_a_copy_named_without_its_suffix_is_a_toml(bench: Bench, left: Path) -> None:
     bench.click(bench.panel.edit)
     assert typed(bench.driver, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]

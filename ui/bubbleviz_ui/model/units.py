@@ -59,6 +59,16 @@ class Unit:
         return f"{value} ({least}…{most}) {self.symbol}"
 
 
+class Share(Unit):
+    """Per cent of something, to `digits` significant ones: it may be far below one."""
+
+    def text(self, si: float | None, *, signed: bool = False) -> str:
+        """Number and unit; a dash and the unit where there is no finite number."""
+        if si is None or not math.isfinite(si):
+            return super().text(si)
+        return f"{self.of(si):{'+' if signed else ''}.{self.digits}g} {self.symbol}"
+
+
 PSI = 6894.757293168
 """Pascals in a pound-force per square inch (NIST SP 811)."""
 
@@ -102,7 +112,7 @@ class Units:
     ----------
     pressure, gas_pressure, force, area, length, fine_length, volume, duration : Unit
         Of the operator's choice.
-    time, tension, share, rate, render_rate : Unit
+    time, tension, share, range_share, rate, render_rate : Unit
     """
 
     pressure: Unit
@@ -116,6 +126,7 @@ class Units:
     time = Unit("s", 1.0, 3)
     tension = Unit("N/m", 1.0, 2)
     share = Unit("%", 100.0, 1)
+    range_share = Share("% of the range", 100.0, 3)
     rate = Unit("Hz", 1.0, 1)
     render_rate = Unit("fps", 1.0, 0)
 

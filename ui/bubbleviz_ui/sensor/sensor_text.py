@@ -95,7 +95,7 @@ VALUES = (
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Of the gas behind the rim plane",
           "m³", "volume"),
     Value("camera.noise_relative", "Depth noise", "Standard deviation of the range, relative to it",
-          "", "share"),
+          "of the range", "range_share"),
 )  # fmt: skip
 """In the order of the panel."""
 
