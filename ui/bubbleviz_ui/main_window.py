@@ -466,7 +466,7 @@ class MainWindow(QMainWindow):
         result, facts = self.controller.result, self.state.facts
         if result is not None and facts is not None:
             self.kappa.show_result(result)
-            self.status.show_result(result, facts)
+            self.status.show_result(result, facts, self.state.history)
 
     def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
         """Draw points with a length each in place of the measured ones, until the next frame."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from PySide6.QtCore import QSize, Qt, Signal
@@ -10,6 +11,7 @@ from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
+from bubbleviz_ui.model.frame_history import History
 from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Units
@@ -21,8 +23,8 @@ TIPS = {
     " its 95 % interval by depth noise, γ0, gauge pressure and λ",
     "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact"
     " patch panel says by which rule",
-    "gas": "Gas pressure change p_v against the reference: measured, or by the gas law (Eq. 9);"
-    " of the rubber model what measurement and shape say together",
+    "gas": "Gas pressure change p_v against the reference: measured, else by the gas law (Eq. 6)"
+    " for the estimated shape; what the rubber model makes of both is in result files",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",
     "solve": "Depth image in → products out, and frames processed in the last second; click: more",
@@ -56,7 +58,7 @@ def widest(units: Units) -> dict[str, str]:
         "frame": "frame 888/888 · 88.888 s",
         "force": f"force {units.force.with_interval(88.88, 8.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
-        "gas": f"p_v {units.gas_pressure.text(8888.0, signed=True)}",
+        "gas": f"p_v measured {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
         "camera": "camera 88.8 Hz",
         "solve": f"solve {units.duration.text(88.8)} · 88.8 Hz",
@@ -108,7 +110,7 @@ class StatusBar(QStatusBar):
         self._fit()
         self.show_latency(None)
 
-    def show_result(self, result: Result, facts: SourceFacts) -> None:
+    def show_result(self, result: Result, facts: SourceFacts, history: History) -> None:
         """Write the numbers of the frame that is shown."""
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
@@ -118,10 +120,7 @@ class StatusBar(QStatusBar):
             "frame": f"frame {frame.index}{of_all} · {time_text}",
             "force": "force " + force_text(result, units),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
-            "gas": "p_v "
-            + units.gas_pressure.text(
-                estimate.gas_pressure_change_pa if estimate else None, signed=True
-            ),
+            "gas": self._gas_text(frame.index, history),
             "residual": "residual "
             + units.length.text(estimate.residual_rms_m if estimate else None),
         }
@@ -179,6 +178,15 @@ class StatusBar(QStatusBar):
         room = max(label.width(), label.minimumWidth())
         elide = Qt.TextElideMode.ElideMiddle  # begin of the name, end of the file
         label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
+
+    def _gas_text(self, frame: int, history: History) -> str:
+        """Gas pressure change of a frame, and whose it is: of the curves of the plot."""
+        unit = self._units.gas_pressure
+        for name, word in {"gas_measured_pa": "measured", "gas_law_pa": "gas law"}.items():
+            change = float(history.of(name)[frame])
+            if math.isfinite(change):
+                return f"p_v {word} {unit.text(change, signed=True)}"
+        return f"p_v {unit.text(None)}"
 
     _solve_ms: float | None = None
     _sensor = ""
