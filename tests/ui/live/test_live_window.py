@@ -390,7 +390,7 @@ def test_cancelling_a_robot_that_is_not_there(open_bench: Open) -> None:
     bench.live_controller.connect_to(
         single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder))
     )
-    bench.wait(lambda: "waiting" in bench.window.live.state.text())
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in bench.window.live.state.text())
     bench.window.live.leave.click()
     assert bench.live_controller.connection is None and not bench.window.live.isVisible()
 
@@ -557,3 +557,70 @@ def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
     bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
     dialog.reject()
     assert bench.live_controller.connection is None
+def test_an_address_at_which_nobody_is_is_told_until_somebody_is(open_bench: Open) -> None:
+    bench, port = open_bench(), free_port()
+    from bubbleviz_ui.live.connect_dialog import ConnectDialog
+
+    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
+    dialog.open()
+    dialog.place.setEditText("tcp/robot.invalid:9")
+    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
+    dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
+    with robot(port):
+        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
+    dialog.reject()
+
+
+def shows(label: QLabel, text: str) -> bool:
+    return label.text() == text
+
+
+def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
+    bench = open_bench()
+    bench.window.show_connect()
+    from bubbleviz_ui.live.connect_dialog import REALSENSE, REPLAY, ConnectDialog
+
+    dialog = bench.window.findChild(ConnectDialog)
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REALSENSE))
+    bench.wait(lambda: "realsense" in dialog.problem.text().lower())
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    dialog.place.setEditText("nowhere.mcap")
+    bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
+    dialog.reject()
+    assert bench.live_controller.connection is None
+def test_an_address_at_which_nobody_is_is_told_until_somebody_is(open_bench: Open) -> None:
+    bench, port = open_bench(), free_port()
+    from bubbleviz_ui.live.connect_dialog import ConnectDialog
+
+    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
+    dialog.open()
+    dialog.place.setEditText("tcp/robot.invalid:9")
+    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
+    dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
+    with robot(port):
+        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
+    dialog.reject()
+
+
+def test_a_rosbag2_folder_is_chosen_as_if_live(
+    open_bench: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = open_bench()
+    from bubbleviz_ui.live.connect_dialog import REPLAY, ZENOH, ConnectDialog
+
+    folder = fill(BagMaker("sqlite")).write(tmp_path)
+    assert folder.is_dir()
+    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
+    dialog.open()
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(folder))
+    bench.bot.mouseClick(dialog.folder, Qt.MouseButton.LeftButton)
+    assert dialog.source.text() == f"replay:{folder}"
+    bench.wait(lambda: dialog.topics.count() > 1)
+    dialog.kind.setCurrentIndex(dialog.kind.findData(ZENOH))
+    assert not dialog.folder.isVisible()
+    dialog.reject()
+
+
