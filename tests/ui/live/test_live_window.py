@@ -135,6 +135,25 @@ def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(
 
 
 def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
+def test_a_picture_that_is_frozen_is_kept_however_old(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_frames, "KEPT_S", 0.0)
+    live = connected(open_bench)
+    for _ in range(3):
+        live.follow(5)
+        key(live, Qt.Key.Key_F)
+        assert live.state.frozen
+        shown = live.shown
+        live.settle()
+        live.window.panels["threshold"].show()  # it has to be looked at once more
+        live.wait(lambda: not live.window.controller.client.look_is_old)
+        live.settle()
+        assert live.shown == shown == live.state.frame and not live.window.message.isVisible()
+        live.window.panels["threshold"].hide()
+        key(live, Qt.Key.Key_F)
+
+
     live = connected(open_bench)
     controls = live.window.live.record
     controls.pre_roll.setValue(3.0)
