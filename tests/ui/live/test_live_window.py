@@ -38,6 +38,7 @@ from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
+from tests.frames.bagmaker import BagMaker, fill
 
 Open = Callable[[], Bench]
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
@@ -134,7 +135,6 @@ def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(
     live.follow(2)
 
 
-def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
 def test_a_picture_that_is_frozen_is_kept_however_old(
     open_bench: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,6 +154,7 @@ def test_a_picture_that_is_frozen_is_kept_however_old(
         key(live, Qt.Key.Key_F)
 
 
+def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
     live = connected(open_bench)
     controls = live.window.live.record
     controls.pre_roll.setValue(3.0)
@@ -559,55 +560,6 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
             bench.window.live.leave.click()
 
 
-def shows(label: QLabel, text: str) -> bool:
-    return label.text() == text
-
-
-def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
-    bench = open_bench()
-    bench.window.show_connect()
-    from bubbleviz_ui.live.connect_dialog import REALSENSE, REPLAY, ConnectDialog
-
-    dialog = bench.window.findChild(ConnectDialog)
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REALSENSE))
-    bench.wait(lambda: "realsense" in dialog.problem.text().lower())
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
-    dialog.place.setEditText("nowhere.mcap")
-    bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
-    dialog.reject()
-    assert bench.live_controller.connection is None
-def test_an_address_at_which_nobody_is_is_told_until_somebody_is(open_bench: Open) -> None:
-    bench, port = open_bench(), free_port()
-    from bubbleviz_ui.live.connect_dialog import ConnectDialog
-
-    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
-    dialog.open()
-    dialog.place.setEditText("tcp/robot.invalid:9")
-    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
-    dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
-    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
-    with robot(port):
-        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
-    dialog.reject()
-
-
-def shows(label: QLabel, text: str) -> bool:
-    return label.text() == text
-
-
-def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
-    bench = open_bench()
-    bench.window.show_connect()
-    from bubbleviz_ui.live.connect_dialog import REALSENSE, REPLAY, ConnectDialog
-
-    dialog = bench.window.findChild(ConnectDialog)
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REALSENSE))
-    bench.wait(lambda: "realsense" in dialog.problem.text().lower())
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
-    dialog.place.setEditText("nowhere.mcap")
-    bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
-    dialog.reject()
-    assert bench.live_controller.connection is None
 def test_an_address_at_which_nobody_is_is_told_until_somebody_is(open_bench: Open) -> None:
     bench, port = open_bench(), free_port()
     from bubbleviz_ui.live.connect_dialog import ConnectDialog
@@ -643,3 +595,20 @@ def test_a_rosbag2_folder_is_chosen_as_if_live(
     dialog.reject()
 
 
+def shows(label: QLabel, text: str) -> bool:
+    return label.text() == text
+
+
+def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
+    bench = open_bench()
+    bench.window.show_connect()
+    from bubbleviz_ui.live.connect_dialog import REALSENSE, REPLAY, ConnectDialog
+
+    dialog = bench.window.findChild(ConnectDialog)
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REALSENSE))
+    bench.wait(lambda: "realsense" in dialog.problem.text().lower())
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    dialog.place.setEditText("nowhere.mcap")
+    bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
+    dialog.reject()
+    assert bench.live_controller.connection is None
