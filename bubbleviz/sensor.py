@@ -134,6 +134,8 @@ class Calibration(_Section):
     """95 % interval of λ, where it was measured."""
     prestretch_from: str | None = None
     """What λ rests on."""
+    edited: tuple[str, ...] | None = None
+    """Keys of values that were changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
 
 class Sensor(_Section):
@@ -186,7 +188,7 @@ MEASURED = {
 
 
 def edited(sensor: Sensor, values: Mapping[str, Any]) -> Sensor:
-    """Sensor with other values; an interval of a value that is replaced is left out.
+    """Sensor with other values; the calibration names them, without their intervals.
 
     Parameters
     ----------
@@ -206,8 +208,11 @@ def edited(sensor: Sensor, values: Mapping[str, Any]) -> Sensor:
         if value == table.get(name):
             continue
         table[name] = value
-        for told in MEASURED.get(key, ()):
-            data.get("calibration", {}).pop(told, None)
+        calibration = data.get("calibration")
+        if section and calibration is not None:
+            calibration["edited"] = sorted({key, *calibration.get("edited", ())})
+            for told in MEASURED.get(key, ()):
+                calibration.pop(told, None)
     there = Path(sensor.file or sensor.name)
     return checked(Sensor, {**data, "folder": sensor.folder, "file": sensor.file}, there, "sensor")
 

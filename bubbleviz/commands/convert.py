@@ -55,7 +55,7 @@ class ConvertSummary(Summary):
         }
         return (
             f"wrote {self.out}: {count_of(self.frames, 'frame')} of {self.width}×{self.height} "
-            f"pixels in {self.duration_s:.3g} s"
+            f"pixels lasting {self.duration_s:.3g} s"
             + "".join(f", {name}" for name, there in parts.items() if there)
         )
 

@@ -180,7 +180,7 @@ class ImageFolder:
         if not NEAREST_M <= middle <= FARTHEST_M:
             raise InputError(
                 f"{self._files[0]}: a median depth of {middle:.4g} m is no bubble's; "
-                "give --metres-per-unit"
+                "give the metres per unit of its values"
             )
 
     def _stamps(self) -> np.ndarray:
@@ -189,7 +189,7 @@ class ImageFolder:
         last = np.array([each[-1] if each else np.nan for each in numbers])
         if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
             raise InputError(
-                f"{self.path}: the names of the images are no times; give --rate or --times"
+                f"{self.path}: the images' names are no times; give a rate or a table of times"
             )
         if last[0] < _NANOSECONDS:
             return last

@@ -301,4 +301,12 @@ def _bad_stamp(message: RawMessage) -> str:
     if message.stamp_ns == 0:
         return "no time stamp"
     off = (message.stamp_ns - message.arrival_ns) * 1e-9
-    return f"time stamp {abs(off):.3g} s {'ahead of' if off > 0 else 'behind'} this clock"
+    return f"time stamp {_span(abs(off))} {'ahead of' if off > 0 else 'behind'} this clock"
+
+
+def _span(seconds: float) -> str:
+    """A time in the unit in which one thinks of it."""
+    for name, length in {"days": 86400.0, "hours": 3600.0, "minutes": 60.0}.items():
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.0f} {name}"
+    return f"{seconds:.3g} s"

@@ -122,7 +122,7 @@ def test_a_bag_of_the_realsense_viewer(unit_m: float | None, option: str, tmp_pa
     """Whatever the unit; infrared images of 16 bits beside the depth's are none."""
     out = tmp_path / "out.mcap"
     write_realsense_bag(tmp_path / "camera.bag", unit_m, option)
-    assert "4 frames of 32×24 pixels in 0.1 s, intrinsics" in converted(
+    assert "4 frames of 32×24 pixels lasting 0.1 s, intrinsics" in converted(
         tmp_path / "camera.bag", out
     )
     with Recording(out) as recording:
@@ -155,10 +155,10 @@ def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda p: None, "no times; give --rate"),
+        (lambda p: None, "no times; give a rate"),
         (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "cannot be read as an image"),
         (lambda p: np.save(p / "9.npy", np.ones((4, 5))), "5×4 pixels, the first image has 32×24"),
-        (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give --metres-per-unit"),
+        (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give the metres per unit"),
         (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "by the camera's intrinsics"),
         (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: Field required"),
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),

@@ -302,7 +302,8 @@ def test_who_refuses_a_session_is_told_from_who_is_not_there(
     port = free_port()
     at = f"tls/localhost:{port}"
     with open_stream(f"zenoh:{at}?ca={ca}&login={login}", small_sensor) as waits:
-        assert waits.status().text == "waiting for the first depth image"
+        eventually(waits.source.problem)
+        assert waits.status().text.startswith(f"nothing listens at localhost:{port};")
         with listener(at, Credentials(cert=cert, key=key, login=login)):
             eventually(lambda: waits.source.link() == "up")
             assert waits.source.problem() == ""
@@ -316,6 +317,11 @@ def test_who_refuses_a_session_is_told_from_who_is_not_there(
             check = f"{no_session} check user and password in login={stranger}"
             assert told(at, ca=ca, login=stranger) == check
             assert told(f"tcp/localhost:{port}").endswith("or it is encrypted, write tls/")
+
+
+def test_a_host_that_is_not_known_is_told(told: Told) -> None:
+    """RFC 6761 keeps .invalid from ever being a name."""
+    assert told("tcp/robot.invalid:7447").startswith("the host robot.invalid is not known")
 
 
 def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(

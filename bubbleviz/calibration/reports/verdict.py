@@ -47,7 +47,7 @@ def judge(found: Identification) -> Verdict:
         grade = "doubtful"
     summary = (
         f"{grade}: γ0 = {tension.value:.2f} N/m, 95 % interval {tension.low:.2f} to"
-        f" {tension.high:.2f} ({_percent(relative)} either way), at {_kpa(found)} gauge pressure"
+        f" {tension.high:.2f} ({_percent(relative)} either way), at {_gauge(found)} gauge pressure"
     )
     return Verdict(grade, summary, (_surface(found), *warnings, *_notes(found)))
 
@@ -154,8 +154,8 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
         )
     if rubber.gauge_from == "press" and (gauge := rubber.gauge) is not None:
         advice.append(
-            f"By the press the gauge pressure is {1e-3 * gauge.value:.2f} kPa, 95 % interval"
-            f" {1e-3 * gauge.low:.2f} to {1e-3 * gauge.high:.2f}: record the open chamber to know"
+            f"By the press the gauge pressure is {gauge.value:.0f} Pa, 95 % interval"
+            f" {gauge.low:.0f} to {gauge.high:.0f}: record the open chamber to know"
             " it more precisely (--vented)."
         )
     if rubber.gauge is None:
@@ -170,8 +170,8 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
 
 
-def _kpa(found: Identification) -> str:
-    return f"{1e-3 * found.tension.gauge_pressure_pa:.3f} kPa"
+def _gauge(found: Identification) -> str:
+    return f"{found.tension.gauge_pressure_pa:.0f} Pa"
 
 
 def validation_advice(validation: Validation | None) -> list[str]:

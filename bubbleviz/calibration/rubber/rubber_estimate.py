@@ -172,8 +172,8 @@ def _by_press(
     return replace(
         known,
         fit=fit,
-        why_not=f"the press leaves the gauge pressure open between {1e-3 * gauge.low:.1f} and"
-        f" {1e-3 * gauge.high:.1f} kPa, and λ with it",
+        why_not=f"the press leaves the gauge pressure open between {gauge.low:.0f} and"
+        f" {gauge.high:.0f} Pa, and λ with it",
     )
 
 

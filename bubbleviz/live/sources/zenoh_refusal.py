@@ -1,4 +1,4 @@
-"""Why a Zenoh endpoint that answers accepts no session: Zenoh itself gives no reason."""
+"""Why there is no session with a Zenoh endpoint: Zenoh itself gives no reason."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ UNTRUSTED = range(18, 22)
 """OpenSSL's codes of certificates that no authority known here has signed."""
 
 
-def refusal(endpoint: str, given: Credentials) -> str:
-    """Why there is no session, and what to do; empty where nobody answers.
+def why_no_session(endpoint: str, given: Credentials) -> str:
+    """Why there is no session, and what to do; empty where that is not known.
 
     Parameters
     ----------
@@ -29,12 +29,21 @@ def refusal(endpoint: str, given: Credentials) -> str:
     protocol, host, port = parts[1], parts[2], int(parts[3])
     try:
         link = socket.create_connection((host, port), PATIENCE_S)
-    except OSError:  # nobody there yet
-        return ""
+    except OSError as error:
+        return _absence(error, host, port)
     with link:
         encrypted = protocol == "tls"
         why = _certificates(link, host, given) if encrypted else ""
-    return why or _login(f"{host}:{port}", given, encrypted)
+    return f"refused: {why or _login(f'{host}:{port}', given, encrypted)}"
+
+
+def _absence(error: OSError, host: str, port: int) -> str:
+    """Why nobody answers, who may be there later."""
+    if isinstance(error, socket.gaierror):
+        return f"the host {host} is not known to this computer; check the name"
+    if isinstance(error, ConnectionRefusedError):
+        return f"nothing listens at {host}:{port}; check the port, or start the router or bridge"
+    return f"{host}:{port} does not answer; check address and network"
 
 
 def _certificates(link: socket.socket, host: str, given: Credentials) -> str:

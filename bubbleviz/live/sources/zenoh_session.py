@@ -12,7 +12,7 @@ import zenoh
 from bubbleviz.errors import InputError
 from bubbleviz.live.sources.source_uri import SourceUri
 from bubbleviz.live.sources.zenoh_credentials import Credentials
-from bubbleviz.live.sources.zenoh_refusal import refusal
+from bubbleviz.live.sources.zenoh_refusal import why_no_session
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen."""
@@ -21,8 +21,8 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor"
 """Zenoh connects again by itself, at these intervals."""
 
 
-class RefusedError(InputError):
-    """Somebody answers at the endpoint, and accepts no session.
+class NotConnectedError(InputError):
+    """Nobody answers at the endpoint, or who does accepts no session.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class RefusedError(InputError):
     """
 
     def __init__(self, options: SessionOptions, why: str) -> None:
-        super().__init__(f"{options.text}: refused: {why}")
+        super().__init__(f"{options.text}: no Zenoh session: {why}")
         self.why = why
 
 
@@ -105,16 +105,17 @@ def open_session(options: SessionOptions) -> Any:
     ------
     InputError
         The endpoint is malformed, the connection fails, or the address cannot be bound.
-    RefusedError
-        Who answers at the endpoint does not accept the session.
+    NotConnectedError
+        There is no session, and it is known why.
     """
     config = make_config(options)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        why = "" if options.connect is None else refusal(options.connect, options.credentials)
+        place = options.connect
+        why = "" if place is None else why_no_session(place, options.credentials)
         if why:
-            raise RefusedError(options, why) from error
+            raise NotConnectedError(options, why) from error
         raise _no_session(options, error) from error
 
 

@@ -24,7 +24,7 @@ from bubbleviz.live.sources.zenoh_keys import (
     unpack_attachment,
 )
 from bubbleviz.live.sources.zenoh_session import (
-    RefusedError,
+    NotConnectedError,
     SessionOptions,
     connected,
     make_config,
@@ -105,7 +105,7 @@ class ZenohSource:
         return self._missed
 
     def problem(self) -> str:
-        """Why the endpoint accepts no session, or the error that ended the subscription thread."""
+        """Why there is no session yet, or the error that ended the subscription thread."""
         return self._refusal or ("" if self._connector is None else self._connector.problem)
 
     def _named(self) -> list[tuple[str, str]]:
@@ -144,7 +144,7 @@ class ZenohSource:
                 self._session = open_session(self._options)
                 self._refusal = ""
             except InputError as error:  # no router or peer yet, or one with other passwords
-                self._refusal = f"refused: {error.why}" if isinstance(error, RefusedError) else ""
+                self._refusal = error.why if isinstance(error, NotConnectedError) else ""
                 if not pace.wait_until(time.monotonic() + wait):
                     return False
                 wait = min(1.5 * wait, BACK_OFF_S[1])

@@ -133,6 +133,19 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench: Bench) -> 
     assert got == last.draft.tension.tension
 
 
+def test_the_strip_goes_with_the_panel_and_the_boxes_say_what_was_found(bench: Bench) -> None:
+    panel = bench.panel
+    bench.click(panel.next)
+    found = panel.frames.first.value(), panel.frames.last.value() + 1
+    assert found == bench.ranges[0]
+    dock = next(d for d in bench.driver.window.panels.values() if d.isAncestorOf(panel))
+    for shown in (False, True):
+        dock.setVisible(shown)
+        assert panel.strip.isVisible() == shown
+    dock.close()
+    assert not panel.strip.isVisible()
+
+
 def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench: Bench) -> None:
     bench.click(bench.panel.next)
     bench.click(bench.panel.next)

@@ -38,6 +38,7 @@ from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
+from tests.frames.bagmaker import BagMaker, fill
 
 Open = Callable[[], Bench]
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
@@ -132,6 +133,25 @@ def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(
     assert "record to keep all" in live.window.message.label.text()
     live.state.freeze(False)
     live.follow(2)
+
+
+def test_a_picture_that_is_frozen_is_kept_however_old(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_frames, "KEPT_S", 0.0)
+    live = connected(open_bench)
+    for _ in range(3):
+        live.follow(5)
+        key(live, Qt.Key.Key_F)
+        assert live.state.frozen
+        shown = live.shown
+        live.settle()
+        live.window.panels["threshold"].show()  # it has to be looked at once more
+        live.wait(lambda: not live.window.controller.client.look_is_old)
+        live.settle()
+        assert live.shown == shown == live.state.frame and not live.window.message.isVisible()
+        live.window.panels["threshold"].hide()
+        key(live, Qt.Key.Key_F)
 
 
 def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
@@ -390,7 +410,7 @@ def test_cancelling_a_robot_that_is_not_there(open_bench: Open) -> None:
     bench.live_controller.connect_to(
         single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder))
     )
-    bench.wait(lambda: "waiting" in bench.window.live.state.text())
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in bench.window.live.state.text())
     bench.window.live.leave.click()
     assert bench.live_controller.connection is None and not bench.window.live.isVisible()
 
@@ -538,6 +558,41 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
             dialog.buttons.button(QDialogButtonBox.StandardButton.Ok).click()
             bench.wait(lambda: why in bench.window.live.state.text())
             bench.window.live.leave.click()
+
+
+def test_an_address_at_which_nobody_is_is_told_until_somebody_is(open_bench: Open) -> None:
+    bench, port = open_bench(), free_port()
+    from bubbleviz_ui.live.connect_dialog import ConnectDialog
+
+    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
+    dialog.open()
+    dialog.place.setEditText("tcp/robot.invalid:9")
+    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
+    dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
+    with robot(port):
+        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
+    dialog.reject()
+
+
+def test_a_rosbag2_folder_is_chosen_as_if_live(
+    open_bench: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = open_bench()
+    from bubbleviz_ui.live.connect_dialog import REPLAY, ZENOH, ConnectDialog
+
+    folder = fill(BagMaker("sqlite")).write(tmp_path)
+    assert folder.is_dir()
+    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
+    dialog.open()
+    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(folder))
+    bench.bot.mouseClick(dialog.folder, Qt.MouseButton.LeftButton)
+    assert dialog.source.text() == f"replay:{folder}"
+    bench.wait(lambda: dialog.topics.count() > 1)
+    dialog.kind.setCurrentIndex(dialog.kind.findData(ZENOH))
+    assert not dialog.folder.isVisible()
+    dialog.reject()
 
 
 def shows(label: QLabel, text: str) -> bool:

@@ -154,6 +154,7 @@ def test_a_copy_with_another_value_is_saved_and_used(
     assert saved.calibration.tension_interval_n_per_m == (88.0, 92.5)
     assert saved.calibration.pixels_file == "right.npz" and left.read_bytes() == before
     assert "right.toml" in bench.driver.window.windowTitle() and bench.panel.edit.isVisible()
+    bench.driver.wait(lambda: bench.panel.identified.text().endswith("UTC, edited since"))
     assert f"Saved {copy}" in bench.driver.window.notice.label.text()
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PySide6.QtCore import QEvent, Signal
+from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
@@ -154,6 +155,16 @@ class Gamma0Panel(QWidget):
         for folder in self._folders:
             folder.cleanup()
 
+    def showEvent(self, event: QShowEvent) -> None:
+        """The panel was opened."""
+        super().showEvent(event)
+        self._show_strip()
+
+    def hideEvent(self, event: QHideEvent) -> None:
+        """The panel was closed."""
+        super().hideEvent(event)
+        self._show_strip()
+
     def changeEvent(self, event: QEvent) -> None:
         """Follow the window's theme."""
         super().changeEvent(event)
@@ -238,9 +249,14 @@ class Gamma0Panel(QWidget):
             colour = getattr(theme.of(self), "doubtful" if outdated else verdict.grade)
             self.verdict.setText(f"{OUTDATED} {verdict.summary}" if outdated else verdict.summary)
             self.verdict.setStyleSheet(f"color: {colour}")
-        recorded = calibration.work.collected is None and not calibration.live
         self.strip.set_ranges(answer.axis, answer.draft.ranges)
-        self.strip.setVisible(recorded and bool(answer.draft.ranges))
+        self._show_strip()
+
+    def _show_strip(self) -> None:
+        """Show the ranges on the timeline while the panel is open and they are the recording's."""
+        calibration = self.calibration
+        recorded = calibration.work.collected is None and not calibration.live
+        self.strip.setVisible(self.isVisible() and recorded and bool(self.strip.ranges))
 
     def _state(self, number: int) -> StepState:
         """How far a step is; what was refused, or is doubtful, needs attention."""

@@ -90,11 +90,14 @@ class FramesPage(Page):
 
     def show_answer(self, answer: Answer) -> None:
         """Show the ranges and what they rest on."""
-        ranges = self.ranges(answer)
+        ranges, before = self.ranges(answer), self.strip.ranges
         self.strip.set_ranges(answer.axis, ranges)
         self.plot.show_scores(answer.draft.contact_free, answer.axis)
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))
+        if ranges and ranges != before:  # else what was typed stays
+            self.first.setValue(ranges[0][0])
+            self.last.setValue(ranges[0][1] - 1)
         count = len(numbers(ranges))
         live = self.calibration.live
         for widget in (self.find_again, self.add, self.remove, self.replace):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout
 
 from bubbleviz.commands.convert import Beside
@@ -27,9 +29,11 @@ class ImageFields:
     ----------
     form : QFormLayout
         Gets a row for each.
+    changed : callable
+        Called when something else is chosen.
     """
 
-    def __init__(self, form: QFormLayout) -> None:
+    def __init__(self, form: QFormLayout, changed: Callable[[], None]) -> None:
         self.intrinsics = FileField(
             "Intrinsics: a TOML or JSON file, or a sensor file",
             "Intrinsics (*.toml *.json);;All files (*)",
@@ -52,7 +56,7 @@ class ImageFields:
             "Wrench: time in s, forces x y z in N, torques in N·m", TABLES, "not measured"
         )
         self._form, self._shown = form, False
-        self._rows = {
+        self._rows: dict[str, FileField | QComboBox | QDoubleSpinBox] = {
             "Intrinsics": self.intrinsics,
             "Unit": self.unit,
             "Times": self.timing,
@@ -64,6 +68,13 @@ class ImageFields:
         for title, field in self._rows.items():
             form.addRow(title, field)
         self.timing.currentIndexChanged.connect(lambda _: self.show(self._shown))
+        for field in self._rows.values():
+            if isinstance(field, FileField):
+                field.changed.connect(changed)
+            elif isinstance(field, QComboBox):
+                field.currentIndexChanged.connect(lambda _: changed())
+            else:
+                field.valueChanged.connect(lambda _: changed())
 
     @property
     def beside(self) -> Beside:

@@ -96,7 +96,7 @@ class ImportDialog(QDialog):
     def _lay_out(self) -> None:
         form = QFormLayout()
         form.addRow("From", fill(QHBoxLayout(), (self.source, 1), self.folder))
-        self.images = ImageFields(form)
+        self.images = ImageFields(form, self._on_field)
         form.addRow("To", self.out)
         buttons = fill(
             QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.open_made, self.begin
@@ -106,7 +106,7 @@ class ImportDialog(QDialog):
     def _connect(self) -> None:
         self.source.changed.connect(self._on_source)
         self.folder.clicked.connect(lambda: self._choose_folder())
-        self.out.textChanged.connect(lambda _: self._show())
+        self.out.textChanged.connect(lambda _: self._on_field())
         self.begin.clicked.connect(lambda: self._begin())
         self.cancel.clicked.connect(lambda: self._cancel())
         self.open_made.clicked.connect(lambda: self._open())
@@ -124,6 +124,11 @@ class ImportDialog(QDialog):
             name = path.stem if path.suffix.lower() in SUFFIXES else path.name
             self._proposed = str(free_name(path.parent / f"{name}{SUFFIX}"))
             self.out.setText(self._proposed)
+        self._on_field()
+
+    def _on_field(self) -> None:
+        """Forget what was wrong with other choices."""
+        self.problem.clear()
         self._show()
 
     def _show(self) -> None:
@@ -161,7 +166,7 @@ class ImportDialog(QDialog):
     def _on_done(self, done: Done) -> None:
         self._tell(done.answer, done.message)
         self._show()
-        if done.message:
+        if done.message and (done.details or not self.isVisible()):  # else the dialog says it
             self.said.emit(UserMessage("error", done.message, done.details))
         elif self._summary is not None:
             out = Path(self._summary.out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from urllib.parse import quote
 
 from PySide6.QtCore import Qt, QTimer
@@ -31,7 +32,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.source_discovery import Discovery
-from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
+from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
 from bubbleviz_ui.shell.layouts import fill
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
@@ -73,6 +74,9 @@ class ConnectDialog(QDialog):
         self.browse = QPushButton("Browse…")
         self.browse.setAutoDefault(False)
         self.browse.setToolTip("Choose a file")
+        self.folder = QPushButton("Folder…")
+        self.folder.setAutoDefault(False)
+        self.folder.setToolTip("Choose the folder of a rosbag2 recording")
         self.topics = QListWidget()
         self.topics.setToolTip("Depth images and point clouds that are published there")
         self.kind.setToolTip("What kind of source it is")
@@ -134,7 +138,7 @@ class ConnectDialog(QDialog):
         return single(self.uri, name)
 
     def _lay_out(self) -> None:
-        where = fill(QHBoxLayout(), (self.place, 1), self.browse)
+        where = fill(QHBoxLayout(), (self.place, 1), self.browse, self.folder)
         self._form = form = QFormLayout()
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         form.addRow("From", self.kind)
@@ -153,6 +157,7 @@ class ConnectDialog(QDialog):
         self.sensor.currentIndexChanged.connect(lambda _: self._look())
         self.topics.currentItemChanged.connect(lambda *_: self._show_source())
         self.browse.clicked.connect(self._browse)
+        self.folder.clicked.connect(self._browse_folder)
         self.browse_sensor.clicked.connect(self._browse_sensor)
         self._discovery.found.connect(self._on_found)
         self.buttons.accepted.connect(self.accept)
@@ -167,6 +172,7 @@ class ConnectDialog(QDialog):
         if line is not None:
             line.setPlaceholderText(PLACES[kind])
         self.browse.setVisible(kind in (REALSENSE, REPLAY, TOGETHER))
+        self.folder.setVisible(kind == REPLAY)
         self._form.setRowVisible(self.topics, kind in (ZENOH, REPLAY))
         self._form.setRowVisible(self._sensor_row, kind != TOGETHER)
         self._look()
@@ -220,7 +226,14 @@ class ConnectDialog(QDialog):
 
     def _browse(self) -> None:
         kind = self.kind.currentData()
-        path = file_to_open(self, KINDS[kind], of="session" if kind == TOGETHER else "recording")
+        of = "session" if kind == TOGETHER else "recording"
+        self._look_at(file_to_open(self, KINDS[kind], of=of))
+
+    def _browse_folder(self) -> None:
+        self._look_at(folder_to_open(self, KINDS[REPLAY], of="recording"))
+
+    def _look_at(self, path: Path | None) -> None:
+        """Take a place that was chosen in a dialog; None: it was cancelled."""
         if path is not None:
             self.place.setEditText(str(path))
             self._look()

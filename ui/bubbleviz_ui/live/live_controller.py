@@ -234,7 +234,8 @@ class LiveController(QObject):
         )
 
     def _on_opened(self, opened: Opened) -> None:
-        self._marked, self._warnings = frozenset(), frozenset()  # the window has dropped them
+        self._marked = frozenset()
+        self._warnings = frozenset()  # the window has dropped its own
         if self.run is not None and self._is_ours(opened.request):
             self._pair.begin()
         elif self.run is not None:

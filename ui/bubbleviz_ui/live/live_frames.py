@@ -23,6 +23,8 @@ from bubbleviz_ui.model.frame_history import grown
 KEPT_S = 10.0  # s of frames to look back at
 KEPT_BYTES = 128 << 20
 """Frames one can go back to: of the last seconds, and no more memory than this."""
+SHOWN = 3
+"""Frames that are kept however old: the one in the picture, and those solved or taken meanwhile."""
 RECENT = 100
 """Frames that tell the usual time from one to the next."""
 CAMERA_S = 0.5
@@ -152,7 +154,7 @@ class LiveFrames:
             self._times_s[-1] = time_s
             self._kept.append(frame)
             self._bytes += frame.depth_m.nbytes
-            while len(self._kept) > 1 and (
+            while len(self._kept) > SHOWN and (
                 self._bytes > KEPT_BYTES or self._kept[0].time_s < time_s - KEPT_S
             ):
                 self._bytes -= self._kept.popleft().depth_m.nbytes

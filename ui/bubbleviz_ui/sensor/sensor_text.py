@@ -114,9 +114,10 @@ def title_text(sensor: Sensor) -> str:
 
 
 def identified_text(sensor: Sensor) -> str:
-    """When a sensor was identified."""
+    """When a sensor was identified, and whether its values were changed by hand since."""
     calibration = sensor.calibration
     if calibration is None:
         return "no, nominal values"
     date = calibration.date
-    return f"{date[:16].replace('T', ' ')} UTC" if date else "yes, without a date"
+    when = f"{date[:16].replace('T', ' ')} UTC" if date else "yes, without a date"
+    return f"{when}, edited since" if calibration.edited else when
