@@ -84,6 +84,8 @@ SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
 """Pixels: of the window at first, and what a window manager puts around it at most."""
 NARROW = 1000
 """A window less wide than this, in pixels, has no room for the timeline beside the panels."""
+BESIDE_THE_VIEW = 1200
+"""A window less wide than this has no room for images on the view's other side."""
 RATES_EVERY_MS = 500
 STEPS = 200
 """That can be undone; some hold collected frames."""
@@ -325,6 +327,7 @@ class MainWindow(QMainWindow):
             if kind.choice:
                 dock.visibilityChanged.connect(partial(self.state.choose_panel, kind.choice))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
+        docks["images"].tab_of(docks["plots"], narrower_than=BESIDE_THE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
         return {**docks, "status": self.status}

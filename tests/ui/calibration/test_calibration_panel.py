@@ -378,6 +378,22 @@ def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
 
 
+def test_the_report_is_saved_and_used_from_where_other_steps_go_on(bench: Bench) -> None:
+    bench.identify()
+    window, panel = bench.driver.window, bench.panel
+    bench.click(panel.steps.button(len(panel.pages) - 1))
+    for height in (660, 1000):
+        window.resize(1016, height)
+        bench.driver.wait(lambda height=height: window.height() == height)
+        bench.driver.settle()
+        for button in (panel.report.use_it, panel.report.save_as):
+            assert button.visibleRegion().boundingRect().size() == button.size()
+            assert button.mapTo(panel, QPoint()).y() >= panel.stack.geometry().bottom()
+    assert not panel.next.isVisible()
+    bench.click(panel.back)
+    assert panel.next.isVisible() and not panel.report.save_as.isVisible()
+
+
 def check_report(panel: Gamma0Panel, found: Identification) -> None:
     """The table and the picture compare with the sensor in use."""
     table = panel.report.table

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from fakes import DentSource
 from live_bench import IMAGE, STRING, Bench, contents, robot, robot_sensor, sensor_file
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDialogButtonBox, QFileDialog, QLabel
+from PySide6.QtCore import QPoint, QRect, Qt
+from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QLabel
 from rosbags.highlevel import AnyReader
 from window_driver import texts
 
@@ -38,6 +38,7 @@ from bubbleviz_ui.engine.request_delay import RequestDelay
 from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
+from bubbleviz_ui.model.messages import UserMessage
 from tests.frames.bagmaker import BagMaker, fill
 
 Open = Callable[[], Bench]
@@ -120,6 +121,36 @@ def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
     bench.connect(single(SYNTHETIC, name))
     bench.wait(lambda: ">&nbsp;simulated&nbsp;<" in word.text() and " (simulated) " in title())
     assert bar.leave.isVisible() and bar.record.isVisible()
+
+
+def test_all_of_the_window_stays_on_a_small_screen(open_bench: Open) -> None:
+    """1024×700 less the frame, with every panel open, a note being written, and all bars."""
+    live = connected(open_bench)
+    window, size = live.window, (1016, 660)
+    window.resize(*size)
+    opened = ("Pose", "Calibration", "Compare", "Sensor", "Threshold", "3-D tools", "Images")
+    for title in (*opened, "Plots"):
+        window.shortcuts.actions[f"View › {title}"].trigger()
+        live.follow(1)
+        assert (window.width(), window.height()) == size, title
+    live.record()
+    live.follow(1)
+    window.live.record.begin_note()
+    window.shortcuts.actions["Help › First steps"].trigger()
+    long = "/home/robot/recordings/monday/press_of_the_ball.mcap: is no recording; "
+    window.messages.tell(UserMessage("error", long, "details"))
+    window.busy.wait_for(long)
+    live.wait(window.busy.isVisible)
+    live.follow(1)
+    assert (window.width(), window.height()) == size
+    bars = (window.message, window.busy, window.hint, window.live, window.playback)
+    for button in (each for bar in bars for each in bar.findChildren(QAbstractButton)):
+        if button.isVisible():
+            at = QRect(button.mapTo(window, QPoint()), button.size())
+            assert button.width() >= button.minimumSizeHint().width()
+            assert window.rect().contains(at), button.text()
+            assert button.visibleRegion().boundingRect().size() == button.size(), button.text()
+    assert window.status.geometry().bottom() < window.height()
 
 
 def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(

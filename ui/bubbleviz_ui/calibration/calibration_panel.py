@@ -228,7 +228,9 @@ class Gamma0Panel(QWidget):
         started = reached > Step.START
         waits_for_live = calibration.live and calibration.work.collected is None
         following = self.pages[min(place + 1, len(self.pages) - 1)]
-        self.next.setVisible(place + 1 < len(self.pages))
+        self.next.setVisible(page is not self.report)
+        for button in (self.report.use_it, self.report.save_as):
+            button.setVisible(page is self.report)
         self.next.setText(following.next_title if started else self.frames.next_title)
         self.next.setEnabled(not waits_for_live)
         self.back.setEnabled(place > 0)
@@ -298,7 +300,8 @@ class Gamma0Panel(QWidget):
         self.next.setObjectName("main")
         self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
-        buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1))
+        last = self.report.use_it, (self.report.save_as, 1)
+        buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1), *last)
         parts = (self.steps.row, self.title, self.todo, (self.stack, 1), self.verdict)
         fill(column, *parts, working, buttons)
         self.all.setToolTip("All steps at once")

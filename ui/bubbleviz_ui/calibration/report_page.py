@@ -9,7 +9,6 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QPushButton,
@@ -36,6 +35,8 @@ class ReportPage(Page):
         Open the identified sensor on the present source.
     save : Signal
         Path of the sensor file to write.
+    use_it, save_as : QPushButton
+        The panel has them where the other steps have theirs.
     saved : Work or None
         Of which a sensor file was written last.
     """
@@ -127,8 +128,7 @@ class ReportPage(Page):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        buttons = fill(QHBoxLayout(), self.use_it, self.save_as)
-        fill(self.column, self.compared, self.table, buttons, self.view, self.advice, 1)
+        fill(self.column, self.compared, self.table, self.view, self.advice, 1)
         self.use_it.setToolTip("Open the new sensor on the present source; undo goes back")
         self.save_as.setToolTip("Sensor file, mesh, pixels and report, all or nothing")
 

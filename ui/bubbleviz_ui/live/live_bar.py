@@ -6,8 +6,7 @@ import time
 from collections import deque
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from bubbleviz.live.counters import Counters
 from bubbleviz_ui.live.live_controller import LiveController
@@ -16,7 +15,7 @@ from bubbleviz_ui.model.source_facts import Badge
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
 
 BADGES: dict[Badge, str] = {
     "connecting": theme.BLUE,
@@ -49,7 +48,7 @@ WRONG = {
 
 
 class LiveBar(QFrame):
-    """One row of what it is and can do; below it what was counted."""
+    """What it is and can do, in more rows where it is narrow; below it what was counted."""
 
     def __init__(self, live: LiveController, units: Units) -> None:
         super().__init__()
@@ -65,9 +64,8 @@ class LiveBar(QFrame):
         self.publish.setCheckable(True)
         self.publish.setToolTip("Patch, force, pose and diagnostics over Zenoh, this computer only")
         self.leave = self._button("Disconnect", "Let go of the source (Ctrl+Shift+L)")
-        self.counts = QLabel()
+        self.counts = Elided(Qt.TextElideMode.ElideRight)
         self.counts.setObjectName("dim")
-        self._counts = ""
         self._lay_out()
         self._connect()
         keep_keys(self)
@@ -101,14 +99,9 @@ class LiveBar(QFrame):
         self._say(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
         self._say_doubts()
-        self._counts = "  ·  ".join([self._zero_text(), *counted(counters), *_problem(counters)])
-        self.counts.setToolTip(self._counts)
-        self._fit_counts()
-
-    def resizeEvent(self, event: QResizeEvent) -> None:
-        """Show as much of the counts as fits."""
-        super().resizeEvent(event)
-        self._fit_counts()
+        counts = "  ·  ".join([self._zero_text(), *counted(counters), *_problem(counters)])
+        self.counts.setText(counts)
+        self.counts.setToolTip(counts)
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -119,10 +112,11 @@ class LiveBar(QFrame):
         return button
 
     def _lay_out(self) -> None:
-        self._row = QHBoxLayout()
-        controls = (self.record, self.zero, self.publish, self.leave)
-        fill(self._row, (self.state, 1), *controls, spacing=6)
-        fill(QVBoxLayout(self), self._row, self.counts, margins=(12, 5, 8, 5), spacing=3)
+        row, self._both = QWidget(), QWidget()
+        self._row = fill(QHBoxLayout(self._both), margins=(0, 0, 0, 0), spacing=6)
+        controls = (self._both, self.record, self.zero, self.publish, self.leave)
+        BarLayout(row, self.state, *controls, margins=(0, 0, 0, 0))
+        fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
         live = self._live
@@ -152,8 +146,9 @@ class LiveBar(QFrame):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.setChecked(number == self._live.chosen)
             button.clicked.connect(lambda _=False, number=number: self._live.choose(number))
-            self._row.insertWidget(1 + number, button)
+            self._row.addWidget(button)
             self.sensors.append(button)
+        self._both.setVisible(bool(self.sensors))
 
     def _say_doubts(self) -> None:
         """Which of two sensors is not to be trusted: the readout is of the chosen one alone."""
@@ -188,10 +183,6 @@ class LiveBar(QFrame):
             return "gas pressure not zeroed yet"
         offset = self._units.gas_pressure.text(sensor.zero.offset_pa, signed=True)
         return f"gas zero {offset}" + (", waiting for a rest" if sensor.zero.waiting else "")
-
-    def _fit_counts(self) -> None:
-        metrics, right = self.counts.fontMetrics(), Qt.TextElideMode.ElideRight
-        self.counts.setText(metrics.elidedText(self._counts, right, self.width() - 24))
 
 
 def counted(counters: Counters) -> list[str]:

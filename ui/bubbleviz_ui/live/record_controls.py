@@ -9,7 +9,6 @@ from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QFileDialog,
     QHBoxLayout,
-    QLabel,
     QLineEdit,
     QToolButton,
     QWidget,
@@ -18,7 +17,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState
 from bubbleviz_ui.panels.binding import bind
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.layouts import Elided, fill
 
 MOST_PRE_ROLL_S = 60.0  # kept in memory: 1.1 GB of 16-bit 640×480 at 30 Hz
 
@@ -40,10 +39,10 @@ class RecordControls(QWidget):
         self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
         self.folder = QToolButton()
         self.folder.setText("Folder…")
-        self.progress = QLabel()
+        self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
         self.note = QLineEdit()
         self.note.setPlaceholderText("Note, saved at the moment you began it")
-        self.note.setMinimumWidth(200)
+        self.note.setMinimumWidth(100)
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
         self._noted_ns: int | None = None
@@ -73,7 +72,9 @@ class RecordControls(QWidget):
         for widget in (self.pre_roll, self.folder):
             widget.setVisible(not busy)
         self.progress.setVisible(busy)
-        self.progress.setText("" if state is None else progress(state))
+        text = "" if state is None else progress(state)
+        self.progress.setText(text)
+        self.progress.setToolTip(text)
         if not busy:
             self.note.hide()
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.engine.controller import Controller
@@ -18,14 +18,15 @@ from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
 
 EVERY_MS = 150
 """While playing: colouring a large image takes some ms."""
 ASPECT = 4 / 3
 NARROWEST = 130
 """Column in which the scale above an image is whole, screen pixels."""
-HEADER = 90
+LEAST_WIDTH = 290
+HEADER = 65
 """Height of what is above the images, screen pixels."""
 
 
@@ -45,7 +46,7 @@ class ImagesPanel(QWidget):
         titles = {name: picture.title for name, picture in PICTURES.items()}
         tip = "What is shown, and so computed"
         self.choose, self.boxes = menu_button("Images", tip, state, "images", titles)
-        self.lines = [QLabel() for _ in range(3)]
+        self.lines = [Elided(Qt.TextElideMode.ElideRight) for _ in range(3)]
         self._lay_out()
         controller.shown.connect(self._on_shown)
         hover.changed.connect(self._on_hover)
@@ -58,11 +59,12 @@ class ImagesPanel(QWidget):
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(8, 4, 8, 4)
         self._column.setSpacing(4)
-        text = fill(QVBoxLayout(), *self.lines, spacing=0)
-        self._column.addWidget(self.choose, 0, Qt.AlignmentFlag.AlignLeft)
-        self._column.addLayout(text)
+        header, text = QWidget(), QWidget()
+        fill(QVBoxLayout(text), *self.lines, margins=(0, 0, 0, 0), spacing=0)
+        BarLayout(header, text, self.choose, margins=(0, 0, 0, 0))
+        self._column.addWidget(header)
         self._column.addWidget(self._host, 1)
-        self.setMinimumWidth(340)
+        self.setMinimumWidth(LEAST_WIDTH)
 
     # -- events -------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.playback.range_table import Curve, RangeTable
+from bubbleviz_ui.shell.dock import scrolled
 from bubbleviz_ui.shell.layouts import fill
 
 EVERY_MS = 200
@@ -83,7 +84,7 @@ class PlotsPanel(QWidget):
             self.statistics.copy,
         )
         self._column.addLayout(row)
-        self._column.addWidget(self._host, 1)
+        self._column.addWidget(scrolled(self._host), 1)
         self._column.addWidget(self.statistics)
         self.progress.setFixedWidth(160)
         self.progress.hide()

@@ -122,7 +122,6 @@ class PlaybackPanel(QWidget):
             spacing=0,
         )
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.readout.setMinimumWidth(1)  # clipped where there is no room: the status bar has it
 
     def _connect(self) -> None:
         state = self._state
@@ -173,13 +172,16 @@ class PlaybackPanel(QWidget):
         self._fit()
 
     def _fit(self) -> None:
-        """Leave the jumps out of a narrow window; their keys stay."""
+        """Leave the jumps out of a narrow window, then the readout: keys and status bar stay."""
         jumps = tuple(self.jumps.values())
-        others = [w for w in self._in_row if w not in jumps and not w.isHidden()]
-        needed, more = _width(others) + 2 * MARGIN, _width(jumps)
+        leaving = (*jumps, self.readout)
+        others = [w for w in self._in_row if w not in leaving and not w.isHidden()]
+        needed = _width(others) + 2 * MARGIN
         self.setMinimumWidth(needed)
+        needed += _width([self.readout])
+        self.readout.setVisible(self.width() >= needed)
         for button in jumps:
-            button.setVisible(self.width() >= needed + more)
+            button.setVisible(self.width() >= needed + _width(jumps))
 
     def changeEvent(self, event: QEvent) -> None:
         """Follow the window's theme."""

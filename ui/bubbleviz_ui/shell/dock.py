@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDockWidget, QFrame, QMainWindow, QScrollArea, QStyle, QWidget
+from PySide6.QtWidgets import (
+    QDockWidget,
+    QFrame,
+    QMainWindow,
+    QScrollArea,
+    QStyle,
+    QWidget,
+)
 
 
 class Dock(QDockWidget):
@@ -14,18 +21,28 @@ class Dock(QDockWidget):
     """
 
     _neighbour: QDockWidget | None = None
+    _narrower_than: int | None = None
 
-    def tab_of(self, neighbour: QDockWidget) -> None:
-        """Open as a tab of another dock, unless the user has moved it elsewhere."""
-        self._neighbour = neighbour
+    def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
+        """Open as a tab of another dock, unless the user has moved it elsewhere.
+
+        Parameters
+        ----------
+        neighbour : QDockWidget
+        narrower_than : int, optional
+            Only in a window that is less wide, screen pixels.
+        """
+        self._neighbour, self._narrower_than = neighbour, narrower_than
 
     def setVisible(self, visible: bool) -> None:
         """Become a tab first, the first time."""
-        window, neighbour = self.parentWidget(), self._neighbour
+        window, neighbour, limit = self.parentWidget(), self._neighbour, self._narrower_than
         first = visible and neighbour is not None
         if first and neighbour is not None and isinstance(window, QMainWindow):
             self._neighbour = None
-            window.tabifyDockWidget(neighbour, self)
+            first = limit is None or window.width() < limit
+            if first:
+                window.tabifyDockWidget(neighbour, self)
         super().setVisible(visible)
         if first:
             self.raise_()

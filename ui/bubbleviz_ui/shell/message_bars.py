@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal
-from PySide6.QtGui import QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QApplication,
     QFrame,
@@ -19,7 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
 
 SHOWN_AFTER_MS = 400
 """What is done sooner needs no bar."""
@@ -39,8 +38,12 @@ class _Bar(QFrame):
     def __init__(self, parent: QWidget, name: str, *widgets: QWidget) -> None:
         super().__init__(parent)
         self.setObjectName(name)
-        self.label = QLabel(wordWrap=True)
-        self.row = fill(QHBoxLayout(self), (self.label, 1), *widgets, margins=(12, 6, 8, 6))
+        self.kind, self.label = QLabel(), QLabel(wordWrap=True)
+        self.kind.setObjectName("value")
+        text = QWidget()
+        fill(QHBoxLayout(text), self.kind, (self.label, 1), margins=(0, 0, 0, 0))
+        BarLayout(self, text, *widgets, margins=(12, 6, 8, 6))
+        self.kind.hide()
         self.hide()
 
 
@@ -57,8 +60,6 @@ class MessageBar(_Bar):
 
     def __init__(self, parent: QWidget) -> None:
         self._open: list[UserMessage] = []
-        self.kind = QLabel()
-        self.kind.setObjectName("value")
         self.more = QPushButton()
         self.more.setToolTip("All messages of this session")
         self.copy = QPushButton("Copy details")
@@ -66,7 +67,7 @@ class MessageBar(_Bar):
         self.dismiss = QPushButton("Dismiss")
         self.dismiss.setToolTip("Help → Messages keeps it")
         super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
-        self.row.insertWidget(0, self.kind)
+        self.kind.show()
         self.more.clicked.connect(self.asked)
         self.copy.clicked.connect(
             lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open))
@@ -127,7 +128,7 @@ class NoticeBar(QFrame):
         self.setObjectName("notice")
         self._bar, self._room = bar, QSize()
         self._file: Path | None = None
-        self.label = _Elided()
+        self.label = Elided(Qt.TextElideMode.ElideMiddle)  # a path's ends say most
         self.open = _button("Open", "Open the file here, or in the desktop's program for its kind")
         self.folder = _button("Show in folder", "Open the folder it is in")
         self.dismiss = _button("Dismiss", "Help → Messages keeps it")
@@ -166,20 +167,6 @@ class NoticeBar(QFrame):
         if not self.underMouse():  # somebody is about to click
             self._due.stop()
             self.hide()
-
-
-class _Elided(QLabel):
-    """A label that leaves out the middle of what does not fit: a path's ends say most."""
-
-    def minimumSizeHint(self) -> QSize:
-        """Any width will do."""
-        return QSize(0, super().minimumSizeHint().height())
-
-    def paintEvent(self, _: QPaintEvent) -> None:
-        """Write what fits."""
-        middle = Qt.TextElideMode.ElideMiddle
-        text = self.fontMetrics().elidedText(self.text(), middle, self.width())
-        QPainter(self).drawText(self.rect(), Qt.AlignmentFlag.AlignVCenter, text)
 
 
 def _button(text: str, tip: str) -> QToolButton:
