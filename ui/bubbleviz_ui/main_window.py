@@ -93,6 +93,8 @@ NUMBERS_EVERY_MS = 100
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
 UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
 """Choices that draw nothing by themselves."""
+OPENING = "opening"
+"""Topic of messages."""
 OPENED_HERE = (".mcap", ".toml", SESSION_SUFFIX)
 """Written by the window, and opened by it."""
 SIDES = {
@@ -390,6 +392,8 @@ class MainWindow(QMainWindow):
 
     def _say(self, message: UserMessage) -> None:
         quiet = message.kind == "notice"
+        if quiet and message.topic:
+            self.message.drop_topic(message.topic)
         (self.notice if quiet else self.message).say(message)
 
     def _open_written(self, path: Path) -> None:
@@ -446,6 +450,7 @@ class MainWindow(QMainWindow):
             self._source = opened.request.open_source
             self.view.setFocus()
         self.message.drop_warnings()
+        self.message.drop_topic(OPENING)
         if opened.facts.remark:
             self.messages.tell(UserMessage("warning", opened.facts.remark))
         self.scene.depth_camera = opened.camera
@@ -484,12 +489,12 @@ class MainWindow(QMainWindow):
         self.scene.show(painted, self.state.choices)
 
     def _on_failed(self, failed: Failed) -> None:
-        message = failed.message
+        message, topic = failed.message, ""
         if isinstance(failed.request, OpenRequest):
-            message = f"{message.rstrip('.')}. What was open stays."
+            message, topic = f"{message.rstrip('.')}. What was open stays.", OPENING
         elif not (self.state.facts is not None and self.state.facts.grows):
             self.state.set_playing(False)
-        self.messages.tell(UserMessage("error", message, failed.details))
+        self.messages.tell(UserMessage("error", message, failed.details, topic=topic))
 
     def show_rates(self) -> None:
         """Write how fast the window is, now."""
