@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.playback.playback_icons import icon
@@ -204,6 +205,8 @@ class PlaybackPanel(QWidget):
         facts = self._state.facts
         if facts is None:
             return ""
+        if facts.nothing:
+            return f"frame {NOTHING}   {self._state.units.time.text(None)}"
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         of_all = "" if facts.grows else f" of {facts.frames}"
         return f"frame {frame}{of_all}   {time_text}"

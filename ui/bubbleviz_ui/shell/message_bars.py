@@ -186,7 +186,7 @@ def _button(text: str, tip: str) -> QToolButton:
 
 
 class BusyBar(_Bar):
-    """What is being opened, once it takes a while."""
+    """What is being opened or closed, once it takes a while."""
 
     def __init__(self, parent: QWidget) -> None:
         self.progress = QProgressBar(minimum=0, maximum=0)
@@ -198,8 +198,8 @@ class BusyBar(_Bar):
         self._due.timeout.connect(self.show)
 
     def wait_for(self, what: str) -> None:
-        """Say what is being opened, unless it is soon; nothing: it is over."""
-        self.label.setText(f"Opening {what} …")
+        """Say what is being done, unless it is over soon; nothing: it is over."""
+        self.label.setText(what)
         if what and not self.isVisible():
             self._due.start()
         elif not what:
