@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from window_driver import Driver, written
 
 import bubbleviz
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import beside_bars
@@ -246,7 +249,9 @@ def test_a_file_that_cannot_be_opened_is_a_message(drive: Drive, tmp_path: Path)
         assert bad.name in message.label.text()
     assert driver.window.windowTitle() == title
     driver.seek(CONTACT + 2)
-    click(driver, message.dismiss)
+    for bad in ("missing.toml", "broken.mcap", "missing.mcap"):
+        assert bad in message.label.text()
+        click(driver, message.dismiss)
     assert not message.isVisible()
     # a file that is dropped is tried as well
     data = QMimeData()
@@ -258,6 +263,37 @@ def test_a_file_that_cannot_be_opened_is_a_message(drive: Drive, tmp_path: Path)
     driver.window.view.dropEvent(drop)
     driver.wait(message.isVisible)
     assert "dropped.mcap" in message.label.text()
+
+
+def test_playback_and_status_bar_name_the_same_frame_while_it_plays(drive: Drive) -> None:
+    driver = drive(playing=True)
+    window, seen = driver.window, list[tuple[str, str]]()
+
+    def look() -> bool:
+        texts = window.playback.readout.text(), window.status.labels["frame"].text()
+        seen.append(tuple(text.replace("·", " ").split()[1] for text in texts))
+        return len(set(seen)) > 12
+
+    driver.wait(look)
+    assert all(one == other for one, other in seen)
+
+
+def test_errors_of_opening_do_not_outlive_what_is_opened(
+    drive: Drive, press: FrameSource, tmp_path: Path
+) -> None:
+    driver, cut = drive(frame=CONTACT), tmp_path / "cut.mcap"
+    with RecordingWriter(cut) as writer:
+        for k in range(len(press)):
+            writer.write(press[k])
+    os.truncate(cut, cut.stat().st_size - 20)
+    message = driver.window.message
+    for bad in (tmp_path / "one.mcap", tmp_path / "two.mcap"):
+        bad.write_text("text")
+        driver.window.open_file(bad)
+        driver.wait(lambda bad=bad: bad.name in message.label.text())
+    driver.window.open_file(cut)
+    driver.wait(lambda: message.kind.text() == "Warning")
+    assert "cut off" in message.label.text() and not message.more.isVisible()
 
 
 def test_a_frame_that_cannot_be_read_is_a_message_and_stops_playback(drive: Drive) -> None:

@@ -93,6 +93,8 @@ NUMBERS_EVERY_MS = 100
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
 UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
 """Choices that draw nothing by themselves."""
+OPENING = "opening"
+"""Topic of messages."""
 OPENED_HERE = (".mcap", ".toml", SESSION_SUFFIX)
 """Written by the window, and opened by it."""
 SIDES = {
@@ -327,6 +329,8 @@ class MainWindow(QMainWindow):
             if kind.choice:
                 dock.visibilityChanged.connect(partial(self.state.choose_panel, kind.choice))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
+        docks["plots"].open_high()
+        docks["images"].open_high()
         docks["images"].tab_of(docks["plots"], narrower_than=BESIDE_THE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
@@ -390,6 +394,8 @@ class MainWindow(QMainWindow):
 
     def _say(self, message: UserMessage) -> None:
         quiet = message.kind == "notice"
+        if quiet and message.topic:
+            self.message.drop_topic(message.topic)
         (self.notice if quiet else self.message).say(message)
 
     def _open_written(self, path: Path) -> None:
@@ -446,6 +452,7 @@ class MainWindow(QMainWindow):
             self._source = opened.request.open_source
             self.view.setFocus()
         self.message.drop_warnings()
+        self.message.drop_topic(OPENING)
         if opened.facts.remark:
             self.messages.tell(UserMessage("warning", opened.facts.remark))
         self.scene.depth_camera = opened.camera
@@ -468,6 +475,7 @@ class MainWindow(QMainWindow):
         """Write the numbers of the result that is shown into the panels."""
         result, facts = self.controller.result, self.state.facts
         if result is not None and facts is not None:
+            self.playback.show_frame()
             self.kappa.show_result(result)
             self.status.show_result(result, facts, self.state.history)
 
@@ -484,12 +492,12 @@ class MainWindow(QMainWindow):
         self.scene.show(painted, self.state.choices)
 
     def _on_failed(self, failed: Failed) -> None:
-        message = failed.message
+        message, topic = failed.message, ""
         if isinstance(failed.request, OpenRequest):
-            message = f"{message.rstrip('.')}. What was open stays."
+            message, topic = f"{message.rstrip('.')}. What was open stays.", OPENING
         elif not (self.state.facts is not None and self.state.facts.grows):
             self.state.set_playing(False)
-        self.messages.tell(UserMessage("error", message, failed.details))
+        self.messages.tell(UserMessage("error", message, failed.details, topic=topic))
 
     def show_rates(self) -> None:
         """Write how fast the window is, now."""

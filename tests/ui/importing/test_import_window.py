@@ -156,6 +156,7 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(
     bench.dialog.images.wrench.line.clear()
     assert not bench.dialog.problem.text()
     assert "3 frames" in bench.run()
+    assert not bench.driver.window.message.isVisible()
     assert "exists already" in bench.run()
 
 

@@ -69,6 +69,7 @@ def close(driver: Driver) -> None:
     with driver.bot.waitActive(driver.window):
         driver.window.activateWindow()
     driver.bot.keyClick(driver.window, Qt.Key.Key_W, CTRL)
+    assert driver.window.busy.label.text() == "Closing …"
     driver.wait(lambda: driver.window.windowTitle().startswith("nothing open – "))
     driver.settle()
 
@@ -83,6 +84,8 @@ def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(
     assert source.closed and driver.pipeline.model.sensor == sensor
     assert not len(driver.warm_pixels()) and driver.state.facts.frames == 1
     assert driver.window.status.labels["force"].text() == "force – N"  # and not 0.00 N
+    assert driver.window.status.labels["frame"].text() == "frame – · – s"
+    assert driver.window.playback.readout.text().split() == ["frame", "–", "–", "s"]
     assert {"no contact", "no depth data"}.isdisjoint(texts(driver))
     for panel in driver.window.panels.values():
         panel.show()

@@ -96,6 +96,8 @@ def test_an_error_is_not_covered_by_a_warning(drive: Drive) -> None:
     assert "good" in dialog.text.toPlainText()
     dialog.close()
     driver.bot.mouseClick(message.dismiss, LEFT)
+    assert message.kind.text() == "Warning" and message.label.text() == "odd"
+    driver.bot.mouseClick(message.dismiss, LEFT)
     assert not message.isVisible()
 
 
@@ -125,7 +127,8 @@ def test_errors_warnings_and_notices_look_different(drive: Drive) -> None:
             driver.wait(bar.isVisible)
             seen.add(bar.grab().toImage().pixelColor(3, 3).name())
         assert len(seen) == 3
-        window.message.clear()
+        for _ in range(2):
+            driver.bot.mouseClick(window.message.dismiss, LEFT)
     assert window.message.kind.text()
 
 

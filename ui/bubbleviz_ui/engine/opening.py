@@ -37,7 +37,7 @@ class Opening(QObject):
     Attributes
     ----------
     changed : Signal
-        What is being opened; empty when it is, or is not going to be.
+        What is being opened or closed, in words; empty when it is, or is not going to be.
     said : Signal
         A `UserMessage`.
     present : Opened or None
@@ -98,7 +98,7 @@ class Opening(QObject):
         self.cancel()
         self._waiting = request
         self._ask(request)
-        self.changed.emit(what)
+        self.changed.emit("Closing …" if open_source is NothingOpen else f"Opening {what} …")
 
     def cancel(self) -> None:
         """Open nothing; the solver stops at its next step."""

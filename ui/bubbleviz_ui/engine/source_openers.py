@@ -17,6 +17,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.noisy_loop import NoisyLoop
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth, default_press, truth_of
 from bubbleviz.simulation.truth_file import KnownRecording, known_beside
+from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
 """As file dialogs offer them."""
@@ -82,7 +83,7 @@ class NothingOpen:
     """What is there while nothing is open: one image in which no pixel has a return."""
 
     def __init__(self, sensor: Sensor) -> None:
-        self.name, self.times_s = "nothing open", np.zeros(1)
+        self.name, self.times_s = NOTHING_OPEN, np.zeros(1)
         self._size = sensor.camera.height, sensor.camera.width
 
     def __len__(self) -> int:

@@ -32,6 +32,8 @@ from bubbleviz_ui.shell.layouts import fill
 SUFFIX = ".mcap"
 SUFFIXES = (".bag", ".db3", SUFFIX, ".yaml")
 OTHERS = f"Recordings (*{' *'.join(SUFFIXES)});;All files (*)"
+TOPIC = "import"
+"""Of messages."""
 WIDTH = 560  # px: a path of usual length
 ABOUT = (
     "Choose a folder of depth images (.npy, 16-bit .png, .tif) or a recording (.bag of ROS 1 or of "
@@ -167,10 +169,10 @@ class ImportDialog(QDialog):
         self._tell(done.answer, done.message)
         self._show()
         if done.message and (done.details or not self.isVisible()):  # else the dialog says it
-            self.said.emit(UserMessage("error", done.message, done.details))
+            self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
         elif self._summary is not None:
             out = Path(self._summary.out)
-            self.said.emit(UserMessage("notice", self.made.text(), file=out))
+            self.said.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
 
     def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
         self._summary = summary

@@ -30,6 +30,8 @@ class UserMessage:
         What was written: a file or a folder.
     at : datetime
         When it was told.
+    topic : str
+        What it is about: once that succeeds, its errors are of no interest any more.
     """
 
     kind: MessageKind
@@ -37,6 +39,7 @@ class UserMessage:
     details: str = ""
     file: Path | None = None
     at: datetime = field(default_factory=datetime.now)
+    topic: str = ""
 
     def line(self) -> str:
         """Time, kind and text, by tabs."""

@@ -15,6 +15,8 @@ Link = State | Literal["disconnected"]
 """How what is connected is doing; disconnected while nothing is."""
 Badge = Link | Literal["", "frozen", "simulated"]
 """The one word that tells what one looks at; empty for a recording."""
+NOTHING_OPEN = "nothing open"
+"""Title of what is there while nothing is open."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class SourceFacts:
     simulated: bool = False
     outages: tuple[Gap, ...] = ()
     path: str = ""
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing is open: its one frame is nobody's."""
+        return self.title == NOTHING_OPEN
 
     @property
     def frames(self) -> int:

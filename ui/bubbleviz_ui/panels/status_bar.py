@@ -14,7 +14,7 @@ from bubbleviz.result import Result
 from bubbleviz_ui.model.frame_history import History
 from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import NOTHING, Units
 
 TIPS = {
     "sensor": "Sensor",
@@ -116,8 +116,9 @@ class StatusBar(QStatusBar):
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
         of_all = "" if facts.grows else f" of {facts.frames}"
+        place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
-            "frame": f"frame {frame.index}{of_all} · {time_text}",
+            "frame": f"frame {NOTHING} · {units.time.text(None)}" if facts.nothing else place,
             "force": "force " + force_text(result, units),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal
@@ -65,14 +66,14 @@ class MessageBar(_Bar):
         self.copy = QPushButton("Copy details")
         self.copy.setToolTip("For a bug report: what went wrong, and where")
         self.dismiss = QPushButton("Dismiss")
-        self.dismiss.setToolTip("Help → Messages keeps it")
+        self.dismiss.setToolTip("On to the next; Help → Messages keeps it")
         super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
         self.kind.show()
         self.more.clicked.connect(self.asked)
         self.copy.clicked.connect(
             lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open))
         )
-        self.dismiss.clicked.connect(self.clear)
+        self.dismiss.clicked.connect(lambda: self._keep(lambda message: message is not self._shown))
 
     def say(self, message: UserMessage) -> None:
         """Show a message; one that is told again counts once."""
@@ -81,22 +82,29 @@ class MessageBar(_Bar):
         self._open.append(message)
         self._show_open()
 
-    def clear(self) -> None:
-        """Remove all messages."""
-        self._open = []
-        self._show_open()
-
     def drop_warnings(self) -> None:
         """Remove warnings: the source they are about is closed."""
-        self._open = [message for message in self._open if message.kind == "error"]
+        self._keep(lambda message: message.kind == "error")
+
+    def drop_topic(self, topic: str) -> None:
+        """Remove what went wrong with something that has succeeded since."""
+        self._keep(lambda message: message.topic != topic)
+
+    @property
+    def _shown(self) -> UserMessage:
+        errors = [message for message in self._open if message.kind == "error"]
+        return (errors or self._open)[-1]
+
+    def _keep(self, wanted: Callable[[UserMessage], bool]) -> None:
+        """Remove all other messages."""
+        self._open = [message for message in self._open if wanted(message)]
         self._show_open()
 
     def _show_open(self) -> None:
         self.setVisible(bool(self._open))
         if not self._open:
             return
-        errors = [message for message in self._open if message.kind == "error"]
-        shown = (errors or self._open)[-1]
+        shown = self._shown
         self.setObjectName(shown.kind)
         self.style().polish(self)  # the style sheet goes by the name
         self.kind.setText(shown.kind.capitalize())
@@ -178,7 +186,7 @@ def _button(text: str, tip: str) -> QToolButton:
 
 
 class BusyBar(_Bar):
-    """What is being opened, once it takes a while."""
+    """What is being opened or closed, once it takes a while."""
 
     def __init__(self, parent: QWidget) -> None:
         self.progress = QProgressBar(minimum=0, maximum=0)
@@ -190,8 +198,8 @@ class BusyBar(_Bar):
         self._due.timeout.connect(self.show)
 
     def wait_for(self, what: str) -> None:
-        """Say what is being opened, unless it is soon; nothing: it is over."""
-        self.label.setText(f"Opening {what} …")
+        """Say what is being done, unless it is over soon; nothing: it is over."""
+        self.label.setText(what)
         if what and not self.isVisible():
             self._due.start()
         elif not what:
