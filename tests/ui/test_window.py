@@ -265,6 +265,19 @@ def test_a_file_that_cannot_be_opened_is_a_message(drive: Drive, tmp_path: Path)
     assert "dropped.mcap" in message.label.text()
 
 
+def test_playback_and_status_bar_name_the_same_frame_while_it_plays(drive: Drive) -> None:
+    driver = drive(playing=True)
+    window, seen = driver.window, list[tuple[str, str]]()
+
+    def look() -> bool:
+        texts = window.playback.readout.text(), window.status.labels["frame"].text()
+        seen.append(tuple(text.replace("·", " ").split()[1] for text in texts))
+        return len(set(seen)) > 12
+
+    driver.wait(look)
+    assert all(one == other for one, other in seen)
+
+
 def test_errors_of_opening_do_not_outlive_what_is_opened(
     drive: Drive, press: FrameSource, tmp_path: Path
 ) -> None:

@@ -473,6 +473,7 @@ class MainWindow(QMainWindow):
         """Write the numbers of the result that is shown into the panels."""
         result, facts = self.controller.result, self.state.facts
         if result is not None and facts is not None:
+            self.playback.show_frame()
             self.kappa.show_result(result)
             self.status.show_result(result, facts)
 

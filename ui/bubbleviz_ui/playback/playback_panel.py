@@ -49,8 +49,6 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self._due = QTimer(self, singleShot=True, interval=SOON_MS)
-        self._due.timeout.connect(lambda: self._show_frame())
         self.first = self._button("First frame (Home)")
         self.back = self._button("One frame back (←)")
         self.play = self._button("Play or pause (Space)")
@@ -58,6 +56,8 @@ class PlaybackPanel(QWidget):
         self.last = self._button("Last frame (End)")
         self.jumps = {seconds: self._jump(text, seconds) for text, seconds in JUMPS_S.items()}
         self.timeline = Timeline(state)
+        self._due = QTimer(self, singleShot=True, interval=SOON_MS)
+        self._due.timeout.connect(lambda: self.timeline.update())
         self.strip = RangeStrip()
         self.strip.hide()
         self.readout = QLabel()
@@ -145,11 +145,11 @@ class PlaybackPanel(QWidget):
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
         if not by_playback:  # else shown together with its picture
-            self._show_frame()
+            self.show_frame()
 
     def _on_history(self) -> None:
         if not self._state.playing:
-            self._show_frame()
+            self.show_frame()
         elif not self._due.isActive():
             self._due.start()
 
@@ -165,7 +165,7 @@ class PlaybackPanel(QWidget):
         self.freeze.setVisible(live and not self._state.frozen)
         self.now.setVisible(live and self._state.frozen)
         self._fit()
-        self._show_frame()
+        self.show_frame()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Show what there is room for."""
@@ -196,7 +196,8 @@ class PlaybackPanel(QWidget):
         for name in ("first", "back", "forward", "last"):
             getattr(self, name).setIcon(icon(name, colours))
 
-    def _show_frame(self) -> None:
+    def show_frame(self) -> None:
+        """Write which frame it is; while playing together with the numbers of its picture."""
         self.timeline.update()
         self.mark.setChecked(self._state.playhead in self._state.markers)
         self.readout.setText(self._text(self._state.playhead))
