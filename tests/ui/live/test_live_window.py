@@ -104,7 +104,7 @@ def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
     """In the bar and in the title, for each kind of source and whatever becomes of it."""
     bench = open_bench()
     word, title, bar = bench.window.live.state, bench.window.windowTitle, bench.window.live
-    port, name = free_port(), sensor_file(bench.folder)
+    port, name, seen = free_port(), sensor_file(bench.folder), list[tuple[str, str]]()
     with robot(port):
         bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", name))
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text() and " (live) " in title())
@@ -113,7 +113,14 @@ def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
         bench.wait(lambda: word.text().endswith("Hz"))
         assert "live" not in word.text()
         bench.window.playback.now.click()
+        bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text())
+        changed = bench.state.link_changed
+        noted = changed.connect(lambda: seen.append((title(), word.text())))
     bench.wait(lambda: " (stale) " in title() or " (reconnecting) " in title())
+    changed.disconnect(noted)
+    for name_in_title, name_in_bar in seen:
+        badge = name_in_title.partition(" (")[2].partition(") ")[0]
+        assert f">&nbsp;{badge}&nbsp;<" in name_in_bar
     bar.leave.click()
     assert ">&nbsp;disconnected&nbsp;<" in word.text() and " (disconnected) " in title()
     assert word.isVisible() and not bar.leave.isVisible() and not bar.record.isVisible()

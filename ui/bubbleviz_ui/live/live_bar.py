@@ -124,6 +124,7 @@ class LiveBar(QFrame):
         live.looked.connect(self.show_now)
         live.state.source_changed.connect(self.show_all)
         live.state.frozen_changed.connect(self.show_now)
+        live.state.link_changed.connect(self.show_now)
         self.zero.clicked.connect(live.zero_now)
         self.publish.clicked.connect(live.toggle_publishing)
         self.leave.clicked.connect(live.disconnect_all)
