@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver, axes_corner, in_view, texts
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+from window_driver import Driver, axes_corner, in_view, props, texts
 
 from bubbleviz_ui.view3d.colour_bar import LOWEST, TEXT, WIDTH
 
@@ -102,3 +103,18 @@ def test_calibration_is_not_crushed_in_a_small_window(drive: Drive) -> None:
         assert panel.visibleRegion().boundingRect().height() == panel.height()
     assert window.gamma0.stack.height() > 150
     assert window.dockWidgetArea(panels["calibration"]) == Qt.DockWidgetArea.RightDockWidgetArea
+
+
+def test_scales_end_at_round_numbers_in_every_unit(drive: Drive) -> None:
+    driver = drive(frame=11)
+    bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
+        driver.state.choose(**units)
+        driver.settle()
+        ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
+        assert len(ends) == 2
+        assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends
+    driver.state.choose(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
+    driver.settle()
+    assert any(bar.GetLookupTable().GetRange()[1] == pytest.approx(2.2) for bar in bars)

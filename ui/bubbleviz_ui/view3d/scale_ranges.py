@@ -11,6 +11,7 @@ import numpy as np
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.units import Unit, Units
 
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
@@ -41,10 +42,11 @@ class HeldRanges:
     """Scales that grow with the data and never shrink, so colours stay comparable.
 
     That of pressure covers the frames that are shown, and all that were seen but the highest two.
-    All sensors of a view are drawn on the same.
+    All sensors of a view are drawn on the same. Ends are round in the operator's units.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, units: Units) -> None:
+        self._units = units
         self._held = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
         self._peaks_pa: dict[tuple[object, int], float] = {}
         self._shown_pa: dict[object, float] = {}
@@ -81,10 +83,11 @@ class HeldRanges:
         pressure = self._held.pressure_pa
         for shown in self._shown_pa.values():
             pressure = _grown(pressure, shown)
+        units, held = self._units, self._held
         return Ranges(
-            choices.pressure_max_pa or pressure,
-            choices.residual_max_m or self._held.residual_m,
-            self._held.force_n,
+            choices.pressure_max_pa or _round_in(units.pressure, pressure),
+            choices.residual_max_m or _round_in(units.length, held.residual_m),
+            held.force_n,
         )
 
     def _usual_peak(self, frame: tuple[object, int], peak_pa: float) -> float:
@@ -98,3 +101,8 @@ class HeldRanges:
 
 def _grown(held: float, seen: float) -> float:
     return rounded_up(seen) if math.isfinite(seen) and seen > held else held
+
+
+def _round_in(unit: Unit, si: float) -> float:
+    """A value not below `si`, in SI, that is round in a unit."""
+    return rounded_up(unit.of(si)) / unit.of(1.0)

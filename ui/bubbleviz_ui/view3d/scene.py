@@ -41,7 +41,7 @@ class Scene:
     def __init__(self, view: View, units: Units, choices: Choices) -> None:
         self._view = view
         self._choices = choices
-        self.ranges = HeldRanges()
+        self.ranges = HeldRanges(units)
         self._drawn = DrawnLayers(view, units, self.ranges)
         self.layers = self._drawn.by_name
         self._surface = self._drawn.surface
