@@ -329,6 +329,8 @@ class MainWindow(QMainWindow):
             if kind.choice:
                 dock.visibilityChanged.connect(partial(self.state.choose_panel, kind.choice))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
+        docks["plots"].open_high()
+        docks["images"].open_high()
         docks["images"].tab_of(docks["plots"], narrower_than=BESIDE_THE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)

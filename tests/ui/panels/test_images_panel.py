@@ -267,3 +267,19 @@ def test_all_images_may_be_hidden(drive: Drive) -> None:
     panel.boxes["depth"].trigger()
     driver.settle()
     assert driver.state.choices.images == frozenset({"depth"})
+
+
+def test_images_open_large_enough_beside_the_plots_of_a_small_window(drive: Drive) -> None:
+    """As a tab of theirs: the view keeps its width, and each image is more than a thumbnail."""
+    driver = drive(frame=5)
+    window = driver.window
+    window.resize(1016, 660)
+    wide = window.view.width()
+    for title in ("Plots", "Images"):
+        window.shortcuts.actions[f"View › {title}"].trigger()
+    driver.settle()
+    assert (window.width(), window.height()) == (1016, 660) and window.view.width() == wide
+    cells = [window.images.cells[name] for name in driver.state.choices.images]
+    assert len(cells) >= 3
+    for cell in cells:
+        assert cell.box.sceneBoundingRect().height() > 90

@@ -13,8 +13,9 @@ import pyqtgraph as pg
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
-from PySide6.QtGui import QImage
+from PySide6.QtGui import QFontMetrics, QImage
 from PySide6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
 from window_driver import Driver, canvas, hover
 
 from bubbleviz.camera.membrane_view import MembraneView
@@ -28,6 +29,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.study.error_metrics import iou
 from bubbleviz_ui.model.frame_history import thinned
 from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.time_plot import Band
 
@@ -348,3 +350,33 @@ def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive: D
 
 def copied() -> str:
     return QApplication.clipboard().text()
+
+
+def test_plots_open_with_room_for_two_rows_in_a_small_window(drive: Drive) -> None:
+    """Of those that are chosen at first, two are side by side there; more rows are scrolled to."""
+    driver = drive(frame=5)
+    window = driver.window
+    window.resize(1016, 660)
+    window.shortcuts.actions["View › Plots"].trigger()
+    driver.settle()
+    assert (window.width(), window.height()) == (1016, 660)
+    shown = canvas(window.plots).viewport()
+    assert shown.visibleRegion().boundingRect().height() == shown.height() > 200
+    for box in window.plots.boxes.values():
+        if not box.isChecked():
+            box.trigger()
+    driver.settle()
+    assert (window.width(), window.height()) == (1016, 660)
+    assert shown.height() >= 2 * shown.visibleRegion().boundingRect().height()
+
+
+@pytest.mark.parametrize("width", [110, 150, 310, 900])
+@pytest.mark.parametrize("span_s", [0.4, 2.9, 44.0, 700.0])
+def test_times_below_a_plot_do_not_touch(qtbot: QtBot, width: int, span_s: float) -> None:
+    frame = PlotFrame("seconds")
+    (axis,) = (a for a in frame.item.items if getattr(a, "orientation", "") == "bottom")
+    step, _ = axis.tickSpacing(0.0, span_s, width)[0]
+    texts = axis.tickStrings(np.arange(0.0, span_s, step), 1.0, step)
+    metrics = QFontMetrics(QApplication.font())
+    assert max(metrics.horizontalAdvance(text) for text in texts) < width * step / span_s
+    assert span_s / step < 20

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
@@ -25,7 +25,7 @@ EVERY_MS = 150
 ASPECT = 4 / 3
 NARROWEST = 130
 """Column in which the scale above an image is whole, screen pixels."""
-LEAST_WIDTH = 290
+LEAST_WIDTH, SIZE = 290, QSize(340, 260)
 HEADER = 65
 """Height of what is above the images, screen pixels."""
 
@@ -88,6 +88,10 @@ class ImagesPanel(QWidget):
             label.setText(line)
         for cell in self.cells.values():
             cell.mark(place)
+
+    def sizeHint(self) -> QSize:
+        """Room for a row of images."""
+        return SIZE
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """As large as the images can be."""

@@ -11,6 +11,8 @@ from PySide6.QtGui import QColor
 
 LEFT, BOTTOM, HEAD = 46, 20, 17
 """Room for the axes and the text, screen pixels."""
+TICK = 56
+"""Room for a time with its unit below a plot, screen pixels."""
 
 
 class PlotFrame:
@@ -77,6 +79,12 @@ def _seconds() -> Any:
     import pyqtgraph as pg
 
     class Seconds(pg.AxisItem):  # type: ignore[misc]
+        def tickSpacing(self, first: float, last: float, size: float) -> list[tuple[float, float]]:
+            (step, offset), *finer = super().tickSpacing(first, last, size)
+            needed = TICK * (last - first) / max(size, 1.0)
+            wide = next((n * step for n in (1, 2, 5, 10) if n * step >= needed), 10 * step)
+            return [(wide, offset), *finer]
+
         def tickStrings(self, values: Any, scale: float, spacing: float) -> list[str]:
             return [f"{text} s" for text in super().tickStrings(values, scale, spacing)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize, QTimer
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
@@ -135,6 +135,12 @@ class PlotsPanel(QWidget):
         self._arrange()
         self._draw()
         self._show_kappa()
+
+    def sizeHint(self) -> QSize:
+        """Room for two rows of plots, before there are any; less is scrolled."""
+        width, height = CELL
+        header = self.choose.sizeHint().height() + self._column.spacing()
+        return QSize(2 * width, 2 * height + header).grownBy(self._column.contentsMargins())
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """As many plots side by side as have room."""

@@ -22,6 +22,11 @@ class Dock(QDockWidget):
 
     _neighbour: QDockWidget | None = None
     _narrower_than: int | None = None
+    _high = False
+
+    def open_high(self) -> None:
+        """Open as high as the panel asks to be, where there is room; else it would be lowest."""
+        self._high = True
 
     def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
         """Open as a tab of another dock, unless the user has moved it elsewhere.
@@ -46,6 +51,9 @@ class Dock(QDockWidget):
         super().setVisible(visible)
         if first:
             self.raise_()
+        if visible and self._high and isinstance(window, QMainWindow):
+            self._high = False
+            window.resizeDocks([self], [self.sizeHint().height()], Qt.Orientation.Vertical)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
