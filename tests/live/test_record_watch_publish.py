@@ -23,7 +23,7 @@ from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
@@ -169,12 +169,18 @@ def test_nothing_arrived_is_said_and_leaves_no_file(
 ) -> None:
     monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
-    done = run("record", "--source", source, "--out", str(out), "--duration", "0.1")
-    assert done.exit_code == 2
-    assert "nothing arrived" in done.stderr
-    done = run("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
-    assert done.exit_code == 2
-    assert "no depth image arrived" in done.stderr
+    record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
+    watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
+    for words in (record, watch):
+        done = run(*words)
+        assert done.exit_code == 2
+        assert "nothing listens at" in done.stderr
+    silent = SessionOptions("silent", listen=source.removeprefix("zenoh:"))
+    with open_session(silent):
+        for words, said in ((record, "nothing arrived"), (watch, "no depth image arrived")):
+            done = run(*words)
+            assert done.exit_code == 2
+            assert said in done.stderr
     assert not out.exists()
 
 

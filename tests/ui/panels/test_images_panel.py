@@ -100,10 +100,10 @@ def test_nothing_is_picked_while_playing_unless_images_are_open(drive: Drive) ->
     assert driver.window.hover.place is None
     point()
     assert driver.window.hover.place is None and idle(driver.window.pointing)
-    wide = driver.window.view.width()
+    before = driver.window.view.size()
     driver.window.panels["images"].show()
     driver.wait(lambda: "images" in driver.state.choices.panels)
-    driver.wait(lambda: driver.window.view.width() < wide)
+    driver.wait(lambda: driver.window.view.size() != before)
     point()
     driver.wait(lambda: driver.window.hover.place is not None)
     driver.state.set_playing(False)

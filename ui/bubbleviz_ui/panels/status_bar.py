@@ -58,7 +58,7 @@ def widest(units: Units) -> dict[str, str]:
         "frame": "frame 888/888 · 88.888 s",
         "force": f"force {units.force.with_interval(88.88, 8.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
-        "gas": f"p_v measured {units.gas_pressure.text(8888.0, signed=True)}",
+        "gas": f"p_v {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
         "camera": "camera 88.8 Hz",
         "solve": f"solve {units.duration.text(88.8)} · 88.8 Hz",
@@ -181,13 +181,11 @@ class StatusBar(QStatusBar):
         label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
 
     def _gas_text(self, frame: int, history: History) -> str:
-        """Gas pressure change of a frame, and whose it is: of the curves of the plot."""
-        unit = self._units.gas_pressure
-        for name, word in {"gas_measured_pa": "measured", "gas_law_pa": "gas law"}.items():
-            change = float(history.of(name)[frame])
-            if math.isfinite(change):
-                return f"p_v {word} {unit.text(change, signed=True)}"
-        return f"p_v {unit.text(None)}"
+        """Gas pressure change of a frame, as in the plot: measured, else by the gas law."""
+        curves = [history.of(name) for name in ("gas_measured_pa", "gas_law_pa")]
+        known = [float(curve[frame]) for curve in curves if frame < len(curve)]
+        change = next((value for value in known if math.isfinite(value)), None)
+        return f"p_v {self._units.gas_pressure.text(change, signed=True)}"
 
     _solve_ms: float | None = None
     _sensor = ""

@@ -76,6 +76,7 @@ TRACES = MappingProxyType(
             lambda u: u.length,
             {"center_x_m": ORANGE, "center_y_m": GREEN, "center_z_m": BLUE},
             ("x", "y", "z"),
+            short="Centre",
         ),
         "residual": Trace("Residual rms", lambda u: u.fine_length, {"residual_m": BLUE}),
         "solve": Trace(
