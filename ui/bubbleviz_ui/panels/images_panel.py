@@ -18,15 +18,15 @@ from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
-from bubbleviz_ui.shell.layouts import Elided, fill
+from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
 
 EVERY_MS = 150
 """While playing: colouring a large image takes some ms."""
 ASPECT = 4 / 3
 NARROWEST = 130
 """Column in which the scale above an image is whole, screen pixels."""
-LEAST_WIDTH, SIZE = 290, QSize(340, 260)
-HEADER = 90
+LEAST_WIDTH, SIZE = 290, QSize(360, 260)
+HEADER = 65
 """Height of what is above the images, screen pixels."""
 
 
@@ -59,8 +59,10 @@ class ImagesPanel(QWidget):
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(8, 4, 8, 4)
         self._column.setSpacing(4)
-        self._column.addWidget(self.choose, 0, Qt.AlignmentFlag.AlignLeft)
-        self._column.addLayout(fill(QVBoxLayout(), *self.lines, spacing=0))
+        header, text = QWidget(), QWidget()
+        fill(QVBoxLayout(text), *self.lines, margins=(0, 0, 0, 0), spacing=0)
+        BarLayout(header, text, self.choose, margins=(0, 0, 0, 0))
+        self._column.addWidget(header)
         self._column.addWidget(self._host, 1)
         self.setMinimumWidth(LEAST_WIDTH)
 
