@@ -13,7 +13,6 @@ from bubbleviz.frames.bags import Messages
 NEAREST_NS = 100_000_000
 """Beyond the first and the last value the nearest one counts, within this time."""
 
-
 REORDERED_NS = 1_000_000_000
 """A network swaps messages of a second at most; further back the clock was set, or it is a replay
 that began again."""

@@ -66,7 +66,7 @@ class ZenohSource:
         self._counts: dict[tuple[bytes, str], int] = {}
         self._missed = 0
         self._link: Link = "connecting"
-        self._refusal = ""
+        self._no_session = ""
         self._lock = threading.Lock()
         self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
@@ -106,7 +106,7 @@ class ZenohSource:
 
     def problem(self) -> str:
         """Why there is no session yet, or the error that ended the subscription thread."""
-        return self._refusal or ("" if self._connector is None else self._connector.problem)
+        return self._no_session or ("" if self._connector is None else self._connector.problem)
 
     def _named(self) -> list[tuple[str, str]]:
         names = self._names
@@ -142,9 +142,9 @@ class ZenohSource:
         while self._session is None:
             try:
                 self._session = open_session(self._options)
-                self._refusal = ""
+                self._no_session = ""
             except InputError as error:  # no router or peer yet, or one with other passwords
-                self._refusal = error.why if isinstance(error, NotConnectedError) else ""
+                self._no_session = error.why if isinstance(error, NotConnectedError) else ""
                 if not pace.wait_until(time.monotonic() + wait):
                     return False
                 wait = min(1.5 * wait, BACK_OFF_S[1])
