@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+import subprocess
+import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import whole_file
 
-_QUALITY = 7.0  # of 10: text stays legible
+_CRF = 15  # of 51, 0 being lossless: text stays legible
 
 
 class Mp4Writer:
@@ -25,12 +28,14 @@ class Mp4Writer:
     temporary : Path
         Where to write.
     fps : float
+    said : binary file
+        For the encoder's messages.
     """
 
-    def __init__(self, path: Path, temporary: Path, fps: float) -> None:
-        self._path, self._temporary, self._fps = path, temporary, fps
+    def __init__(self, path: Path, temporary: Path, fps: float, said: IO[bytes]) -> None:
+        self._path, self._temporary, self._fps, self._said = path, temporary, fps, said
         self._shape: tuple[int, ...] | None = None
-        self._encoder: Generator[None, Any, None] | None = None
+        self._encoder: _Encoder | None = None
 
     def add(self, picture: np.ndarray) -> None:
         """Append a picture, (H, W, 3) uint8, all of one size.
@@ -39,57 +44,86 @@ class Mp4Writer:
         """
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             raise ValueError(f"a picture is (H, W, 3) uint8, not {picture.shape} {picture.dtype}")
-        if self._encoder is None:
-            self._shape, self._encoder = picture.shape, self._started(picture)
-        elif picture.shape != self._shape:
-            raise InputError(
-                f"{self._path}: a picture is {_by(picture.shape)} pixels, the first "
-                f"{_by(self._shape)}; keep the size of the view while the video is written"
-            )
+        even = np.ascontiguousarray(_even(picture))
         with self._refusals():
-            self._encoder.send(np.ascontiguousarray(_even(picture)))
+            if self._encoder is None:
+                self._shape = picture.shape
+                size = even.shape[1::-1]
+                self._encoder = _Encoder(self._temporary, size, self._fps, self._said)
+            elif picture.shape != self._shape:
+                raise InputError(
+                    f"{self._path}: a picture is {_by(picture.shape)} pixels, the first "
+                    f"{_by(self._shape)}; keep the size of the view while the video is written"
+                )
+            self._encoder.add(even)
 
     def finish(self) -> None:
         """Let the encoder write its last pictures."""
         if self._encoder is None:
             raise InputError(f"{self._path}: no picture to make a video of; choose some frames")
         with self._refusals():
-            self._encoder.close()
-        if not self._temporary.is_file() or not self._temporary.stat().st_size:
-            raise InputError(f"{self._path}: the encoder wrote nothing; choose another place")
+            self._encoder.finish()
 
     def abandon(self) -> None:
         """End the encoder; what it wrote is of no use."""
         if self._encoder is not None:
-            self._encoder.close()
-
-    def _started(self, picture: np.ndarray) -> Generator[None, Any, None]:
-        import imageio_ffmpeg  # only where a video is written
-
-        height, width = _even(picture).shape[:2]
-        with self._refusals():
-            encoder = imageio_ffmpeg.write_frames(
-                str(self._temporary),
-                (width, height),
-                fps=self._fps,
-                quality=_QUALITY,
-                macro_block_size=2,
-                codec="libx264",
-                pix_fmt_out="yuv420p",  # what browsers and slides play
-                ffmpeg_log_level="error",
-            )
-            encoder.send(None)
-        return encoder
+            self._encoder.kill()
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:
         try:
             yield
-        except (OSError, RuntimeError) as error:
+        except OSError as error:
             reason = " ".join(str(error).split())[:200]
             raise InputError(
                 f"{self._path}: ffmpeg cannot write it ({reason}); choose another place"
             ) from error
+
+
+class _Encoder:
+    """A process of ffmpeg; OSError with its own words where it fails.
+
+    It has a process group of its own, so that ^C reaches only us. imageio-ffmpeg does this by a
+    fork, in which SciPy's factorisations of other threads print a traceback (scipy#25404).
+    """
+
+    def __init__(self, path: Path, size: tuple[int, ...], fps: float, said: IO[bytes]) -> None:
+        from imageio_ffmpeg import get_ffmpeg_exe  # only where a video is written
+
+        width, height = size
+        pictures = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+        rate = ["-r", str(Fraction(fps).limit_denominator())]
+        playable = ["-c:v", "libx264", "-crf", str(_CRF), "-pix_fmt", "yuv420p"]  # in browsers
+        self._said = said
+        self._process = subprocess.Popen(
+            [get_ffmpeg_exe(), "-v", "error", "-y", *pictures, *rate, "-i", "-", *playable, path],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self._said,
+            process_group=0,
+        )
+
+    def add(self, picture: np.ndarray) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(picture.data)
+        except OSError as error:
+            self._process.wait()
+            raise OSError(self._words() or str(error)) from error
+
+    def finish(self) -> None:
+        self._process.communicate()
+        words = self._words()
+        if self._process.returncode:
+            raise OSError(words or f"it ended with code {self._process.returncode}")
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def _words(self) -> str:
+        self._said.seek(0)
+        return self._said.read().decode(errors="replace").strip()
 
 
 @contextmanager
@@ -113,8 +147,8 @@ def open_mp4(path: str | Path, fps: float) -> Iterator[Mp4Writer]:
         raise InputError(f"{path}: a video ends in .mp4; rename it")
     if not 0.0 < fps <= 1000.0:
         raise InputError(f"{path}: {fps:g} pictures a second; choose from 1 to 1000")
-    with whole_file(path) as temporary:
-        writer = Mp4Writer(path, temporary, fps)
+    with whole_file(path) as temporary, tempfile.TemporaryFile() as said:
+        writer = Mp4Writer(path, temporary, fps, said)
         try:
             yield writer
         except BaseException:

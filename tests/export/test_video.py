@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -69,3 +71,34 @@ def test_refusals_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="pictures a second"):
         write(tmp_path / "x.mp4", never, float("nan"))
     assert there.read_text() == "mine"
+
+
+def test_what_the_encoder_refuses_is_told_in_its_words(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"ffmpeg cannot write it .*invalid width x height"):
+        write(tmp_path / "a.mp4", [np.zeros((2, 20_000, 3), np.uint8)] * 30, 30.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_python_runs_between_fork_and_ffmpeg(tmp_path: Path) -> None:
+    """A factorisation of another thread prints a traceback there."""
+    words = f"""
+import threading
+import numpy as np
+from scipy.sparse import eye_array
+from scipy.sparse.linalg import splu
+from bubbleviz.export.mp4_writer import open_mp4
+made, over = threading.Event(), threading.Event()
+def factor():
+    kept = splu(eye_array(9, format="csc"))
+    made.set()
+    over.wait()
+threading.Thread(target=factor).start()
+made.wait()
+try:
+    with open_mp4({str(tmp_path / "a.mp4")!r}, 30.0) as writer:
+        writer.add(np.zeros((32, 32, 3), np.uint8))
+finally:
+    over.set()
+"""
+    process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
+    assert (process.returncode, process.stderr) == (0, "")

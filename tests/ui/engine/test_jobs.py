@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -95,3 +97,26 @@ def test_closing_waits_for_what_is_wanted(jobs: Jobs) -> None:
         jobs.run(lambda _, number=number: done.append(number))
     jobs.close()
     assert done == list(range(20))
+
+
+def test_a_job_that_outlasts_closing_does_not_change_the_exit_code() -> None:
+    """SciPy's factorisations of a thread that is left behind would (scipy#25404)."""
+    words = """
+import threading
+from PySide6.QtCore import QCoreApplication
+from scipy.sparse import eye_array
+from scipy.sparse.linalg import splu
+from bubbleviz_ui.engine.jobs import Jobs
+application, jobs, made = QCoreApplication([]), Jobs("slow"), threading.Event()
+def job(progress):
+    kept = splu(eye_array(9, format="csc"))
+    made.set()
+    threading.Event().wait(1.0)  # longer than closing waits
+    print(kept.shape)
+jobs.run(job)
+made.wait()
+jobs.cancel()
+jobs.close(0.01)
+"""
+    process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from queue import SimpleQueue
-from threading import Thread
 from typing import Any
 
 from PySide6.QtCore import QObject, Qt, Signal
@@ -66,9 +65,8 @@ class Jobs(QObject):
     def __init__(self, name: str) -> None:
         super().__init__()
         self._name = name
-        self._queue: SimpleQueue[_Waiting | None] = SimpleQueue()
         self._wanted: set[_Waiting] = set()
-        self._thread: Thread | None = None
+        self._thread: ThreadPoolExecutor | None = None
         self._told.connect(self._on_told, Qt.ConnectionType.QueuedConnection)
         self._over.connect(self._on_over, Qt.ConnectionType.QueuedConnection)
 
@@ -92,10 +90,9 @@ class Jobs(QObject):
         """
         waiting = _Waiting(job, then, unwanted)
         self._wanted.add(waiting)
-        self._queue.put(waiting)
         if self._thread is None:
-            self._thread = Thread(target=self._serve, name=self._name, daemon=True)
-            self._thread.start()
+            self._thread = ThreadPoolExecutor(1, self._name)
+        self._thread.submit(self._serve, waiting)
 
     def replace(self, job: Job, then: Then = _ignore) -> None:
         """Do a job in place of all that run or wait."""
@@ -107,20 +104,23 @@ class Jobs(QObject):
         self._wanted.clear()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Wait until all that is wanted is done, and end the thread."""
+        """Wait until all that is wanted is done, and end the thread.
+
+        A job that takes longer goes on; then the process waits for it at its end. A thread that
+        is left behind there loses the exit code: SciPy's factorisations fail (scipy#25404).
+        """
         if self._thread is not None:
-            self._queue.put(None)
-            self._thread.join(timeout_s)
+            wait([self._thread.submit(lambda: None)], timeout_s)
+            self._thread.shutdown(wait=False)
             self._thread = None
 
-    def _serve(self) -> None:
-        while (waiting := self._queue.get()) is not None:
-            if waiting in self._wanted:
-                done = self._done(waiting)
-                if done is not None and waiting in self._wanted:
-                    self._over.emit(waiting, done)
-                elif done is not None:
-                    waiting.unwanted(done.answer)
+    def _serve(self, waiting: _Waiting) -> None:
+        if waiting in self._wanted:
+            done = self._done(waiting)
+            if done is not None and waiting in self._wanted:
+                self._over.emit(waiting, done)
+            elif done is not None:
+                waiting.unwanted(done.answer)
 
     def _done(self, waiting: _Waiting) -> Done | None:
         told_s = 0.0

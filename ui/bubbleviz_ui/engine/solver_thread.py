@@ -55,7 +55,7 @@ class Worker(QObject):
         """Wait for the thread to end after `close`.
 
         A process that ends before its threads frees what they work with: SciPy's factorisations
-        then fail, and the exit code is lost.
+        then fail, and the exit code is lost (scipy#25404).
         """
         self._thread.join(timeout_s)
 
