@@ -37,16 +37,18 @@ def text(driver: Driver, row: str) -> str:
     return driver.window.compare.a.values[row].text()
 
 
-def is_as_shown(driver: Driver) -> bool:
-    """Whether A, the window's own setting, is measured to be what the window shows of the frame."""
-    result, units = driver.window.controller.result, driver.state.units
-    assert result is not None and result.patch is not None and driver.window.controller.settled
-    driver.wait(lambda: text(driver, "frame") == f"{result.frame.index}")
-    force = units.force.text(float(np.linalg.norm(result.patch.force_n)))
-    return (text(driver, "force"), text(driver, "area")) == (
-        force,
-        units.area.text(result.patch.area_m2),
-    )
+def wait_until_as_shown(driver: Driver) -> None:
+    """Wait until A, the window's own setting, is measured to be what the window shows."""
+
+    def as_shown() -> bool:
+        result, units = driver.window.controller.result, driver.state.units
+        assert result is not None and result.patch is not None
+        force = units.force.text(float(np.linalg.norm(result.patch.force_n)))
+        shown = (f"{result.frame.index}", force, units.area.text(result.patch.area_m2))
+        compared = tuple(text(driver, row) for row in ("frame", "force", "area"))
+        return driver.window.controller.settled and compared == shown
+
+    driver.wait(as_shown)
 
 
 def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> None:
@@ -98,10 +100,10 @@ def test_the_window_s_own_setting_measures_what_the_window_shows(drive: Drive) -
     driver = drive(frame=CONTACT)
     driver.window.panels["compare"].show()
     driver.state.choose(compared=(Setting(), Setting(solver="linear", nodes=100)))
-    assert is_as_shown(driver)
+    wait_until_as_shown(driver)
     for frame in (CONTACT - 15, CONTACT):  # from elsewhere, with another warm start
         driver.seek(frame)
-        assert is_as_shown(driver)
+        wait_until_as_shown(driver)
     driver.state.choose(least_area_m2=1.0)
     driver.wait(lambda: driver.window.controller.result.patch.area_m2 == 0.0)
     driver.wait(lambda: text(driver, "area").startswith("0 "))
@@ -139,7 +141,7 @@ def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(
     live.wait(lambda: live.window.controller.result.patch.area_m2 > 0.0)
     live.state.freeze(True)
     live.settle()
-    assert is_as_shown(live)
+    wait_until_as_shown(live)
 
 
 def test_settings_that_differ_in_kappa_differ_in_area_alone(drive: Drive) -> None:
