@@ -66,7 +66,7 @@ def test_an_interpreter_that_will_not_do_is_named(tmp_path: Path) -> None:
     environment = machine(tmp_path, "all") | {"PYTHON": "/bin/false"}
     done = setup(tmp_path, environment=environment)
     assert done.returncode == 1
-    assert "PYTHON=/bin/false is not a Python 3.11 to 3.14" in done.stderr
+    assert "PYTHON=/bin/false is not a Python 3.11 to 3.13" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
