@@ -91,6 +91,7 @@ def made(folder: Path) -> dict[str, str]:
     return {"REC": "press0.mcap", "S": "small.toml", "FOLDER": "day"}
 
 
+@pytest.mark.timeout(3600)  # whole studies take a quarter of an hour, beside other work longer
 @pytest.mark.parametrize("page", but_the_longest(pages_with("console")), ids=name_of)
 def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
     """Each on files of its own; those are left out whose page says that they need more."""
