@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -28,12 +29,13 @@ class Mp4Writer:
     temporary : Path
         Where to write.
     fps : float
-    said : binary file
+    messages : binary file
         For the encoder's messages.
     """
 
-    def __init__(self, path: Path, temporary: Path, fps: float, said: IO[bytes]) -> None:
-        self._path, self._temporary, self._fps, self._said = path, temporary, fps, said
+    def __init__(self, path: Path, temporary: Path, fps: float, messages: IO[bytes]) -> None:
+        self._path, self._temporary, self._fps = path, temporary, fps
+        self._messages = messages
         self._shape: tuple[int, ...] | None = None
         self._encoder: _Encoder | None = None
 
@@ -49,7 +51,7 @@ class Mp4Writer:
             if self._encoder is None:
                 self._shape = picture.shape
                 size = even.shape[1::-1]
-                self._encoder = _Encoder(self._temporary, size, self._fps, self._said)
+                self._encoder = _Encoder(self._temporary, size, self._fps, self._messages)
             elif picture.shape != self._shape:
                 raise InputError(
                     f"{self._path}: a picture is {_by(picture.shape)} pixels, the first "
@@ -73,7 +75,7 @@ class Mp4Writer:
     def _refusals(self) -> Iterator[None]:
         try:
             yield
-        except OSError as error:
+        except (OSError, RuntimeError) as error:  # RuntimeError: there is no ffmpeg
             reason = " ".join(str(error).split())[:200]
             raise InputError(
                 f"{self._path}: ffmpeg cannot write it ({reason}); choose another place"
@@ -81,25 +83,26 @@ class Mp4Writer:
 
 
 class _Encoder:
-    """A process of ffmpeg; OSError with its own words where it fails.
+    """A process of ffmpeg; OSError with its first message where it fails.
 
-    It has a process group of its own, so that ^C reaches only us. imageio-ffmpeg does this by a
-    fork, in which SciPy's factorisations of other threads print a traceback (scipy#25404).
+    It has a process group of its own, so that ^C does not reach it. imageio-ffmpeg does this with
+    Python code after a fork, where SciPy's factorisations of other threads print a traceback
+    (scipy#25404).
     """
 
-    def __init__(self, path: Path, size: tuple[int, ...], fps: float, said: IO[bytes]) -> None:
+    def __init__(self, path: Path, size: tuple[int, ...], fps: float, messages: IO[bytes]) -> None:
         from imageio_ffmpeg import get_ffmpeg_exe  # only where a video is written
 
         width, height = size
         pictures = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
         rate = ["-r", str(Fraction(fps).limit_denominator())]
         playable = ["-c:v", "libx264", "-crf", str(_CRF), "-pix_fmt", "yuv420p"]  # in browsers
-        self._said = said
+        self._messages = messages
         self._process = subprocess.Popen(
             [get_ffmpeg_exe(), "-v", "error", "-y", *pictures, *rate, "-i", "-", *playable, path],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            stderr=self._said,
+            stderr=messages,
             process_group=0,
         )
 
@@ -109,21 +112,23 @@ class _Encoder:
             self._process.stdin.write(picture.data)
         except OSError as error:
             self._process.wait()
-            raise OSError(self._words() or str(error)) from error
+            raise OSError(self._first_message() or str(error)) from error
 
     def finish(self) -> None:
         self._process.communicate()
-        words = self._words()
-        if self._process.returncode:
-            raise OSError(words or f"it ended with code {self._process.returncode}")
+        code = self._process.returncode
+        if code:
+            raise OSError(self._first_message() or f"it ended with code {code}")
 
     def kill(self) -> None:
         self._process.kill()
         self._process.communicate()
 
-    def _words(self) -> str:
-        self._said.seek(0)
-        return self._said.read().decode(errors="replace").strip()
+    def _first_message(self) -> str:
+        """Without the part of ffmpeg that says it: [libx264 @ 0x55…]."""
+        self._messages.seek(0)
+        first = self._messages.readline().decode(errors="replace")
+        return re.sub(r"\[[^\]]*\]", "", first).strip()
 
 
 @contextmanager
@@ -147,8 +152,8 @@ def open_mp4(path: str | Path, fps: float) -> Iterator[Mp4Writer]:
         raise InputError(f"{path}: a video ends in .mp4; rename it")
     if not 0.0 < fps <= 1000.0:
         raise InputError(f"{path}: {fps:g} pictures a second; choose from 1 to 1000")
-    with whole_file(path) as temporary, tempfile.TemporaryFile() as said:
-        writer = Mp4Writer(path, temporary, fps, said)
+    with whole_file(path) as temporary, tempfile.TemporaryFile() as messages:
+        writer = Mp4Writer(path, temporary, fps, messages)
         try:
             yield writer
         except BaseException:

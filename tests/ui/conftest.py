@@ -111,7 +111,7 @@ def nothing_left() -> Iterator[None]:
     # not isinstance, which asks proxies, and they may be dead; imports in this loop take seconds
     kinds = (View, vtkRenderWindow)
     left += [object.__repr__(o) for o in gc.get_objects() if issubclass(type(o), kinds)]
-    left += [t.name for t in threading.enumerate() if t.name in ("solver", "calibration")]
+    left += [t.name for t in threading.enumerate() if t.name.startswith(("solver", "calibration"))]
     assert not left, f"left alive: {left}"
     gc.freeze()  # the next test looks at its own objects only, not at every module's
 

@@ -66,7 +66,7 @@ class Jobs(QObject):
         super().__init__()
         self._name = name
         self._wanted: set[_Waiting] = set()
-        self._thread: ThreadPoolExecutor | None = None
+        self._executor: ThreadPoolExecutor | None = None
         self._told.connect(self._on_told, Qt.ConnectionType.QueuedConnection)
         self._over.connect(self._on_over, Qt.ConnectionType.QueuedConnection)
 
@@ -90,9 +90,9 @@ class Jobs(QObject):
         """
         waiting = _Waiting(job, then, unwanted)
         self._wanted.add(waiting)
-        if self._thread is None:
-            self._thread = ThreadPoolExecutor(1, self._name)
-        self._thread.submit(self._serve, waiting)
+        if self._executor is None:
+            self._executor = ThreadPoolExecutor(1, self._name)
+        self._executor.submit(self._serve, waiting)
 
     def replace(self, job: Job, then: Then = _ignore) -> None:
         """Do a job in place of all that run or wait."""
@@ -106,13 +106,13 @@ class Jobs(QObject):
     def close(self, timeout_s: float | None = None) -> None:
         """Wait until all that is wanted is done, and end the thread.
 
-        A job that takes longer goes on; then the process waits for it at its end. A thread that
-        is left behind there loses the exit code: SciPy's factorisations fail (scipy#25404).
+        A job that takes longer goes on, and the process waits for it before it ends: SciPy's
+        factorisations of a thread that is still there would change the exit code (scipy#25404).
         """
-        if self._thread is not None:
-            wait([self._thread.submit(lambda: None)], timeout_s)
-            self._thread.shutdown(wait=False)
-            self._thread = None
+        if self._executor is not None:
+            done, _ = wait([self._executor.submit(lambda: None)], timeout_s)
+            self._executor.shutdown(wait=bool(done))
+            self._executor = None
 
     def _serve(self, waiting: _Waiting) -> None:
         if waiting in self._wanted:
