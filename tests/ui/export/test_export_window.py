@@ -22,6 +22,7 @@ from window_driver import Driver, texts, warm
 from bubbleviz_ui.export import export_dialog, video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.view3d.tools.still_picture import still
 
 Drive = Callable[..., Driver]
@@ -241,3 +242,15 @@ def test_nothing_is_clipped(bench: Bench) -> None:
             assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width() + 1
     box = bench.dialog.frames
     assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
+
+
+def test_a_long_message_squeezes_nothing(bench: Bench) -> None:
+    dialog = bench.dialog
+    bench.choose("Video of the view")
+    told = "/a/folder/of/some/length/v.mp4: cannot be written; choose another place. " * 4
+    bench.driver.window.exporting.said.emit(UserMessage("error", told))
+    bench.driver.wait(lambda: dialog.said.text() == told)
+    controls = (dialog.kind, dialog.frames, dialog.step, dialog.captioned, dialog.export)
+    bench.driver.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
+    labels = (dialog.about, dialog.said)
+    bench.driver.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))

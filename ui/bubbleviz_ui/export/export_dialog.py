@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import (
     QCheckBox,
@@ -99,6 +99,14 @@ class ExportDialog(QDialog):
         """Say what can be exported now."""
         self._offer_frames()
         self._show()
+
+    def event(self, event: QEvent) -> bool:
+        """Grow with the texts: Qt squeezes what is above a wrapped label that gets longer."""
+        laid_out, layout = super().event(event), self.layout()
+        if event.type() == QEvent.Type.LayoutRequest and layout is not None:
+            needed = layout.totalHeightForWidth(self.width())
+            self.resize(self.width(), max(self.height(), needed))
+        return laid_out
 
     # -- inside -------------------------------------------------------------------------------
 
