@@ -16,6 +16,7 @@ from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import props
 
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 
@@ -178,8 +179,11 @@ def ends_kpa(bench: Bench) -> tuple[float, float, float]:
 
 
 def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) -> None:
-    """In each picture, the first ones too, also while one is pressed harder than the other."""
-    bench, seen = open_bench(), list[tuple[float, float, float]]()
+    """In each picture, the first ones too, also while one is pressed harder than the other.
+
+    And right after the chosen one has another sensor file, while the other stands still.
+    """
+    bench, seen, pressed = open_bench(), list[tuple[float, float, float]](), list[float]()
     preset, source = two(bench.folder), DentSource(robot_sensor())
     with RecordingWriter(bench.folder / "dent.mcap") as writer:
         for k in range(len(source)):
@@ -193,6 +197,9 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
     def look() -> None:
         if pair.drawing is not None and drawing(bench).GetVisibility():
             seen.append(ends_kpa(bench))
+            estimate = pair.second.result.estimate
+            sure = estimate is not None and estimate.status == "ok"
+            pressed.append(1e-3 * estimate.contact_pressure_pa.max() if sure else 0.0)
 
     bench.window.view.rendered.connect(look)
     for _ in range(2):
@@ -201,6 +208,19 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
         bench.live_controller.choose_other()
     assert all(len(set(ends)) == 1 for ends in seen), seen
     assert len(set(seen)) > 1  # the scale has changed
+    bench.wait(lambda: pressed[-1] > 4.0)
+    bench.state.freeze(True)
+    bench.settle_picture()
+    own = robot_sensor()
+    softer = own.pneumatics.model_copy(update={"gauge_pressure_pa": 1500.0})
+    file = bench.folder / "softer.toml"
+    update = {"name": "softer", "pneumatics": softer}
+    file.write_text(sensor_to_toml(own.model_copy(update=update)))
+    bench.window.open_file(file)
+    bench.wait(lambda: "softer" in bench.window.windowTitle())
+    bench.settle_picture()
+    assert all(len(set(ends)) == 1 for ends in seen), seen
+    assert all(peak <= ends[0] for peak, ends in zip(pressed, seen, strict=True))
 
 
 def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench: Open) -> None:

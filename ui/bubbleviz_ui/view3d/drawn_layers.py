@@ -81,7 +81,7 @@ class DrawnLayers:
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take the geometry of another sensor."""
-        self._picture = None
+        self.hide()
         self.surface.set_mesh(mesh)
         for layer in self.by_name.values():
             layer.set_sensor(sensor, mesh)

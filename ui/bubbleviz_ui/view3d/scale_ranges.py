@@ -52,10 +52,10 @@ class HeldRanges:
         self._shown_pa: dict[object, float] = {}
 
     def set_sensor(self, sensor: Sensor) -> None:
-        """Begin anew for another source."""
+        """Begin anew for another source; what other sensors of the view show stays covered."""
         start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
         self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
-        self._peaks_pa, self._shown_pa = {}, {}
+        self._peaks_pa = {}
 
     def take(self, who: object, result: Result) -> None:
         """Cover what one of the sensors shows."""
