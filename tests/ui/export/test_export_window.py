@@ -19,6 +19,9 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QLabel
 from window_driver import Driver, texts, warm
 
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import Sensor
+from bubbleviz.simulation.synthetic_source import default_press
 from bubbleviz_ui.export import export_dialog, video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.live.connection import single
@@ -194,6 +197,33 @@ def test_a_video_says_which_frame_it_shows_unless_told_not_to(
     assert np.abs(said.astype(int) - silent)[-24:, 100:-100].max() > 60
     bench.dialog.kind.setCurrentIndex(0)
     assert not bench.dialog.captioned.isVisible()
+
+
+def test_a_video_shows_what_a_paused_window_shows(
+    drive: Drive, sensor: Sensor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each frame settled, as a pipeline that has seen nothing else finds it."""
+    drawn = list[tuple[int, float]]()
+    bench = Bench(drive(frame=110), monkeypatch)
+    driver = bench.driver
+
+    def watched(*args: Any) -> np.ndarray:
+        result = driver.window.controller.result
+        drawn.append((result.frame.index, result.patch.area_m2))
+        return still(*args)
+
+    monkeypatch.setattr(video_export, "still", watched)
+    driver.state.choose(picture_size=(320, 240))
+    driver.state.choose_range((73, 76))
+    driver.state.set_playing(True)
+    bench.export("Video of the view", tmp_path / "settled.mp4")
+    source, pipeline = default_press(sensor), Pipeline.of(sensor)
+    options = driver.window.controller.client.demand.options
+    assert [frame for frame, _ in drawn] == [73, 74, 75, 76]
+    for frame, area_m2 in drawn:
+        pipeline.settle(source[frame])
+        alone = pipeline.process(source[frame], frozenset({"patch"}), options)
+        assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
 
 
 def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ class Controller(QObject):
         self.analysis = Analysis(state, self._ask)
         self.player = Player(state)
         self._stands = QTimer(self, singleShot=True, interval=STANDS_MS)
-        self._stands.timeout.connect(lambda: self.client.ask_settled())
+        self._stands.timeout.connect(self.settle)
         self.client.answered.connect(self._on_answer)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
@@ -145,6 +145,11 @@ class Controller(QObject):
         """Measure two settings, or none, on the frame at the cursor, in spare time."""
         session, stands = self.client.session, not self._goes_on
         self._ask(CompareRequest(session, self.state.frame, settings, stands))
+
+    def settle(self) -> None:
+        """Have the frame that is shown settled now; it is once one has stayed at it, too."""
+        self._stands.stop()
+        self.client.ask_settled()
 
     def turn_to(self, client: SensorClient) -> SensorClient:
         """Have the panels show the other sensor of a session; gives back the one they showed."""

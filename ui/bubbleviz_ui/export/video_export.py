@@ -15,6 +15,7 @@ from bubbleviz_ui.view3d.scene_text import write_in
 from bubbleviz_ui.view3d.tools.still_picture import still
 
 if TYPE_CHECKING:
+    from bubbleviz.frames.frame import Frame
     from bubbleviz.progress import Progress
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.view3d.render_view import View
@@ -60,6 +61,7 @@ class VideoExport(QObject):
         self._frames, self._size, self._path, self._fps = frames, size, path, fps
         self._caption = _caption(view) if captioned else None
         self._drawn = 0
+        self._settling: Frame | None = None
         self._pictures: Queue[np.ndarray] = Queue(WAITING)
         self._before = self._state.frame
         self._active = True
@@ -101,13 +103,21 @@ class VideoExport(QObject):
                 continue
 
     def _go_on(self, _: object = None) -> None:
-        """Draw the next frame if it is shown and there is room for its picture, else ask for it."""
+        """Draw the next frame once it is shown, and settled as when one stays at it, else ask.
+
+        Nothing is done while there is no room for its picture.
+        """
         if not self._active or self._drawn == len(self._frames) or self._pictures.full():
             return
         wanted, result = self._frames[self._drawn], self._controller.result
         if result is None or result.frame.index != wanted:
             self._state.set_playing(False)
             self._state.seek(wanted)
+            return
+        if not self._controller.settled:
+            if self._settling is not result.frame:
+                self._settling = result.frame
+                self._controller.settle()
             return
         try:
             self._pictures.put_nowait(self._still(wanted))
