@@ -10,7 +10,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from window_driver import Driver, drawn_points, hover, in_view, near, texts
+from window_driver import Driver, drawn_points, hover, idle, in_view, near, texts
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -195,6 +195,27 @@ def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
     tools.section.setCurrentIndex(0)
     driver.settle()
     assert of_colour(view.pixels(), ORANGE) == 0
+
+
+def test_what_is_cut_away_is_not_pointed_at(drive: Drive) -> None:
+    """Neither the membrane nor measured points, which stay where they are and are not drawn."""
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    driver.window.scene.look("top")
+    tools.section.setCurrentIndex(tools.section.findText("cut ⊥ x"))
+    view = driver.window.view
+    for layers in ({"membrane"}, {"cloud"}, {"membrane", "cloud"}):
+        driver.state.choose(layers=frozenset(layers))
+        driver.settle()
+        cloud = driver.window.controller.result.cloud_m
+        points = nodes(driver) if cloud is None else cloud
+        there = [point for point in points[::7] if abs(point[0]) > 0.01 and point[2] > 0.02]
+        for point in there:
+            hover(view, in_view(driver, point))
+            driver.wait(lambda: idle(driver.window.pointing))
+            place = driver.window.hover.place
+            assert (place is not None) == (point[0] > 0.0), (layers, point)
+    assert len({point[0] > 0.0 for point in there}) == 2
 
 
 def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive) -> None:

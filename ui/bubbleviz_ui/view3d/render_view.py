@@ -144,6 +144,14 @@ class View(QtInteractor):  # type: ignore[misc]
         ratio = self.devicePixelRatioF()
         return QPointF(x / ratio, self.height() - 1 - y / ratio)
 
+    def projected(self, points_m: np.ndarray) -> np.ndarray:
+        """Where points (k, 3) in B are drawn, (k, 3): right, up and depth, −1 to 1 in the view."""
+        aspect = self.width() / max(self.height(), 1)
+        matrix = self.camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
+        T = np.array([[matrix.GetElement(i, j) for j in range(4)] for i in range(4)])
+        across = points_m @ T[:, :3].T + T[:, 3]
+        return np.asarray(across[:, :3] / across[:, 3:])
+
     def paintGL(self) -> None:
         """Render for Qt, which puts the window together: at first, after resizing, to grab it."""
         start = time.perf_counter()

@@ -58,8 +58,7 @@ class Scene:
         view.of_the_mouse += [*self.marks.actors, self._text.actor]
         cut = [actor for layer in self.layers.values() if layer.cut for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
-        on, beside = self.layers["membrane"].actor, self.layers["cloud"].actor
-        self._picker = Picker(view, surfaces=[on], clouds=[beside])
+        self._picker = Picker(view, self.layers["membrane"].actor, self.layers["cloud"].actor)
         self.depth_camera: DepthCamera | None = None
         view.resized.connect(self._stay_whole)
         view.setMinimumSize(2 * WIDTH, LOWEST)

@@ -41,11 +41,7 @@ def beside_colour_bars(view: View, points_m: np.ndarray) -> None:
     """Move the picture to the left, and make it smaller, until points (k, 3) miss the bars."""
     camera, free = view.camera, 2.0 * beside_bars(view.width()) - 1.0
     camera.SetWindowCenter(0.0, 0.0)
-    aspect = view.width() / max(view.height(), 1)
-    matrix = camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
-    T = np.array([[matrix.GetElement(i, j) for j in range(4)] for i in range(4)])
-    across = points_m @ T[:, :3].T + T[:, 3]
-    x = across[:, 0] / across[:, 3]
+    x = view.projected(points_m)[:, 0]
     left, right = float(x.min()), float(x.max())
     if right <= free:
         return
