@@ -22,6 +22,7 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.study.object_shapes import ply_bytes
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.pose import pose_panel
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_panel import PosePanel
@@ -286,10 +287,17 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(
         bench.driver.seek(frame)
         bench.driver.wait(lambda frame=frame: frame in session.rows)
         assert bench.drawn() == (GAP if frame == 1 else AMBER)
+        bench.driver.wait(lambda: idle(bench.panel))
+        curves = bench.panel.findChild(Curves)
+        assert curves is not None
+        for curve in (*curves.frames, *curves.iterations):  # of a lost pose: no number, no curve
+            assert (f" {NOTHING} " in curve.frame.text or curve.frame.text.count(" ") == 1) == (
+                frame == 1
+            )
+        for curve in curves.iterations:
+            drawn = curve.line.getOriginalDataset()[1]
+            assert (drawn is None or len(drawn) == 0) == (frame == 1)
     assert [row.status for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
-    bench.driver.wait(lambda: idle(bench.panel))
-    curves = bench.panel.findChild(Curves)
-    assert curves is not None
     for curve in curves.frames:
         drawn = curve.line.getOriginalDataset()[1]
         assert np.isfinite(drawn).tolist() == [True, False, True, False, True]

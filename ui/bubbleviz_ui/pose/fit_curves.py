@@ -18,7 +18,7 @@ HEIGHT = 109
 
 
 class Curves(PlotHost):
-    """Fitness and rmse side by side: of the iterations of the last fit, and of the frames so far.
+    """Fitness and rmse side by side: of the iterations of the fit, and of the frames so far.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Curves(PlotHost):
         super().__init__(self._fill)
         self._units = units
         self.setMinimumHeight(2 * HEIGHT)
-        self.setToolTip("Above: iterations of the last fit, both stages; below: frames so far")
+        self.setToolTip("Above: iterations of the fit, both stages; below: frames so far")
         self.prepare()
 
     def _fill(self) -> list[Part]:
@@ -51,10 +51,14 @@ class Curves(PlotHost):
         times = np.insert(time_s, breaks, time_s[breaks])
         self._draw(self.frames, times, np.insert(values, breaks, np.nan, axis=0), None)
 
+    def clear_iterations(self) -> None:
+        """Draw none: the pose was not fitted."""
+        self._draw(self.iterations, np.zeros(0), np.zeros((0, 2)), None)
+
     def clear(self) -> None:
         """Draw nothing."""
-        for curves in (self.iterations, self.frames):
-            self._draw(curves, np.zeros(0), np.zeros((0, 2)), None)
+        self.clear_iterations()
+        self._draw(self.frames, np.zeros(0), np.zeros((0, 2)), None)
 
     def _draw(
         self, curves: tuple[Curve, Curve], x: np.ndarray, values: np.ndarray, change: int | None
@@ -64,7 +68,7 @@ class Curves(PlotHost):
 
 
 class Curve:
-    """One quantity in its unit; the last known value is written above.
+    """One quantity in its unit; the last value is written above, a dash where there is none.
 
     Attributes
     ----------
@@ -92,8 +96,7 @@ class Curve:
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
-        known = values[np.isfinite(values)]
-        last = f" {unit.text(float(known[-1]))}" if len(known) else ""
+        last = f" {unit.text(float(values[-1]))}" if len(values) else ""
         self.frame.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
 
     def paint(self, dim: QColor, text: QColor) -> None:

@@ -270,6 +270,8 @@ class PosePanel(QWidget):
             curves.clear()
         elif pose.stage_one is not None and pose.stage_two is not None:
             curves.draw_iterations(pose.stage_one.history, pose.stage_two.history)
+        else:
+            curves.clear_iterations()
         rows = [self.session.rows[k] for k in sorted(self.session.rows)]
         if rows:
             numbers, times = np.array([(row.frame, row.time_s) for row in rows]).T
