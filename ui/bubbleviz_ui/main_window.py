@@ -152,7 +152,7 @@ class MainWindow(QMainWindow):
         self.pose = PosePanel(state, PoseSession(controller, self.settings))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
         self.pair = SensorPair(controller, self.scene, self.view)
-        self.live_controller = LiveController(controller, self.pair, self.settings)
+        self.live_controller = LiveController(controller, self.pair, self.view, self.settings)
         self.live = LiveBar(self.live_controller, state.units)
         self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)

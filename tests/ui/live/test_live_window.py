@@ -101,6 +101,22 @@ def test_standing_still_and_back_to_now(open_bench: Open) -> None:
     assert not live.state.frozen and live.shown > back + 5 and not frozen.isChecked()
 
 
+def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench: Open) -> None:
+    live = open_bench()
+    bar, seen, opened = live.window.live, list[str](), list[str]()
+    note = lambda *_: seen.append(bar.state.text() + live.window.windowTitle())  # noqa: E731
+    for changed in (live.live_controller.changed, live.live_controller.looked):
+        changed.connect(note)
+    live.window.controller.opened.connect(lambda _: opened.append("opened"))
+    live.window.view.rendering.connect(lambda: seen.append("drawn") if opened else None)
+    live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
+    live.wait(lambda: "simulated" in bar.state.text())
+    before = seen[: seen.index("drawn")]
+    assert any(">&nbsp;connecting&nbsp;<" in text for text in before)
+    assert not any(f";{word}&" in text for text in before for word in ("live", "simulated"))
+    assert " (simulated) " in live.window.windowTitle()
+
+
 def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
     """In the bar and in the title, for each kind of source and whatever becomes of it."""
     bench = open_bench()

@@ -95,7 +95,8 @@ class LiveBar(QFrame):
             return
         self.record.show_now()
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters()
-        badge = live.state.badge or status.state  # a recording is open until the first image
+        drawn = live.link != "connecting"  # until then something else may be open
+        badge = live.state.badge if drawn else "connecting"
         self._say(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
         self._say_doubts()

@@ -21,7 +21,9 @@ from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.result_text import doubt_text
+from bubbleviz_ui.model.source_facts import Link
 from bubbleviz_ui.model.undo import SettingsHistory
+from bubbleviz_ui.view3d.render_view import View
 
 LOOK_MS = 200
 """How often sources are looked at: a stale one is seen as such within a second."""
@@ -49,7 +51,9 @@ class LiveController(QObject):
     changed = Signal()
     said = Signal(object)
 
-    def __init__(self, controller: Controller, pair: SensorPair, settings: SettingsHistory) -> None:
+    def __init__(
+        self, controller: Controller, pair: SensorPair, view: View, settings: SettingsHistory
+    ) -> None:
         super().__init__()
         self._controller, self._pair, self.state = controller, pair, controller.state
         self._settings = settings
@@ -59,6 +63,7 @@ class LiveController(QObject):
         self.run: LiveRun | None = None
         self._marked: frozenset[int] = frozenset()
         self._warnings: frozenset[str] = frozenset()
+        self._drawn = False
         self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self._on_tick)
         self._due = True
@@ -69,6 +74,7 @@ class LiveController(QObject):
         controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
         controller.failed.connect(self._on_failed)
+        view.rendered.connect(self._on_rendered)
         pair.failed.connect(self._on_second_failed)
         self.state.choices_changed.connect(self._on_choices)
         self.state.markers_changed.connect(self._on_markers)
@@ -82,6 +88,13 @@ class LiveController(QObject):
     def sensor(self) -> LiveSensor | None:
         """The sensor that the panels show."""
         return None if self.run is None else self.run.session.sensors[self.chosen]
+
+    @property
+    def link(self) -> Link:
+        """How that sensor is doing: `connecting` until its first frame is on the screen."""
+        if self.sensor is None:
+            return "disconnected"
+        return self.sensor.stream.status().state if self._drawn else "connecting"
 
     def doubt_about(self, number: int) -> str:
         """Why what is shown of a sensor is not to be trusted; empty where it is."""
@@ -115,7 +128,7 @@ class LiveController(QObject):
         self.recording.stop()
         self.publishing.stop()
         self._pair.end()
-        run, self.run = self.run, None
+        run, self.run, self._drawn = self.run, None, False
         self.state.set_link("disconnected")
         if run is not None:
             self._jobs.run(lambda _: run.close())  # after the recording, which has the same thread
@@ -182,10 +195,16 @@ class LiveController(QObject):
         if self._due and self._timer.isActive():
             self._look()
 
+    def _on_rendered(self) -> None:
+        """Notice that the first frame of what is connected has been drawn."""
+        present = self._controller.opening.present
+        if not self._drawn and present is not None and self._is_ours(present.request):
+            self._drawn = True
+            self._look()
+
     def _look(self) -> None:
         self._due = False
-        if self.sensor is not None:
-            self.state.set_link(self.sensor.stream.status().state)
+        self.state.set_link(self.link)
         self._warn()
         self.publishing.diagnose()
         self.looked.emit()
