@@ -266,9 +266,10 @@ def _sensor_of_stream(stream: Stream, sensor: SensorName) -> Sensor:
 def _watched(watcher: Watcher) -> Iterator[FrameResult]:
     one_thread = OneBlasThread()
     while True:
+        ended = watcher.ended  # looked at first: a frame may come before the end is seen
         with one_thread:
             result = watcher.step(_LOOK_S)
         if result is not None:
             yield FrameResult(result, watcher.pipeline.model)
-        elif watcher.ended:
+        elif ended:
             return

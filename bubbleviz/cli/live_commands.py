@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bubbleviz.cli.shared_options import solver_option
+from bubbleviz.cli.shared_options import report, solver_option
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
 
@@ -72,7 +72,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
     )
     name = sensor_for_source(source, sensor, patience_s(source))
     summary = watch_source(source, load_sensor(name), options)
-    click.echo(summary.to_json() if as_json else summary.to_text())
+    report(summary, summary.warning, as_json=as_json)
 
 
 @click.command()

@@ -146,9 +146,11 @@ def estimate_recording(
             "solver": solver or pipeline.estimator.solver_name,
         }
         zero = recorded_zero(source, pipeline) if zero_gas else None
-        gas = ""
+        known_pa = pipeline.model.gas.P0
         if zero is None:
-            gas = gas_warning(source[chosen[0]].gas_pressure_pa, pipeline.model.gas.P0)
+            gas = gas_warning(source[chosen[0]].gas_pressure_pa, known_pa)
+        else:
+            gas = gas_warning(zero.rest_pa, known_pa, "without contact in the recording")
         warning = "; ".join(filter(None, (source.bag.note, gas)))
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"

@@ -23,6 +23,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import RESULTS
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_encoding import Message
+from bubbleviz.frames.sensor_matching import gas_warning
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.live.latency import LatencyMeter
 from bubbleviz.live.live_stream import LiveStream
@@ -89,6 +90,8 @@ class WatchSummary(Summary):
     pressure_offset_pa : float or None
         Taken from the measured gas pressure.
     counters : dict
+    warning : str or None
+        What does not fit together, but was solved all the same.
     """
 
     frames: int
@@ -99,6 +102,7 @@ class WatchSummary(Summary):
     latency_p95_s: float | None
     pressure_offset_pa: float | None
     counters: dict[str, Any]
+    warning: str | None
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -126,6 +130,8 @@ class Watcher:
     pipeline : Pipeline
     zero : PressureZero or None
     options : FrameOptions, optional
+    first : Frame, optional
+        Taken from the stream already; solved where no newer one has come.
     """
 
     def __init__(
@@ -134,9 +140,12 @@ class Watcher:
         pipeline: Pipeline,
         zero: PressureZero | None,
         options: FrameOptions | None = None,
+        first: Frame | None = None,
     ) -> None:
         self.stream, self.pipeline, self.zero = stream, pipeline, zero
         self._options = options
+        self._first = first
+        self._measured_pa: float | None = None
         self.latency = LatencyMeter()
         self.last: Result | None = None
 
@@ -187,7 +196,7 @@ class Watcher:
         pipeline.prepare(PRODUCTS)
         pipeline.follow(obj, start)
         known = PressureZero(pipeline.model.gas.P0) if zero else None
-        return cls(stream, pipeline, known, options)
+        return cls(stream, pipeline, known, options, first)
 
     @property
     def ended(self) -> bool:
@@ -196,14 +205,24 @@ class Watcher:
 
     def step(self, timeout_s: float) -> Result | None:
         """Solve the newest frame; None when none came in time."""
-        frame = self.stream.take(timeout_s)
+        frame = self.stream.take(0.0 if self._first else timeout_s) or self._first
+        self._first = None
         if frame is None:
             return None
+        if self._measured_pa is None:
+            self._measured_pa = frame.gas_pressure_pa
         if self.zero is not None:
             frame = zeroed(frame, self.zero, self.pipeline)
         self.last = self.pipeline.process(frame, PRODUCTS, self._options)
         self.latency.add(frame, time.time_ns())
         return self.last
+
+    def warning(self) -> str:
+        """What to say of a gas pressure that is not this sensor's; empty for nothing."""
+        known_pa = self.pipeline.model.gas.P0
+        if self.zero is None:
+            return gas_warning(self._measured_pa, known_pa, "in the source")
+        return gas_warning(self.zero.rest_pa, known_pa, "without contact")
 
 
 def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSummary:
@@ -255,17 +274,21 @@ class _Out:
 
 def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> WatchSummary:
     statuses: Counter[str] = Counter()
-    forces = [0.0]
+    forces: list[float] = []
     began = told = time.monotonic()
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
-        while not stop.is_set() and not watcher.ended:
+        while not stop.is_set():
             if duration_s is not None and time.monotonic() - began >= duration_s:
                 break
+            ended = watcher.ended  # looked at first: a frame may come before the end is seen
             result = watcher.step(0.1)
+            if ended and result is None:
+                break
             if result is not None and result.estimate is not None and result.patch is not None:
                 statuses[result.estimate.status] += 1
                 trusted = result.trusted_patch
-                forces.append(np.nan if trusted is None else float(np.linalg.norm(trusted.force_n)))
+                if trusted is not None:
+                    forces.append(float(np.linalg.norm(trusted.force_n)))
                 for message in out.messages.of(result):
                     out.send(message)
                 bar.update()
@@ -273,19 +296,29 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
                 told = time.monotonic()
                 status, counters = watcher.stream.status(), watcher.stream.counters()
                 out.send(out.messages.diagnostics(time.time_ns(), status, counters, watcher.last))
-                bar.set_postfix_str(f"{forces[-1]:.2f} N, {status.text}")
+                newest = (_force_text(watcher.last), status.text)
+                bar.set_postfix_str(", ".join(filter(None, newest)))
     elapsed = time.monotonic() - began
     latency = watcher.latency.report()
     return WatchSummary(
         frames=statuses.total(),
         status=dict(statuses),
         rate_hz=statuses.total() / elapsed,
-        max_force_n=None if np.isnan(forces).all() else float(np.nanmax(forces)),
+        max_force_n=max(forces, default=None),
         latency_median_s=None if latency is None else latency.median_s,
         latency_p95_s=None if latency is None else latency.p95_s,
         pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,
         counters=watcher.stream.counters().as_dict(),
+        warning=watcher.warning() or None,
     )
+
+
+def _force_text(result: Result | None) -> str:
+    """Force of the newest frame, or why there is none."""
+    if result is None or result.estimate is None:
+        return ""
+    patch = result.trusted_patch
+    return result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
 
 
 def _first_frame(

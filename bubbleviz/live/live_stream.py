@@ -86,13 +86,14 @@ class LiveStream:
         while True:
             wait = min(max(deadline - time.monotonic(), 0.0), self._patience_s())
             frame = self._mailbox.take(wait)
+            ended = self.source.link() == "ended"
             if frame is None:
-                with self._lock:
-                    self._put(self._assembler.flush(time.time_ns()))
+                with self._lock:  # at the end there is nothing left to wait for
+                    self._put(self._assembler.flush(None if ended else time.time_ns()))
                 frame = self._mailbox.take()
             if frame is not None:
                 return frame
-            if time.monotonic() >= deadline or self.source.link() == "ended":
+            if time.monotonic() >= deadline or ended:
                 return None
 
     def status(self) -> Status:

@@ -231,24 +231,26 @@ def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench: Bench, value: flo
             (bench.folder / name).unlink(missing_ok=True)
 
 
+@pytest.mark.parametrize("zeroed", [(), ("--zero-gas",)])
 @pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-4e3, False), (6e3, True)])
 def test_a_gas_pressure_that_is_not_the_sensors_is_warned_of(
-    tmp_path: Path, off_pa: float, warned: bool
+    tmp_path: Path, off_pa: float, warned: bool, zeroed: tuple[str, ...]
 ) -> None:
     sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
-    source = small_source(tmp_path / "small.toml", heights=(0.06, 0.06))
+    source = small_source(tmp_path / "small.toml", heights=15 * (0.06,))
     with RecordingWriter(tmp_path / "rec.mcap") as writer:
-        for k in range(2):
+        for k in range(15):
             pressure = sensor.pneumatics.reference_pressure_pa + off_pa
             writer.write(replace(source[k], gas_pressure_pa=pressure))
     out = tmp_path / "result.npz"
     words = ("estimate", tmp_path / "rec.mcap", "--sensor", tmp_path / "small.toml", "--out", out)
-    done = CliRunner().invoke(main, [str(word) for word in words])
+    done = CliRunner().invoke(main, [str(word) for word in (*words, *zeroed)])
     told = done.stdout + done.stderr
     assert ("more than weather" in told) == warned
     if warned:
+        assert done.exit_code == 0, told
         (line,) = (line for line in told.splitlines() if "more than weather" in line)
-        assert "109.9 kPa in the recording, 103.9 kPa" in line
+        assert "109.9 kPa " in line and "in the recording, 103.9 kPa" in line
 
 
 def test_missing_sensor_file(bench: Bench, solving: str) -> None:

@@ -9,13 +9,16 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
+from small_press import small_source
 
+import bubbleviz as bv
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
@@ -25,6 +28,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.live.sources.zenoh_source import ZenohSource
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -221,6 +225,65 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     assert info.frames >= facts["frames"]
     assert info.wrench is False  # ours is no measurement
     assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= info.frames
+
+
+def untouched_recording(path: Path, sensor_file: Path, frames: int, off_pa: float) -> Path:
+    """The small membrane at rest, in weather that is `off_pa` from the sensor file's."""
+    level_pa = load_sensor(sensor_file).pneumatics.reference_pressure_pa + off_pa
+    (frame,) = (small_source(sensor_file, heights=(0.06,))[0],)
+    with RecordingWriter(path) as writer:
+        for k in range(frames):
+            moment = {"index": k, "time_s": 0.01 * k, "stamp_ns": 10**7 * (k + 1)}
+            writer.write(replace(frame, gas_pressure_pa=level_pa, **moment))
+    return path
+
+
+def test_nothing_to_trust_is_no_number_of_newtons(tmp_path: Path, small_sensor_file: Path) -> None:
+    path, camera = tmp_path / "rec.mcap", load_sensor(small_sensor_file).camera
+    with RecordingWriter(path) as writer:
+        for k in range(5):
+            dark = np.zeros((camera.height, camera.width), np.float32)
+            writer.write(Frame(k, 0.01 * k, dark))
+    words = ("watch", "--source", f"replay:{path}", "--sensor", str(small_sensor_file))
+    facts = json.loads(run(*words, "--json").stdout)
+    assert list(facts["status"]) == ["no_data"]
+    assert facts["max_force_n"] is None
+    assert " N " not in run(*words).stdout
+
+
+@pytest.mark.parametrize("frames", [1, 6])
+def test_the_last_frame_of_a_source_that_ends_is_solved(
+    tmp_path: Path, small_sensor_file: Path, frames: int
+) -> None:
+    path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, frames, 0.0)
+    source, out = f"replay:{path}?speed=1000", tmp_path / "out.mcap"
+    words = ("--source", source, "--sensor", str(small_sensor_file), "--out", str(out))
+    assert json.loads(run("watch", *words, "--json").stdout)["frames"] >= 1
+    with out.open("rb") as file:
+        wrench = ["/bubbleviz/contact_wrench"]
+        sent = [message.publish_time for _, _, message in make_reader(file).iter_messages(wrench)]
+    assert max(sent) == 10**7 * frames
+    with bv.connect(source, small_sensor_file) as stream:
+        last = list(bv.estimate(stream))[-1]
+    assert last.index == frames - 1
+
+
+@pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-6e3, True)])
+@pytest.mark.parametrize("zero", ["--zero", "--no-zero"])
+def test_a_gas_pressure_beyond_weather_is_warned_of(
+    tmp_path: Path, small_sensor_file: Path, off_pa: float, warned: bool, zero: str
+) -> None:
+    path, sensor = tmp_path / "rec.mcap", str(small_sensor_file)
+    untouched_recording(path, small_sensor_file, 60, off_pa)
+    for speed in (1.0, 0.1, 0.02):  # on a busy machine few frames are seen in a second
+        source = f"replay:{path}?speed={speed}"
+        done = run("watch", "--source", source, "--sensor", sensor, zero, "--json")
+        assert done.exit_code == 0, done.output
+        if zero == "--no-zero" or json.loads(done.stdout)["pressure_offset_pa"] is not None:
+            break
+    where = "without contact" if zero == "--zero" else "in the source"
+    said = [line for line in done.stderr.splitlines() if "more than weather" in line]
+    assert len(said) == warned and all(where in line for line in said)
 
 
 def listens(port: int) -> bool:
