@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fakes import small_sensor
-from PySide6.QtCore import QPoint, Qt
-from PySide6.QtWidgets import QWidget
+from PySide6.QtCore import QPoint, Qt, QTimer
+from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
 from resting import REST, TENSION, RestingSource
 from window_driver import Driver
 
@@ -503,6 +503,107 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive: Drive) 
     assert new.draft.tension.tension.value != old.draft.tension.tension.value
     assert f"{new.draft.tension.tension.value:.2f} N/m" in panel.verdict.text()
     assert "Out of date" not in panel.verdict.text()
+
+
+def answered(bench: Bench, start: Callable[[], object], button: str) -> str:
+    """Click a button of the question that `start` asks; what was asked."""
+    asked, timer = [], QTimer(interval=20)
+
+    def answer() -> None:
+        question = QApplication.activeModalWidget()
+        if isinstance(question, QMessageBox) and not asked:
+            asked.append(question.text())
+            titles = {each.text().replace("&", ""): each for each in question.buttons()}
+            bench.driver.bot.mouseClick(titles[button], LEFT)
+
+    timer.timeout.connect(answer)
+    timer.start()
+    start()
+    bench.driver.wait(lambda: bool(asked))
+    timer.stop()
+    return asked[0]
+
+
+def test_an_identification_outlives_close_and_another_recording_asks_for_it(
+    drive: Drive, resting: RestingSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("rest", "other"):
+        with RecordingWriter(tmp_path / f"{name}.mcap") as writer:
+            for k in range(len(resting)):
+                writer.write(resting[k])
+    bench = Bench(drive(recording(tmp_path / "rest.mcap")))
+    bench.identify()
+    window, panel = bench.driver.window, bench.panel
+    answer, title = panel.calibration.answer, lambda: bench.driver.state.facts.title
+    bench.key(Qt.Key.Key_W, CTRL)
+    bench.driver.wait(lambda: bench.driver.state.facts.nothing)
+    assert panel.calibration.answer is answer and panel.verdict.isVisible()
+    assert not panel.strip.isVisible()  # there is no timeline that it is of
+    window.open_file(tmp_path / "rest.mcap")
+    bench.driver.wait(lambda: title() == "rest.mcap")
+    assert panel.calibration.answer is answer and panel.strip.isVisible()
+
+    def other() -> None:
+        window.open_file(tmp_path / "other.mcap")
+
+    assert "rest.mcap is not saved" in answered(bench, other, "Cancel")
+    bench.driver.settle()
+    assert title() == "rest.mcap" and panel.calibration.answer is answer
+    out = tmp_path / "mine.toml"
+    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (None, ""))
+    answered(bench, other, "Save…")  # and cancelled there
+    bench.driver.settle()
+    assert title() == "rest.mcap" and panel.calibration.answer is answer
+    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
+    answered(bench, other, "Save…")
+    bench.driver.wait(lambda: title() == "other.mcap")
+    found = answer.draft.found.tension_n_per_m
+    assert load_sensor(out).pneumatics.tension_n_per_m == pytest.approx(found, abs=1e-3)
+    assert panel.calibration.answer.draft.found is None
+    bench.identify()
+    answered(bench, lambda: window.open_file(tmp_path / "rest.mcap"), "Discard")
+    bench.driver.wait(lambda: title() == "rest.mcap")
+    assert panel.calibration.answer.draft.found is None
+    bench.identify()
+    bench.click(panel.steps.button(len(panel.pages) - 1))
+    out = tmp_path / "again.toml"
+    bench.click(panel.report.save_as)
+    other()  # saved: nothing to ask
+    bench.driver.wait(lambda: title() == "other.mcap")
+
+
+def test_collected_frames_outlive_close_and_connecting_again(drive: Drive) -> None:
+    bench = Bench(drive(lambda s: RestingSource(s, fresh=True), playing=True, live=True))
+    window, panel, box = bench.driver.window, bench.panel, bench.panel.frames.collect
+    sensor = window.controller.sensor
+
+    def connect(sensor: Sensor) -> None:
+        again = lambda s: RestingSource(s, fresh=True)  # noqa: E731
+        window.controller.opening.open("resting", again, lambda: sensor, live=True)
+
+    box.count.setValue(8)
+    bench.click(box.button)
+    bench.driver.wait(lambda: not box.collector.active)
+    bench.done()
+    answer, work = panel.calibration.answer, panel.calibration.work
+    box.count.setValue(2000)
+    bench.click(box.button)
+    bench.driver.wait(lambda: len(box.collector.frames) >= 3)
+    bench.key(Qt.Key.Key_W, CTRL)
+    bench.driver.wait(lambda: bench.driver.state.facts.nothing)
+    bench.driver.settle()
+    begun = len(box.collector.frames)
+    assert panel.calibration.work is work and panel.calibration.answer is answer
+    assert "Nothing is open" in box.said.text() and not box.button.isEnabled()
+    connect(sensor)
+    bench.driver.wait(lambda: len(box.collector.frames) > begun)
+    assert panel.calibration.work is work and panel.calibration.answer is answer
+    bench.click(box.cancel)
+    assert box.said.text() == "8 frames collected." and panel.verdict.isVisible()
+    smaller = sensor.camera.model_copy(update={"width": 64, "height": 48})
+    other = sensor.model_copy(update={"camera": smaller})
+    assert "resting is not saved" in answered(bench, lambda: connect(other), "Discard")
+    bench.driver.wait(lambda: panel.calibration.work.collected is None)
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtCore import QEvent, Signal
+from PySide6.QtCore import QEvent, QEventLoop, Signal
 from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
@@ -35,12 +35,14 @@ from bubbleviz_ui.calibration.report_page import ReportPage
 from bubbleviz_ui.calibration.surface_page import SurfacePage
 from bubbleviz_ui.calibration.tension_page import TensionPage
 from bubbleviz_ui.calibration.validation_page import ValidationPage
+from bubbleviz_ui.engine.requests import OpenRequest
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.file_dialogs import unsaved
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.step_buttons import StepButtons, StepState
 
@@ -128,7 +130,7 @@ class Gamma0Panel(QWidget):
         notice = UserMessage("notice", f"Saved {path} and {report.name}", file=path)
 
         def told(_: None) -> None:
-            self.report.saved = work
+            self.calibration.saved = work
             self.calibration.said.emit(notice)
 
         self.calibration.start(job, told)
@@ -205,12 +207,31 @@ class Gamma0Panel(QWidget):
         self.validation.painted.connect(self.painted)
         self.report.use.connect(self.use_it)
         self.report.save.connect(self.save)
+        calibration.controller.opening.wanted.connect(self._on_wanted)
 
     def _on_next(self) -> None:
         """First do this page's step, then go on to the next page and do its step."""
         if not isinstance(self.page, FramesPage) or self.calibration.settings.reached:
             self.go_to(self.stack.currentIndex() + 1)
         self.page.enter()
+
+    def _on_wanted(self, request: OpenRequest) -> None:
+        """Ask before something is opened that an unsaved identification would be lost by."""
+        if not self.calibration.loses(request):
+            return
+        text = f"The sensor identified from {self.calibration.name} is not saved."
+        choice = unsaved(self, "Calibration", text)
+        if choice == "cancel" or (choice == "save" and not self._is_saved()):
+            request.cancelled.set()
+
+    def _is_saved(self) -> bool:
+        """Have it saved, under a name that is asked for; whether it was."""
+        self.report.choose_file()
+        written = QEventLoop()
+        self.calibration.changed.connect(written.quit)
+        while self.calibration.busy:
+            written.exec(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+        return not self.calibration.unsaved
 
     def _on_progress(self, step: str, done: float) -> None:
         self.progress.setFormat(f"{step} %p %")
@@ -257,7 +278,8 @@ class Gamma0Panel(QWidget):
     def _show_strip(self) -> None:
         """Show the ranges on the timeline while the panel is open and they are the recording's."""
         calibration = self.calibration
-        recorded = calibration.work.collected is None and not calibration.live
+        recorded = calibration.is_open and not calibration.live
+        recorded = recorded and calibration.work.collected is None
         self.strip.setVisible(self.isVisible() and recorded and bool(self.strip.ranges))
 
     def _state(self, number: int) -> StepState:

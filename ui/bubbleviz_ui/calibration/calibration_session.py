@@ -19,7 +19,8 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_answer import Answer, Work, answer
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.engine.requests import Opened, OpenRequest
+from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 
@@ -46,6 +47,8 @@ class Calibration(QObject):
         What is decided.
     answer : Answer
         What is shown: of `work` unless something is being computed or has failed.
+    saved : Work or None
+        Of which a sensor file was written last.
     """
 
     changed = Signal()
@@ -61,7 +64,9 @@ class Calibration(QObject):
         self.live = False
         self.name = ""
         self.given: Sensor | None = None
+        self.saved: Work | None = None
         self._opener: Callable[[Sensor], FrameSource] | None = None
+        self._shown: Callable[[Sensor], FrameSource] | None = None
         self._holding = False
         self._remembered: OrderedDict[Work, Answer] = OrderedDict()
         self.benches = Benches()
@@ -78,6 +83,22 @@ class Calibration(QObject):
     def outdated(self) -> bool:
         """What is shown is of other choices: it is being computed anew, or that was refused."""
         return self.work != self.answer.work
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether there is an identification that no sensor file was written of."""
+        return self.answer.draft.found is not None and self.saved != self.answer.work
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the window shows the source that this works on."""
+        return self._shown is self._opener
+
+    def loses(self, request: OpenRequest) -> bool:
+        """Whether an identification that was not saved would be lost by opening something."""
+        if not self.unsaved or request.open_source is self._shown:
+            return False
+        return not self._goes_on(request, request.open_sensor)
 
     @property
     def settings(self) -> Settings:
@@ -175,17 +196,45 @@ class Calibration(QObject):
         return bool(done.message)
 
     def _on_opened(self, opened: Opened) -> None:
-        if opened.request.open_source is self._opener:
+        if opened.request.open_source is self._shown:
             return  # the same source with another sensor, perhaps the one identified here
-        self._jobs.cancel()
+        self._shown = opened.request.open_source
         self.stack.clear()  # what could be undone belongs to the source that is gone
+        if self._goes_on(opened.request, lambda: opened.sensor):
+            self._go_on(opened)
+            return
+        self._jobs.cancel()
         self._remembered.clear()
         self._opener, self.given = opened.request.open_source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
         self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
         self.answer = self._nothing = Answer(self.work, Draft(self.settings))
+        self.saved = None
         self.restarted.emit()
         self.changed.emit()
+
+    def _goes_on(self, request: OpenRequest, sensor: Callable[[], Sensor]) -> bool:
+        """Whether the work stays with another source: none, or the same recording or camera."""
+        present, opener = self._opener, request.open_source
+        if present is None or self.given is None:
+            return False
+        if opener is NothingOpen:
+            return True
+        if isinstance(opener, RecordingOpener):
+            return isinstance(present, RecordingOpener) and opener.path == present.path
+        return request.live and self.live and _size(sensor()) == _size(self.given)
+
+    def _go_on(self, opened: Opened) -> None:
+        """Keep what was decided and found."""
+        if opened.request.open_source is not NothingOpen:
+            self._opener = opened.request.open_source
+        if opened.facts.live:
+            self.given, self.name = opened.sensor, opened.facts.title
+        self.changed.emit()
+
+
+def _size(sensor: Sensor) -> tuple[int, int]:
+    return sensor.camera.width, sensor.camera.height
 
 
 class Benches:

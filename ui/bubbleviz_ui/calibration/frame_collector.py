@@ -28,6 +28,8 @@ class Collector(QObject):
         Another frame, another estimate, or collecting began or ended.
     complete : Signal
         The `CollectedFrames`: enough of them, or γ0's interval is as small as wanted.
+    name : str
+        Of the source.
     frames : list of Frame
     tension : Quantity or None
         γ0 so far, N/m.
@@ -43,7 +45,7 @@ class Collector(QObject):
         self.active = False
         self.message = ""
         self._count, self._target, self._only_untouched = 0, 0.0, True
-        self._name, self._sensor = "", None  # type: tuple[str, Sensor | None]
+        self.name, self._sensor = "", None  # type: tuple[str, Sensor | None]
         self._looked_at = 0
         self._jobs = Jobs("calibration")
 
@@ -65,7 +67,7 @@ class Collector(QObject):
         only_untouched : bool
             Leave out frames in which the sensor in use sees a contact.
         """
-        self._name, self._sensor = name, sensor
+        self.name, self._sensor = name, sensor
         self._count, self._target, self._only_untouched = count, target or 0.0, only_untouched
         self.frames, self.tension, self._looked_at, self.message = [], None, 0, ""
         self.active = True
@@ -76,7 +78,7 @@ class Collector(QObject):
         if not self.active:
             return
         status = result.estimate.status if result.estimate is not None else None
-        if self._only_untouched and status == "ok":
+        if status == "no_data" or (self._only_untouched and status == "ok"):
             return
         frame = result.frame
         if any(frame.depth_m is kept.depth_m for kept in self.frames):
@@ -93,7 +95,7 @@ class Collector(QObject):
         frames = self.frames
         self.cancel()
         if frames:
-            self.complete.emit(CollectedFrames(self._name, frames))
+            self.complete.emit(CollectedFrames(self.name, frames))
 
     def cancel(self) -> None:
         """Forget what was collected."""
@@ -113,7 +115,7 @@ class Collector(QObject):
         if not due or not self._target or self._jobs.busy or self._sensor is None:
             return
         self._looked_at = many
-        frames = CollectedFrames(self._name, self.frames)
+        frames = CollectedFrames(self.name, self.frames)
         self._jobs.run(_estimate(frames, self._sensor), self._on_estimate)
 
     def _on_estimate(self, done: Done) -> None:

@@ -24,6 +24,7 @@ from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.frame_collector import Collector
 from bubbleviz_ui.calibration.score_plot import ScorePlot
+from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell.layouts import fill
@@ -34,6 +35,7 @@ ENDED_BY = {
     "recording": "nothing touches the sensor up to the end",
 }
 
+NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."
 NO_FRAMES = {
     "disconnected": "Disconnected: connect again (Ctrl+L) to collect frames.",
     "ended": "The source has ended: connect again (Ctrl+L) to collect frames.",
@@ -167,7 +169,8 @@ class CollectBox(QGroupBox):
         calibration.controller.shown.connect(self.collector.take)
         calibration.controller.state.link_changed.connect(self._show)
         calibration.changed.connect(self._show)
-        calibration.restarted.connect(self.collector.cancel)  # frames of one source only
+        calibration.restarted.connect(self.collector.cancel)
+        calibration.controller.opened.connect(self._on_opened)
         self._show()
 
     def _lay_out(self) -> None:
@@ -200,6 +203,13 @@ class CollectBox(QGroupBox):
             calibration.name, sensor, self.count.value(), target, self.untouched.isChecked()
         )
 
+    def _on_opened(self, opened: Opened) -> None:
+        """Go on with the same source, connected again; a set is of one source only."""
+        facts, collector = opened.facts, self.collector
+        if collector.active and not facts.nothing and facts.title != collector.name:
+            collector.cancel()
+        self._show()
+
     def _use(self, frames: CollectedFrames) -> None:
         untouched = self.untouched.isChecked()
         ranges = ((0, len(frames)),) if untouched else None
@@ -209,8 +219,10 @@ class CollectBox(QGroupBox):
         self._calibration.use_collected(frames, settings)
 
     def _show(self) -> None:
-        collector = self.collector
-        why_none = NO_FRAMES.get(self._calibration.controller.state.badge, "")
+        collector, state = self.collector, self._calibration.controller.state
+        why_none = NO_FRAMES.get(state.badge, "")
+        if state.facts is not None and state.facts.nothing:
+            why_none = NOTHING_OPEN
         self.button.setEnabled(not why_none)
         kept = self._calibration.work.collected
         again = "Collect" if kept is None else "Collect again:"
@@ -219,7 +231,9 @@ class CollectBox(QGroupBox):
         self.stop.setVisible(collector.active)
         self.cancel.setVisible(collector.active)
         if not collector.active:
-            there = "" if kept is None else f"{count_of(len(kept), 'frame')} collected."
+            there = "" if kept is None else f"{count_of(len(kept), 'frame')} collected"
+            if kept is not None:
+                there += "." if kept.name == self._calibration.name else f" from {kept.name}."
             self.said.setText(f"{there} {why_none}".strip())
             return
         text = f"{len(collector.frames)} of {self.count.value()} frames"

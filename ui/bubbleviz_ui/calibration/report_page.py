@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.calibration.sensor_comparison import Comparison, Kind
-from bubbleviz_ui.calibration.calibration_answer import Answer, Work
+from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
@@ -37,8 +37,6 @@ class ReportPage(Page):
         Path of the sensor file to write.
     use_it, save_as : QPushButton
         The panel has them where the other steps have theirs.
-    saved : Work or None
-        Of which a sensor file was written last.
     """
 
     name = "Report"
@@ -59,14 +57,13 @@ class ReportPage(Page):
         self.use_it = QPushButton("Use it")
         self.save_as = QPushButton("Save sensor as…")
         self.save_as.setObjectName("main")
-        self.saved: Work | None = None
         self._lay_out()
         self.use_it.clicked.connect(self.use)
-        self.save_as.clicked.connect(self._choose_file)
+        self.save_as.clicked.connect(self.choose_file)
 
     def is_done(self, answer: Answer) -> bool:
         """Whether the sensor file of this answer was saved."""
-        return self.saved == answer.work
+        return self.calibration.saved == answer.work
 
     def show_answer(self, answer: Answer) -> None:
         """Show verdict, table and difference."""
@@ -111,7 +108,8 @@ class ReportPage(Page):
         }
         return by_kind[kind]
 
-    def _choose_file(self) -> None:
+    def choose_file(self) -> None:
+        """Ask for the name of a sensor file, and have it written."""
         proposed, kinds = own_name(self.calibration.name), "Sensor files (*.toml)"
         path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
         if path is not None:

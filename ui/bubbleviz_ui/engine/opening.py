@@ -40,12 +40,15 @@ class Opening(QObject):
         What is being opened or closed, in words; empty when it is, or is not going to be.
     said : Signal
         A `UserMessage`.
+    wanted : Signal
+        An `OpenRequest` before it is asked; whoever needs what is open may have it `cancelled`.
     present : Opened or None
         What is open.
     """
 
     changed = Signal(str)
     said = Signal(object)
+    wanted = Signal(object)
 
     def __init__(self, state: SessionState, ask: Callable[[OpenRequest], None]) -> None:
         super().__init__()
@@ -80,8 +83,8 @@ class Opening(QObject):
         frame: int = 0,
         playing: bool = True,
         live: bool = False,
-    ) -> None:
-        """Open a source with a sensor in the solver thread."""
+    ) -> bool:
+        """Open a source with a sensor in the solver thread; whether that was not refused."""
         self._number += 1
         choices = self._state.choices
         request = OpenRequest(
@@ -95,10 +98,14 @@ class Opening(QObject):
             playing=playing,
             live=live,
         )
+        self.wanted.emit(request)
+        if request.cancelled.is_set():
+            return False
         self.cancel()
         self._waiting = request
         self._ask(request)
         self.changed.emit("Closing …" if open_source is NothingOpen else f"Opening {what} …")
+        return True
 
     def cancel(self) -> None:
         """Open nothing; the solver stops at its next step."""

@@ -222,19 +222,19 @@ class LiveController(QObject):
         self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
+        frames, sensor = run.frames[0], run.session.sensors[0].sensor
+        opening = self._controller.opening
+        if not opening.open(
+            frames.name, LiveOpener(frames), lambda: sensor, playing=True, live=True
+        ):
+            self.cancel()
+            self._jobs.run(lambda _: run.close())
+            return
         self.disconnect_all()
         self.run = run
         self._pair.prepare(run)
         self._use_choices()
         self._timer.start()
-        live = run.session.sensors[0]
-        self._controller.opening.open(
-            run.frames[0].name,
-            LiveOpener(run.frames[0]),
-            lambda: live.sensor,
-            playing=True,
-            live=True,
-        )
         self.changed.emit()
 
     def _on_not_connected(self, problem: str, details: str) -> None:

@@ -230,7 +230,7 @@ class SessionSaver(QObject):
             self._go_without(saved)
             return False
         sensor = None if "sensor" in gone else saved.sensor
-        self._window.controller.opening.open(
+        asked = self._window.controller.opening.open(
             saved.source or "",
             opener,
             self._sensor_opener(opener, sensor),
@@ -238,7 +238,9 @@ class SessionSaver(QObject):
             playing=opener is synthetic,
             live=opener is synthetic,
         )
-        return True
+        if not asked:
+            self._pending = None
+        return asked
 
     def expect(self, saved: SavedSession, path: Path) -> None:
         """Take range, markers and view of a session if this is its recording."""

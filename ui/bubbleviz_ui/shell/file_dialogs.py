@@ -6,14 +6,16 @@ When saving, the suffix is there before it is asked whether a file may be replac
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from PySide6.QtCore import QSettings
 from PySide6.QtGui import QImageWriter
-from PySide6.QtWidgets import QFileDialog, QWidget
+from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
 from bubbleviz.files.output_files import free_name
 from bubbleviz_ui.model.messages import UserMessage
 
+Answer = Literal["save", "discard", "cancel"]
 SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
 
 
@@ -40,6 +42,20 @@ def file_to_open(
 def folder_to_open(parent: QWidget, title: str, *, of: str) -> Path | None:
     """Folder to read; None to cancel."""
     return _remembered(of, QFileDialog.getExistingDirectory(parent, title, _folder(of)))
+
+
+def unsaved(parent: QWidget, title: str, text: str) -> Answer:
+    """Ask what becomes of something unsaved that would be lost."""
+    kind = QMessageBox.StandardButton
+    question = QMessageBox(parent)
+    question.setWindowTitle(title)
+    question.setText(text)
+    question.setIcon(QMessageBox.Icon.Question)
+    question.setStandardButtons(kind.Save | kind.Discard | kind.Cancel)
+    question.setDefaultButton(kind.Save)
+    question.button(kind.Save).setText("&Save…")
+    answers: dict[int, Answer] = {kind.Save: "save", kind.Discard: "discard"}
+    return answers.get(question.exec(), "cancel")
 
 
 def file_to_save(
