@@ -8,13 +8,14 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.tension.tension_estimate import Quantity
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 
-Kind = Literal["tension", "pressure", "length", "fine length", "volume", "area", "count"]
+Kind = Literal["tension", "pressure", "length", "fine length", "volume", "area", "count", "number"]
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,10 @@ class Row:
     ----------
     name : str
     kind : str
-        What it is, and so its unit: N/m, Pa, m, m³, m², pixels.
+        What it is, and so its unit: N/m, Pa, m, m³, m², pixels, none.
     old, new : float or None
-    half_width : float or None
-        Half of the new one's 95 % interval.
+    half_width, old_half_width : float or None
+        Half of the new one's 95 % interval, and of the old one's.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Row:
     old: float | None
     new: float | None
     half_width: float | None = None
+    old_half_width: float | None = None
 
 
 @dataclass(frozen=True)
@@ -102,12 +104,35 @@ def _numbers(old: SensorModel, new: Identification) -> list[Row]:
     """Rows that need no images."""
     mesh, tension = old.mesh, new.tension
     was, now = old.sensor.pneumatics, new.sensor.pneumatics
+    known, rubber = old.sensor.calibration, new.rubber
     own = tension.tension
     height = tension.dimensions["height_m"].half_width
     sizes = _sizes(mesh)
     return [
-        Row("γ0", "tension", old.tension_n_per_m, own.value, own.half_width),
-        Row("gauge pressure", "pressure", was.gauge_pressure_pa, now.gauge_pressure_pa),
+        Row(
+            "γ0",
+            "tension",
+            old.tension_n_per_m,
+            own.value,
+            own.half_width,
+            None if known is None else _half_of(known.tension_interval_n_per_m),
+        ),
+        Row(
+            "λ",
+            "number",
+            old.sensor.membrane.prestretch,
+            new.sensor.membrane.prestretch,
+            None if rubber is None else _half(rubber.prestretch),
+            None if known is None else _half_of(known.prestretch_interval),
+        ),
+        Row(
+            "gauge pressure",
+            "pressure",
+            was.gauge_pressure_pa,
+            now.gauge_pressure_pa,
+            None if rubber is None else _half(rubber.gauge),
+            None if known is None else _half_of(known.gauge_interval_pa),
+        ),
         *(
             Row(name, "length", sizes[name], size, height if name == "height" else None)
             for name, size in _sizes(new.mesh).items()
@@ -116,6 +141,14 @@ def _numbers(old: SensorModel, new: Identification) -> list[Row]:
         Row("cap volume", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
         Row("chamber volume", "volume", was.chamber_volume_m3, now.chamber_volume_m3),
     ]
+
+
+def _half(found: Quantity | None) -> float | None:
+    return None if found is None else found.half_width
+
+
+def _half_of(interval: tuple[float, float] | None) -> float | None:
+    return None if interval is None else 0.5 * (interval[1] - interval[0])
 
 
 def _sizes(mesh: MembraneMesh) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Step by step, changed and done again: the same numbers as all at once, and no needless work."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ import pytest
 from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.rest.collected_frames import CollectedFrames
 from bubbleviz.calibration.rest.frame_ranges import as_ranges, in_words, numbers, tidy, without
+from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.calibration.save_identification import save
 from bubbleviz.calibration.sensor_comparison import compare
 from bubbleviz.calibration.sensor_writer import write_sensor
+from bubbleviz.calibration.tension.tension_estimate import Quantity
 from bubbleviz.calibration.workbench import Settings, Step, Workbench
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
@@ -136,7 +139,26 @@ def test_a_sensor_does_not_differ_from_itself(found, tmp_path):
     same = compare(write_sensor(found, tmp_path / "own.toml"), found)
     assert same.largest_m < 5e-6  # the file's digits
     for row in same.rows:
+        if row.name == "λ":
+            assert row.old is None and row.new is None  # the tension is constant
+            continue
         assert row.old == pytest.approx(row.new, rel=2e-3, abs=2e-6), row.name
+
+
+def test_intervals_of_both_sensors_are_beside_their_numbers(found, tmp_path):
+    stretch, gauge = Quantity(1.2, 1.15, 1.27), Quantity(2585.5, 2500.0, 2671.0)
+    rubber = RubberEstimate(stretch, gauge, "vented", None, vented="open.mcap")
+    membrane = found.sensor.membrane.model_copy(update={"prestretch": 1.2})
+    sensor = found.sensor.model_copy(update={"membrane": membrane})
+    found = replace(found, sensor=sensor, rubber=rubber)
+    rows = {
+        row.name: row for row in compare(write_sensor(found, tmp_path / "own.toml"), found).rows
+    }
+    tension = found.tension.tension.half_width
+    for name, half in {"γ0": tension, "λ": 0.06, "gauge pressure": 85.5}.items():
+        assert rows[name].half_width == pytest.approx(half, rel=1e-3), name
+        assert rows[name].old_half_width == pytest.approx(half, rel=1e-2), name
+    assert (rows["λ"].old, rows["λ"].new) == (1.2, 1.2)
 
 
 def test_another_height_is_seen_in_table_and_picture(found):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +12,8 @@ from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
 
 Grade = Literal["good", "usable", "doubtful"]
+PressureText = Callable[[float], str]
+"""Number and unit of a pressure in Pa."""
 
 _GOOD, _USABLE = 0.02, 0.05  # relative half-width of γ0: below a force sensor's; worth a warning
 _WELL_SEEN = 0.8  # of the dome's area; chosen
@@ -35,11 +38,16 @@ class Verdict:
     advice: tuple[str, ...]
 
 
-def judge(found: Identification) -> Verdict:
-    """Judge an identification by its own numbers."""
+def pascals(pressure_pa: float) -> str:
+    """Number and unit, as the command line writes it."""
+    return f"{pressure_pa:.0f} Pa"
+
+
+def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
+    """Judge an identification by its own numbers, with pressures written by `pressure`."""
     tension = found.tension.tension
     relative = tension.half_width / tension.value
-    warnings = _warnings(found)
+    warnings = _warnings(found, pressure)
     grade: Grade = "good"
     if relative > _GOOD or warnings:
         grade = "usable"
@@ -47,7 +55,8 @@ def judge(found: Identification) -> Verdict:
         grade = "doubtful"
     summary = (
         f"{grade}: γ0 = {tension.value:.2f} N/m, 95 % interval {tension.low:.2f} to"
-        f" {tension.high:.2f} ({_percent(relative)} either way), at {_gauge(found)} gauge pressure"
+        f" {tension.high:.2f} ({_percent(relative)} either way), at"
+        f" {pressure(found.tension.gauge_pressure_pa)} gauge pressure"
     )
     return Verdict(grade, summary, (_surface(found), *warnings, *_notes(found)))
 
@@ -71,15 +80,15 @@ def _surface(found: Identification) -> str:
     )
 
 
-def _warnings(found: Identification) -> list[str]:
+def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     """Reasons to grade an identification below good."""
     tension, fits = found.tension, found.fits
     out = []
     if found.samples.gas_pressure_pa is None:
         out.append(
             "The recording has no gas pressure: γ0 rests on the sensor file's gauge pressure, and"
-            f" is wrong by as many percent as it is (100 Pa: {100 * tension.per_pascal:.2f} N/m)."
-            " Record the pressure, or measure it."
+            f" is wrong by as many percent as it is ({pressure(100.0)}:"
+            f" {100 * tension.per_pascal:.2f} N/m). Record the pressure, or measure it."
         )
     given = found.given.pneumatics.gauge_pressure_pa
     change = tension.gauge_pressure_pa / given - 1.0
@@ -168,10 +177,6 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
-
-
-def _gauge(found: Identification) -> str:
-    return f"{found.tension.gauge_pressure_pa:.0f} Pa"
 
 
 def validation_advice(validation: Validation | None) -> list[str]:

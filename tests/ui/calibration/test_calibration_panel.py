@@ -120,6 +120,15 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench: Bench) -> 
     assert estimate.tension.low < TENSION < estimate.tension.high
     assert value == pytest.approx(TENSION, rel=0.01)
     assert panel.verdict.isVisible() and f"{value:.2f} N/m" in panel.verdict.text()
+    gauge = estimate.gauge_pressure_pa
+    for system, text in {"psi": f"{gauge / 6894.757:.4f} psi", "kPa": f"{gauge:.0f} Pa"}.items():
+        with bench.driver.window.settings.unrecorded():
+            bench.driver.state.choose(pressure_unit=system)
+        assert f"at {text} gauge pressure" in panel.verdict.text()
+        assert panel.tension.numbers.text("gauge pressure") == text
+        assert panel.tension.numbers.text("γ0 by gauge pressure").endswith(
+            "100 Pa more" if system == "kPa" else "0.0145 psi more"
+        )
     last = panel.calibration.answer
     for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
         bench.undo()
@@ -406,6 +415,7 @@ def check_report(panel: Gamma0Panel, found: Identification) -> None:
     assert float(cells["γ0"][0].removesuffix(" N/m")) == pytest.approx(TENSION, rel=0.02)
     assert cells["height"][0] == "50.00 mm"
     assert cells["pixels used"] == ("– pixels", f"{found.pixels.mask.sum()} pixels")
+    assert cells["λ"] == ("–", "–")  # the tension is constant
     assert panel.report.view.image.shape == found.pixels.mask.shape
     assert np.nanmedian(np.abs(panel.report.view.image)) < 1e-3
 

@@ -18,6 +18,7 @@ from bubbleviz.calibration.workbench import Draft, Settings, Workbench
 from bubbleviz.frames.gaps import TimeAxis
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.units import Units
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,6 @@ class Answer:
     last : BeforeAfter or None
     local_tension : (H, W) array or None
         N/m.
-    verdict : Verdict or None
     comparison : Comparison or None
         Against the sensor that was in use.
     compared_with : Sensor or None
@@ -59,7 +59,6 @@ class Answer:
     axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))
     last: BeforeAfter | None = None
     local_tension: np.ndarray | None = None
-    verdict: Verdict | None = None
     comparison: Comparison | None = None
     compared_with: Sensor | None = None
 
@@ -67,6 +66,11 @@ class Answer:
     def frames(self) -> int:
         """Count the frames of the source."""
         return len(self.axis)
+
+    def verdict(self, units: Units) -> Verdict | None:
+        """What the identification is worth, in the operator's units; None before there is one."""
+        found = self.draft.found
+        return None if found is None else judge(found, units.gas_pressure.text)
 
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
@@ -82,7 +86,6 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
         axis,
         last=before_after(draft.found),
         local_tension=local_tension_image(draft.found),
-        verdict=judge(draft.found),
         comparison=compare(in_use, draft.found),
         compared_with=in_use,
     )

@@ -265,7 +265,7 @@ class Gamma0Panel(QWidget):
         for number in range(len(self.pages)):
             self.steps.button(number).setEnabled(number == place or number < known)
         self.steps.show_states([self._state(number) for number in range(len(self.pages))])
-        verdict = answer.verdict
+        verdict = answer.verdict(self.units)
         self.verdict.setVisible(verdict is not None)
         if verdict is not None:
             outdated = calibration.outdated
@@ -287,7 +287,8 @@ class Gamma0Panel(QWidget):
         answer, page = self.calibration.answer, self.pages[number]
         changed = self._changed_step()
         refused = self._refused_of is not None and number == changed
-        doubtful = answer.verdict is not None and answer.verdict.grade == "doubtful"
+        verdict = answer.verdict(self.units)
+        doubtful = verdict is not None and verdict.grade == "doubtful"
         if refused or (doubtful and page is self.tension):
             return StepState.NEEDS_ATTENTION
         outdated = self.calibration.outdated and number >= changed

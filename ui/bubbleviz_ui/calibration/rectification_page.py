@@ -96,9 +96,12 @@ class RectificationPage(Page):
         found, pressure = answer.draft.found, self.units.gas_pressure
         force = found.sensitivity if found is not None else None
         if force is not None:
-            per_gauge, per_stretch = 1e3 * force.per_gauge_n_per_pa, 0.1 * force.per_prestretch_n
-            self.numbers.set("force per gauge pressure", f"{per_gauge:+.3f} N per kPa")
-            self.numbers.set("force per λ", f"{per_stretch:+.3f} N per 0.1")
+            newtons, per = self.units.force, self.units.pressure
+            per_gauge = newtons.of(force.per_gauge_n_per_pa / per.per_si)
+            per_stretch = newtons.of(0.1 * force.per_prestretch_n)
+            sensitivity = f"{per_gauge:+.3g} {newtons.symbol} per {per.symbol}"
+            self.numbers.set("force per gauge pressure", sensitivity)
+            self.numbers.set("force per λ", f"{per_stretch:+.3g} {newtons.symbol} per 0.1")
         rubber = found.rubber if found is not None else None
         if rubber is None:
             self.numbers.set("λ", "not determined: add levels, or press and hold")

@@ -67,7 +67,7 @@ class ReportPage(Page):
 
     def show_answer(self, answer: Answer) -> None:
         """Show verdict, table and difference."""
-        verdict, comparison = answer.verdict, answer.comparison
+        verdict, comparison = answer.verdict(self.units), answer.comparison
         ready = not self.calibration.busy and not self.calibration.outdated
         for button in (self.use_it, self.save_as):
             button.setEnabled(comparison is not None and ready)
@@ -88,9 +88,10 @@ class ReportPage(Page):
         self.table.setRowCount(len(rows))
         for number, row in enumerate(rows):
             unit = self._unit(row.kind)
-            texts = (row.name, unit.text(row.old), unit.with_interval(row.new, row.half_width))
-            for column, text in enumerate(texts):
-                self.table.setItem(number, column, QTableWidgetItem(text))
+            old = unit.with_interval(row.old, row.old_half_width)
+            new = unit.with_interval(row.new, row.half_width)
+            for column, text in enumerate((row.name, old, new)):
+                self.table.setItem(number, column, QTableWidgetItem(text.rstrip()))
         height = self.table.horizontalHeader().height() + 4
         height += sum(self.table.rowHeight(k) for k in range(len(rows)))
         self.table.setFixedHeight(height)
@@ -105,6 +106,7 @@ class ReportPage(Page):
             "volume": units.volume,
             "area": units.area,
             "count": Unit("pixels", 1.0, 0),
+            "number": Unit("", 1.0, 3),
         }
         return by_kind[kind]
 
@@ -119,6 +121,7 @@ class ReportPage(Page):
         table = self.table
         table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        table.setToolTip("±: half of the 95 % interval, where it is known")
         table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         table.verticalHeader().hide()
         table.verticalHeader().setDefaultSectionSize(22)

@@ -59,7 +59,8 @@ class TensionPage(Page):
             text = units.length.with_interval(size.value, size.half_width)
             say(name.removesuffix("_m").replace("_", " "), text)
         say("gauge pressure", units.gas_pressure.text(estimate.gauge_pressure_pa))
-        say("γ0 for 100 Pa more", unit.text(100.0 * estimate.per_pascal, signed=True))
+        more = unit.text(100.0 * estimate.per_pascal, signed=True)
+        say("γ0 by gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
         for name, each in estimate.by_surface.items():
             say(f"γ0 by the {name}", unit.text(each))
         for name, sigma in estimate.parts.items():
