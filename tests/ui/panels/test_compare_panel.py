@@ -174,6 +174,17 @@ def test_a_setting_is_used_everywhere_and_undone(drive: Drive) -> None:
     panel.a.block.setValue(3)  # of what is not
     driver.settle()
     assert driver.server.session.number == session
+    panel.b.kappa.setFocus()
+    panel.b.kappa.selectAll()
+    driver.bot.keyClicks(panel.b.kappa, "4.5")
+    driver.bot.keyClick(panel.b.kappa, Qt.Key.Key_Return)
+    driver.wait(driver.thresholded)
+    assert driver.state.choices.kappa == window.kappa.box.value() == 4.5
+    panel.a.kappa.setValue(7.0)
+    assert driver.state.choices.kappa == 4.5
+    for _ in range(2):
+        window.undo_stack.undo()
+    assert driver.state.choices.kappa == panel.b.kappa.value() == 2.5
     for _ in range(3):
         window.undo_stack.undo()
     driver.wait(lambda: driver.pipeline.options.solver is None)

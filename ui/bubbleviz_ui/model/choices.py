@@ -192,9 +192,13 @@ class Choices:
     @property
     def options(self) -> EstimatorOptions:
         """What the estimator takes."""
-        if self.solver in SETTINGS:
-            return self.compared[SETTINGS.index(self.solver)].options
-        return EstimatorOptions.named(self.solver)
+        used = self.used
+        return EstimatorOptions.named(self.solver) if used is None else used.options
+
+    @property
+    def used(self) -> Setting | None:
+        """The setting of Compare that the whole window uses; None: neither."""
+        return self.compared[SETTINGS.index(self.solver)] if self.solver in SETTINGS else None
 
     @property
     def rule(self) -> Rule:

@@ -211,8 +211,13 @@ class SessionState(QObject):
         self.playing_changed.emit(playing)
 
     def choose(self, **changes: Any) -> None:
-        """Change choices by name; `choices_changed` tells which ones differ."""
-        new = replace(self.choices, **changes)
+        """Change choices by name; `choices_changed` tells which ones differ.
+
+        A setting of Compare that is in use brings its κ when that is another.
+        """
+        before, new = self.choices.used, replace(self.choices, **changes)
+        if before and new.used and new.used.kappa not in (None, before.kappa):
+            new = replace(new, **{"kappa": new.used.kappa, **changes})
         names = frozenset(
             f.name for f in fields(new) if getattr(new, f.name) != getattr(self.choices, f.name)
         )

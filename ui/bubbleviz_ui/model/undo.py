@@ -176,7 +176,7 @@ class SettingsHistory:
         text = Choices.words("view_from" if "view_from" in names else min(names))
         drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
         part: Hashable = names if drags else None
-        if names == {"compared"}:
+        if "compared" in names and names <= {"compared", "kappa"}:  # κ comes with what is in use
             part = _number_compared(before.compared, self._state.choices.compared)
         gesture = None if part is None else (part, self._present_gesture())
         self.push(text, self._choose, old, new, gesture)
