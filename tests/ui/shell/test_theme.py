@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import QRect, Qt
-from PySide6.QtGui import QColor, QImage
-from PySide6.QtWidgets import QApplication, QLabel, QLineEdit, QWidget
+from PySide6.QtGui import QColor, QImage, QPalette
+from PySide6.QtWidgets import QApplication, QLabel, QLineEdit, QMenu, QWidget
 from window_driver import Driver
 
 from bubbleviz_ui.live.live_bar import BADGES
@@ -102,6 +102,10 @@ def test_text_can_be_read(colours: theme.Colours) -> None:
     for badge in BADGES.values():
         assert contrast(QColor(theme.ON_BADGE), QColor(badge)) > 4.5
     assert contrast(QColor(colours.on_accent), QColor(colours.accent)) > 4.5
+    roles = QPalette.ColorRole
+    for ground in (colours.window, colours.panel, colours.field):
+        for link in (roles.Link, roles.LinkVisited):
+            assert contrast(theme.palette(colours).color(link), QColor(ground)) > 4.5
 
 
 def selected(item: np.ndarray) -> float:
@@ -140,6 +144,30 @@ def test_what_is_selected_can_be_read(drive: Drive, title: str) -> None:
     number.selectAll()
     line = number.findChild(QLineEdit)
     assert line is not None and selected(pixels(line)[4:-4, 2:30]) > 4.5
+
+
+@pytest.mark.parametrize("title", ["Dark", "Light"])
+def test_what_is_disabled_can_be_read_and_looks_it(drive: Drive, title: str) -> None:
+    """Controls of every kind that the window has, and what a menu does not offer now."""
+    driver = drive(frame=3)
+    choose(driver, title)
+    driver.window.panels["pose"].show()
+    QApplication.processEvents()
+    pose, menu = driver.window.pose, driver.window.findChild(QMenu, "menu_theme")
+    assert isinstance(menu, QMenu)
+    for widget in (pose.search, pose.unit, pose.once, pose.track, pose.start):
+        now = []
+        for enabled in (True, False):
+            widget.setEnabled(enabled)
+            now.append(selected(pixels(widget)[4:-4, 24:70]))
+        assert now[0] > 1.5 * now[1] > 1.5 * 3.0, (widget, now)
+    action = menu.actions()[0]
+    menu.popup(driver.window.pos())
+    place = menu.actionGeometry(action)
+    before = selected(within(menu, place))
+    action.setEnabled(False)
+    assert before > 1.5 * selected(within(menu, place)) > 1.5 * 3.0
+    menu.close()
 
 
 def test_colours_are_nowhere_else() -> None:

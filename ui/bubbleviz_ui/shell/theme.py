@@ -105,7 +105,7 @@ DARK = Colours(
     border="#3a414a",
     text="#e6ebf0",
     dim="#98a3af",
-    disabled="#666f79",
+    disabled="#7d8792",
     accent="#4c9fe8",
     on_accent="#0b1118",
     tick="tick_dark.svg",
@@ -133,8 +133,8 @@ LIGHT = Colours(
     border="#bcc4cd",
     text="#161b21",
     dim="#55606c",
-    disabled="#98a1ab",
-    accent="#1769c2",
+    disabled="#757f89",
+    accent="#1560b3",
     on_accent="#ffffff",
     tick="tick_white.svg",
     button="#fafbfc",
@@ -187,7 +187,8 @@ def style_sheet(c: Colours) -> str:
 QWidget {{ color: {c.text}; selection-background-color: {c.accent};
     selection-color: {c.on_accent}; }}
 QMenu::item:selected, QMenuBar::item:selected {{ background: {c.hover}; color: {c.text}; }}
-QPushButton:disabled, QToolButton:disabled {{ color: {c.disabled}; }}
+QWidget:disabled, QMenu::item:disabled, QAbstractItemView::item:disabled
+    {{ color: {c.disabled}; }}
 QMainWindow, QDialog {{ background: {c.window}; }}
 QMainWindow::separator {{ background: {c.field}; width: 4px; height: 4px; }}
 QDockWidget {{ font-weight: 600; }}
@@ -244,6 +245,8 @@ def palette(c: Colours) -> QPalette:
         roles.Highlight: c.accent,
         roles.HighlightedText: c.on_accent,
         roles.PlaceholderText: c.dim,
+        roles.Link: c.accent,
+        roles.LinkVisited: c.accent,
     }
     made = QPalette()
     for role, colour in colours.items():
