@@ -8,10 +8,65 @@ from pathlib import Path
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.recorded_colour import RecordedColour
 from bubbleviz.commands.summary import Summary
 from bubbleviz.frames.bags import Topic
 from bubbleviz.frames.gaps import Gap, find_gaps, usual_step
 from bubbleviz.frames.recording import Recording
+from bubbleviz.wording import count_of
+
+
+@dataclass(frozen=True)
+class ColourInfo:
+    """Facts of the colour images of a recording.
+
+    Attributes
+    ----------
+    topic, encoding : str
+    images : int
+    rate_hz : float or None
+        One over the median period; None for fewer than two images.
+    width, height : int
+        Pixels.
+    intrinsics : Intrinsics or None
+    T_D_C : list of list of float
+        Pose of the colour camera in the depth camera, (4, 4).
+    remark : str
+        What of its camera was not recorded and is taken for granted.
+    """
+
+    topic: str
+    encoding: str
+    images: int
+    rate_hz: float | None
+    width: int
+    height: int
+    intrinsics: Intrinsics | None
+    T_D_C: list[list[float]]
+    remark: str
+
+    @classmethod
+    def of(cls, colour: RecordedColour) -> ColourInfo:
+        """Facts of the colour images of an open recording."""
+        camera = colour.camera
+        return cls(
+            colour.topic.name,
+            colour.encoding,
+            len(colour),
+            colour.rate_hz,
+            *colour.size,
+            camera.intrinsics,
+            camera.T_D_C.tolist(),
+            camera.remark,
+        )
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        parts = [
+            f"{self.width} × {self.height} pixels, {self.encoding}, {self.topic}",
+            count_of(self.images, "image") + (f", {_hertz(self.rate_hz)}" if self.rate_hz else ""),
+        ]
+        return "; ".join(parts + [self.remark] * bool(self.remark))
 
 
 @dataclass(frozen=True)
@@ -43,6 +98,7 @@ class RecordingInfo(Summary):
         Lowest and highest recorded gas pressure, absolute, Pa.
     wrench : bool
         Whether a wrench was recorded.
+    colour : ColourInfo or None
     note : str
         What is missing of the recording, in words; empty when it is whole.
     """
@@ -62,11 +118,12 @@ class RecordingInfo(Summary):
     intrinsics: Intrinsics | None
     gas_pressure_pa: tuple[float, float] | None
     wrench: bool
+    colour: ColourInfo | None
     note: str = ""
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
-        rate = "–" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
+        rate = "–" if self.rate_hz is None else _hertz(self.rate_hz)
         facts = [
             ("recording", self.path),
             ("frames", f"{self.frames} in {self.duration_s:.3f} s, {rate}"),
@@ -75,6 +132,7 @@ class RecordingInfo(Summary):
             ("intrinsics", self._intrinsics_text()),
             ("gas pressure", self._pressure_text()),
             ("wrench", "recorded" if self.wrench else "not recorded"),
+            ("colour", "not recorded" if self.colour is None else self.colour.to_text()),
             ("size", f"{self.size_bytes / 1e6:.1f} MB"),
         ]
         if self.note:
@@ -133,8 +191,13 @@ def recording_info(recording: Recording | str | Path) -> RecordingInfo:
         intrinsics=recording.intrinsics,
         gas_pressure_pa=extremes,
         wrench=recording.has_wrench,
+        colour=None if recording.colour is None else ColourInfo.of(recording.colour),
         note=recording.bag.note,
     )
+
+
+def _hertz(rate_hz: float) -> str:
+    return f"{rate_hz:.2f} Hz"
 
 
 def _rate(times_s: np.ndarray) -> float | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.colour_image import ColourImage
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class Frame:
         The message's own time stamp.
     arrival_ns : int
         When a live frame arrived here, ns since 1970; 0 for a recording's.
+    find_colour : callable or None
+        Finds the colour image of this time, which is why nobody waits for it who needs none.
     """
 
     index: int
@@ -41,3 +45,9 @@ class Frame:
     wrench: np.ndarray | None = None
     stamp_ns: int = 0
     arrival_ns: int = 0
+    find_colour: Callable[[], ColourImage | None] | None = None
+
+    @property
+    def colour(self) -> ColourImage | None:
+        """What the colour camera saw at this time; None where it saw nothing, or there is none."""
+        return None if self.find_colour is None else self.find_colour()

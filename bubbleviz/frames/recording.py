@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.colour_image import ColourImage, EncodedImage
+from bubbleviz.colour.colour_topics import find_colour
+from bubbleviz.colour.recorded_colour import RecordedColour
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Messages, Topic
 from bubbleviz.frames.bags.bag import damage
@@ -25,9 +30,10 @@ from bubbleviz.frames.depth_topics import (
     metres_per_unit,
 )
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.gaps import usual_step
 from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_of
 from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.time_series import Laps, Series
+from bubbleviz.frames.time_series import NEAREST_NS, Laps, Series
 
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
 _GARBAGE_NS = 3_600_000_000_000  # one hour: a stamp further off is from an unset clock
@@ -43,7 +49,7 @@ class Recording:
     Parameters
     ----------
     path : path-like
-    depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
+    depth_topic, info_topic, pressure_topic, wrench_topic, colour_topic : str, optional
         Topics to use; without them the first depth images, and of the others those of the right
         message type that are nearest by name (and for the camera info: of the image's size), so
         that two sensors in one recording are told apart by `depth_topic` alone.
@@ -65,6 +71,8 @@ class Recording:
         Encoding of the depth images; `points` where they are point clouds.
     intrinsics : Intrinsics or None
     depth_topic : Topic
+    colour : RecordedColour or None
+        The colour images of the same sensor.
     remark : str
         What the user should know about it, or what lies beside it; empty for nothing.
 
@@ -82,6 +90,7 @@ class Recording:
         info_topic: str | None = None,
         pressure_topic: str | None = None,
         wrench_topic: str | None = None,
+        colour_topic: str | None = None,
     ) -> None:
         self._lock = threading.Lock()
         self.bag = Bag(path)
@@ -97,6 +106,7 @@ class Recording:
             )
             self._pressure = self._series(PRESSURE, pressure_topic, pressure_of)
             self._wrench = self._series(WRENCH, wrench_topic, wrench_of)
+            self.colour = self._colour(colour_topic)
         except BaseException:
             self.bag.close()
             raise
@@ -128,6 +138,7 @@ class Recording:
                 gas_pressure_pa=None if pressure is None else float(pressure[0]),
                 wrench=self._wrench.at(key, log) if self._wrench else None,
                 stamp_ns=int(self.stamps_ns[index]),
+                find_colour=partial(self._colour_near, index) if self.colour else None,
             )
 
     def __enter__(self) -> Recording:
@@ -140,6 +151,15 @@ class Recording:
         """Let go of files."""
         with self._lock:
             self.bag.close()
+
+    def colour_at(self, time_s: float) -> ColourImage | None:
+        """Colour image nearest to a time of the frames, within half a period; None without one.
+
+        At `frame.time_s + lag.lag_s` it shows what the depth image of a frame does; see
+        `bubbleviz.colour.temporal_lag`.
+        """
+        index = int(np.abs(self.times_s - time_s).argmin())
+        return self._colour_near(index, round(1e9 * (time_s - self.times_s[index])))
 
     @property
     def has_wrench(self) -> bool:
@@ -167,6 +187,32 @@ class Recording:
             return tuple(
                 (int(np.abs(log_ns - messages.log_ns[k]).argmin()), str(messages.message(k).data))
                 for k in range(len(messages))
+            )
+
+    def _colour_near(self, index: int, later_ns: int = 0) -> ColourImage | None:
+        """Colour image at the time of a frame or a little later."""
+        if self.colour is None:
+            return None
+        key = int(self._keys[index]) + later_ns
+        log = int(self._images.log_ns[self._order[index]]) + later_ns
+        time_s = float(self.times_s[index]) + 1e-9 * later_ns
+        with self._lock, damage(self.path, f"the colour image at {time_s:.3f} s"):
+            return self.colour.nearest(key, log, self._half_period_ns, time_s)
+
+    def _colour(self, name: str | None) -> RecordedColour | None:
+        topic = find_colour(self.bag, self.depth_topic, name)
+        if topic is None:
+            return None
+        period = usual_step(np.diff(self.stamps_ns))
+        self._half_period_ns = NEAREST_NS if period is None else int(period) // 2
+
+        def reading(read: Callable[[], EncodedImage]) -> EncodedImage:
+            with self._lock, damage(self.path, f"a colour image on {topic.name}"):
+                return read()
+
+        with damage(self.path, f"the colour images on {topic.name}"):
+            return RecordedColour(
+                self.bag, topic, self.depth_topic, reading, by_log=self._by_log, laps=self._laps
             )
 
     def _decoded(self, message: Any) -> np.ndarray:

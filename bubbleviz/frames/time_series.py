@@ -99,12 +99,75 @@ def _usual_step(stamps_ns: np.ndarray) -> int:
     return int(np.median(steps)) if len(steps) else 1
 
 
+class Timeline:
+    """Times of the messages of a topic, read only where asked.
+
+    They are header stamps, or log times when `by_log` or where the topic has no stamps. Stamps are
+    taken to rise in each lap.
+
+    Parameters
+    ----------
+    messages : Messages
+        Not empty.
+    by_log : bool
+        Whether frames are timed by their log times.
+    laps : Laps, optional
+        Those of the depth images, where there is more than one.
+    """
+
+    def __init__(
+        self, messages: Messages, *, by_log: bool = False, laps: Laps | None = None
+    ) -> None:
+        self._messages = messages
+        self.by_log = by_log or messages.stamp_ns(0) == 0
+        self._lap: np.ndarray | None = None
+        self._stamps: dict[int, int] = {}
+        if laps is not None and not self.by_log:
+            stamps = np.array([messages.stamp_ns(k) for k in range(len(messages))])
+            self._lap = laps.number_of(stamps, messages.log_ns)
+            self.by_log = self._lap is None
+            if self._lap is not None:
+                self._stamps = dict(enumerate(laps.keys(stamps, self._lap).tolist()))
+
+    def __len__(self) -> int:
+        """Count the messages."""
+        return len(self._messages)
+
+    def time_ns(self, k: int) -> int:
+        """Time of message `k`."""
+        if self.by_log:
+            return int(self._messages.log_ns[k])
+        if k not in self._stamps:
+            self._stamps[k] = self._messages.stamp_ns(k)
+        return self._stamps[k]
+
+    def place(self, stamp_ns: int, log_ns: int) -> tuple[int, int]:
+        """First message that is not before a frame, and the frame's time on this clock.
+
+        Parameters
+        ----------
+        stamp_ns, log_ns : int
+            A frame's stamp (with laps: its key) and log time, of which the one counts that applies.
+        """
+        t = log_ns if self.by_log else stamp_ns
+        return bisect_left(range(len(self)), t, key=self.time_ns), t
+
+    def nearest(self, stamp_ns: int, log_ns: int) -> tuple[int, int]:
+        """Message nearest to a frame, and by how much it is later, ns."""
+        k, t = self.place(stamp_ns, log_ns)
+        beside = range(max(k - 1, 0), min(k + 1, len(self)))
+        found = min(beside, key=lambda j: abs(self.time_ns(j) - t))
+        return found, self.time_ns(found) - t
+
+    def goes_on(self, k: int) -> bool:
+        """Whether message `k` follows the one before it in the same lap."""
+        return 0 < k < len(self) and (self._lap is None or self._lap[k - 1] == self._lap[k])
+
+
 class Series:
     """Values of a topic, interpolated linearly in time; read only where asked.
 
-    Times are header stamps, or log times when `by_log` or where the topic has no stamps.
-    Stamps are taken to rise in each lap; where they do not, the values around the place found
-    count.
+    Where its stamps do not rise, the values around the place found count.
 
     Parameters
     ----------
@@ -127,15 +190,7 @@ class Series:
         laps: Laps | None = None,
     ) -> None:
         self._messages, self._value = messages, value
-        self.by_log = by_log or messages.stamp_ns(0) == 0
-        self._lap: np.ndarray | None = None
-        self._stamps: dict[int, int] = {}
-        if laps is not None and not self.by_log:
-            stamps = np.array([messages.stamp_ns(k) for k in range(len(messages))])
-            self._lap = laps.number_of(stamps, messages.log_ns)
-            self.by_log = self._lap is None
-            if self._lap is not None:
-                self._stamps = dict(enumerate(laps.keys(stamps, self._lap).tolist()))
+        self._timeline = Timeline(messages, by_log=by_log, laps=laps)
         self._values: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
@@ -147,13 +202,11 @@ class Series:
 
         Beyond the first and the last message, also of a lap, the nearest within 0.1 s, else None.
         """
-        t = log_ns if self.by_log else stamp_ns
-        k = bisect_left(range(len(self)), t, key=self._time)
-        if 0 < k < len(self) and (self._lap is None or self._lap[k - 1] == self._lap[k]):
+        k, t = self._timeline.place(stamp_ns, log_ns)
+        if self._timeline.goes_on(k):
             return self._between(k - 1, k, t)
-        beside = range(max(k - 1, 0), min(k + 1, len(self)))
-        nearest = min(beside, key=lambda j: abs(self._time(j) - t))
-        return self.values(nearest) if abs(self._time(nearest) - t) <= NEAREST_NS else None
+        nearest, off_ns = self._timeline.nearest(stamp_ns, log_ns)
+        return self.values(nearest) if abs(off_ns) <= NEAREST_NS else None
 
     def values(self, k: int) -> np.ndarray:
         """Values of message `k`."""
@@ -163,15 +216,8 @@ class Series:
             self._values[k] = self._value(self._messages.message(k))
         return self._values[k]
 
-    def _time(self, k: int) -> int:
-        if self.by_log:
-            return int(self._messages.log_ns[k])
-        if k not in self._stamps:
-            self._stamps[k] = self._messages.stamp_ns(k)
-        return self._stamps[k]
-
     def _between(self, a: int, b: int, t: int) -> np.ndarray:
-        ta, tb = self._time(a), self._time(b)
+        ta, tb = self._timeline.time_ns(a), self._timeline.time_ns(b)
         if not ta <= t <= tb or ta == tb:
             return self.values(a if abs(t - ta) <= abs(t - tb) else b)
         weight = (t - ta) / (tb - ta)

@@ -44,10 +44,14 @@ class Topic:
 @cache
 def typestore(*, ros1: bool) -> Any:
     """Message types by name; they compile their readers once, hence the cache."""
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     # the types used here are the same in every ROS 2 so far
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:  # the one type used here that is not in rosbags' list
+        transforms = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+    return store
 
 
 @contextmanager

@@ -1,0 +1,169 @@
+"""A colour image as it was recorded or received, decoded when asked for."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.errors import InputError
+
+RAW_ENCODINGS = {"rgb8": "RGB", "bgr8": "BGR", "rgba8": "RGBX", "bgra8": "BGRX", "mono8": "L"}
+"""Encodings of a `sensor_msgs/Image` in colour or grey, as Pillow calls their layout."""
+COMPRESSED_ENCODINGS = ("jpeg", "png")
+"""Of a `sensor_msgs/CompressedImage`."""
+
+_MAX_SIDE = 10_000  # pixels; no colour camera in a bubble has more
+
+
+@dataclass(frozen=True)
+class EncodedImage:
+    """Pixels as a message has them.
+
+    Attributes
+    ----------
+    encoding : str
+        One of `RAW_ENCODINGS` or of `COMPRESSED_ENCODINGS`.
+    data : bytes
+    width, height, step : int
+        Pixels, pixels and bytes a row of a raw image; 0 for a compressed one, whose data tell.
+    """
+
+    encoding: str
+    data: bytes
+    width: int = 0
+    height: int = 0
+    step: int = 0
+
+    @classmethod
+    def of(cls, message: Any) -> EncodedImage:
+        """Pixels of a `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
+
+        Raises
+        ------
+        ValueError
+            The encoding is not of a colour or grey image.
+        """
+        encoding = encoding_of(message)
+        if encoding is None:
+            said = str(getattr(message, "encoding", "") or message.format)[:40]
+            known = ", ".join((*RAW_ENCODINGS, *COMPRESSED_ENCODINGS))
+            raise ValueError(f"encoding is {said!r}, not one of {known}")
+        data = np.asarray(message.data, np.uint8).tobytes()
+        if encoding in COMPRESSED_ENCODINGS:
+            return cls(encoding, data)
+        return cls(encoding, data, int(message.width), int(message.height), int(message.step))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels; ValueError where there is no image."""
+        if self.encoding in RAW_ENCODINGS:
+            return self.width, self.height
+        return self._compressed("L").size
+
+    def pixels(self, mode: str) -> np.ndarray:
+        """Pixels in a mode of Pillow: (H, W, 3) uint8 for `RGB`, (H, W) uint8 for `L`.
+
+        Raises
+        ------
+        ValueError
+            Encoding, size and data do not fit together; says how.
+        """
+        image = self._raw() if self.encoding in RAW_ENCODINGS else self._compressed(mode)
+        return np.asarray(image if image.mode == mode else image.convert(mode))
+
+    def _raw(self) -> Image.Image:
+        width, height, step = self.width, self.height, self.step
+        if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
+            raise ValueError(f"image size {width}×{height} is not plausible")
+        layout = RAW_ENCODINGS[self.encoding]
+        if step < width * len(layout) or height * step > len(self.data):
+            raise ValueError(
+                f"{len(self.data)} bytes with a row step of {step} are no {width}×{height} image"
+            )
+        mode = "L" if layout == "L" else "RGB"
+        return Image.frombuffer(mode, (width, height), self.data, "raw", layout, step, 1)
+
+    def _compressed(self, mode: str) -> Image.Image:
+        try:
+            image = Image.open(io.BytesIO(self.data), formats=("JPEG", "PNG"))
+        except UnidentifiedImageError as error:
+            raise ValueError(f"the data are no {self.encoding}") from error
+        if max(image.size) > _MAX_SIDE:
+            raise ValueError(f"image size {image.width}×{image.height} is not plausible")
+        if image.mode.startswith("I") or image.mode == "F":
+            raise ValueError("it has more than 8 bits a channel, as compressed depth has")
+        image.draft(mode, image.size)  # a JPEG has its brightness apart
+        return image
+
+
+def encoding_of(message: Any) -> str | None:
+    """Encoding of a message as `EncodedImage` has it; None where it is no colour or grey image."""
+    if hasattr(message, "encoding"):
+        return message.encoding if message.encoding in RAW_ENCODINGS else None
+    said = str(message.format).lower().replace("jpg", "jpeg")  # `bgr8; jpeg compressed bgr8`
+    if "compresseddepth" in said:
+        return None
+    return next((name for name in COMPRESSED_ENCODINGS if name in said), None)
+
+
+@dataclass(frozen=True)
+class ColourCamera:
+    """The camera that took colour images.
+
+    Attributes
+    ----------
+    intrinsics : Intrinsics or None
+    T_D_C : (4, 4) array
+        Pose of the colour camera in the depth camera, both in the optical convention.
+    remark : str
+        What of it was not recorded and is taken for granted; empty for nothing.
+    """
+
+    intrinsics: Intrinsics | None = None
+    T_D_C: np.ndarray = field(default_factory=lambda: np.eye(4))
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class ColourImage:
+    """A colour image of one moment; nothing of it is read before it is asked for.
+
+    Attributes
+    ----------
+    read : callable
+        Reads what the message has; InputError when it cannot be read.
+    stamp_ns : int
+        The message's own time stamp.
+    time_s : float
+        On the clock of the frames, s.
+    camera : ColourCamera
+    """
+
+    read: Callable[[], EncodedImage]
+    stamp_ns: int = 0
+    time_s: float = 0.0
+    camera: ColourCamera = field(default_factory=ColourCamera)
+
+    def rgb(self) -> np.ndarray:
+        """Red, green and blue, (H, W, 3) uint8; InputError where it cannot be decoded."""
+        return self._pixels("RGB")
+
+    def grey(self) -> np.ndarray:
+        """Brightness (ITU-R 601), (H, W) uint8; InputError where it cannot be decoded."""
+        return self._pixels("L")
+
+    def _pixels(self, mode: str) -> np.ndarray:
+        encoded = self.read()
+        try:
+            return encoded.pixels(mode)
+        except (ValueError, OSError, SyntaxError) as error:  # Pillow raises all of them
+            why = " ".join(str(error).split())[:160]
+            raise InputError(
+                f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record it again"
+            ) from error
