@@ -56,9 +56,19 @@ def _temporary_files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 @pytest.fixture(scope="session")
 def punyo_press() -> Path:
     """The real recording of a press, where this machine has it."""
-    path = REPOSITORY.parent / "shared" / "data" / "punyo_press_a"
+    return _real_recording("punyo_press_a")
+
+
+@pytest.fixture(scope="session")
+def punyo_press_colour() -> Path:
+    """The same press with what the colour camera saw from frame 45 on."""
+    return _real_recording("punyo_press_a_color")
+
+
+def _real_recording(name: str) -> Path:
+    path = REPOSITORY.parent / "shared" / "data" / name
     if not path.is_dir():
-        pytest.skip("the real recording punyo_press_a is not on this machine")
+        pytest.skip(f"the real recording {name} is not on this machine")
     return path
 
 

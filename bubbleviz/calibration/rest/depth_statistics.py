@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.calibration.rest.noise_correlation import (
+    correlated_samples,
     mean_inflation,
     spatial_correlation,
     temporal_correlation,
@@ -86,11 +87,7 @@ class DepthStatistics:
     @property
     def correlated_pixels(self) -> float:
         """Pixels that share one independent sample: the correlation summed over the plane."""
-        rho = self.spatial_correlation
-        positive = np.flatnonzero(rho <= 0.0)
-        end = int(positive[0]) if len(positive) else len(rho)
-        distance = np.arange(1, end)
-        return 1.0 + float(np.sum(2.0 * np.pi * distance * rho[1:end]))
+        return correlated_samples(self.spatial_correlation)
 
 
 def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:

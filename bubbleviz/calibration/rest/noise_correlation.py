@@ -85,6 +85,12 @@ def spatial_correlation(
     return rho
 
 
+def correlated_samples(rho: np.ndarray) -> float:
+    """Samples of a plane worth one independent: the spatial correlation (M,) summed over it."""
+    distance = np.arange(1, _first_not_positive(rho))
+    return 1.0 + float(np.sum(2.0 * np.pi * distance * rho[distance]))
+
+
 def _standardised(deviations: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Deviations in units of each pixel's own spread, so that unstable pixels do not dominate."""
     scale = np.where(sigma > 0.0, sigma, np.nan).astype(np.float32)

@@ -1,0 +1,19 @@
+"""OpenCV, which only optical flow needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bubbleviz.errors import InputError
+from bubbleviz.wording import how_to_install
+
+
+def opencv() -> Any:
+    """The module `cv2`; InputError where it is not installed."""
+    try:
+        import cv2  # an optional extra
+    except ImportError as error:
+        raise InputError(
+            f"optical flow: OpenCV is not installed; {how_to_install('colour')}"
+        ) from error
+    return cv2
