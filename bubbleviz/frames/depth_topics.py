@@ -9,6 +9,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Topic
 from bubbleviz.frames.bags.bag import damage
 from bubbleviz.frames.message_decoding import (
+    COMPRESSED,
     DEPTH_ENCODINGS,
     REALSENSE_ENCODING,
     decode_intrinsics,
@@ -16,6 +17,7 @@ from bubbleviz.frames.message_decoding import (
 
 IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 PRESSURE = "sensor_msgs/msg/FluidPressure"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -48,7 +50,7 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
     """Topic of the depth images: `name`, or the first image topic with a depth encoding.
 
     A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Where none has
-    depth, point clouds are.
+    depth, compressed depth images are, and point clouds after them.
     """
     candidates = of_type(bag, IMAGE, name)
     candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
@@ -57,6 +59,9 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
         encoding = encodings[topic.name]
         realsense = encoding == REALSENSE_ENCODING and _REALSENSE_DEPTH.fullmatch(topic.name)
         if encoding in DEPTH_ENCODINGS or realsense:
+            return topic
+    for topic in of_type(bag, COMPRESSED_IMAGE, name):
+        if COMPRESSED in bag.messages(topic).message(0).format:
             return topic
     clouds = of_type(bag, POINT_CLOUD, name)
     if clouds:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from typing import Any
 
@@ -14,9 +15,13 @@ DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     "32FC1": np.dtype(np.float32),
 }
 """Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
+COMPRESSED = "compressedDepth"
+"""What the format of a `sensor_msgs/CompressedImage` of depth says, and its topic ends with."""
 REALSENSE_ENCODING = "mono16"
 """Of the depth images that the RealSense library records, in units of the device."""
 
+_CONFIGURATION = struct.Struct("<iff")
+"""Of a compressed depth image: its kind of compression, A and B."""
 _MAX_SIDE = 10_000  # pixels; no depth camera has more
 
 _MODELS: dict[str, DistortionModel] = {
@@ -30,13 +35,14 @@ _MODELS: dict[str, DistortionModel] = {
 
 
 def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarray:
-    """z-depth of a `sensor_msgs/Image`, shape (H, W), float32, m; NaN where no return.
+    """z-depth of an image message, shape (H, W), float32, m; NaN where no return.
 
     0, NaN, inf and negative values all mean no return.
 
     Parameters
     ----------
-    message : sensor_msgs/Image
+    message : sensor_msgs/Image or sensor_msgs/CompressedImage
+        The latter as ROS's `compressed_depth_image_transport` makes it, with PNG.
     metres_per_unit : float, optional
         Of an image in `REALSENSE_ENCODING`.
 
@@ -45,6 +51,8 @@ def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarr
     ValueError
         Encoding, size and data of the image do not fit together; says how.
     """
+    if hasattr(message, "format"):
+        return _decode_compressed(message)
     encoding, unit = message.encoding, 1e-3
     if metres_per_unit is not None and encoding == REALSENSE_ENCODING:
         encoding, unit = "16UC1", metres_per_unit
@@ -63,11 +71,48 @@ def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarr
     data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
     rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
     raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
-    if dtype.kind == "u":
-        depth = raw * np.float32(unit)
-        depth[raw == 0] = np.nan
-        return depth
-    depth = raw.astype(np.float32)
+    return _metres(raw, unit if dtype.kind == "u" else 1.0)
+
+
+def encoding_of(message: Any) -> str:
+    """Encoding of the depth in an image message, compressed or not; `points` of any other."""
+    if hasattr(message, "format"):
+        return str(message.format).partition(";")[0].strip()
+    return str(getattr(message, "encoding", "points"))
+
+
+def _decode_compressed(message: Any) -> np.ndarray:
+    """As `decode_depth`: 12 bytes of configuration, then a PNG of 16 bits.
+
+    Its numbers q are mm for `16UC1`; of `32FC1` they are the inverse, q = A/z + B with A and B of
+    the configuration, so that near depths are finer.
+    """
+    from PIL import Image, UnidentifiedImageError  # few recordings have such images
+
+    encoding, data = encoding_of(message), bytes(message.data)
+    if COMPRESSED not in message.format or encoding not in DEPTH_ENCODINGS:
+        raise ValueError(f"format is {message.format[:60]!r}, not depth in 16UC1 or 32FC1")
+    if "rvl" in message.format.lower():
+        raise ValueError("depth is compressed by RVL, which is not read; have it sent as PNG")
+    try:
+        _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
+        with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
+            if max(image.size) > _MAX_SIDE or not image.mode.startswith("I"):
+                raise ValueError(f"a PNG of {image.size[0]}×{image.size[1]} in mode {image.mode}")
+            raw = np.asarray(image).astype(np.uint16)
+    except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
+        raise ValueError(f"{len(data)} bytes are no compressed depth image") from error
+    if encoding == "16UC1":
+        return _metres(raw, 1e-3)
+    inverse = np.where(raw == 0, np.nan, raw.astype(np.float64) - quant_b)
+    with np.errstate(divide="ignore"):
+        return _metres((quant_a / inverse).astype(np.float32), 1.0)
+
+
+def _metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
+    """Depth in m, float32, NaN for what is no distance."""
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        depth = raw * np.float32(unit_m)
     depth[~((depth > 0) & (depth < np.inf))] = np.nan
     return depth
 

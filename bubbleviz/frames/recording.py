@@ -19,6 +19,7 @@ from bubbleviz.frames.bags import Bag, Messages, Topic
 from bubbleviz.frames.bags.bag import damage
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
+    COMPRESSED_IMAGE,
     MARKERS,
     POINT_CLOUD,
     PRESSURE,
@@ -31,7 +32,7 @@ from bubbleviz.frames.depth_topics import (
 )
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import usual_step
-from bubbleviz.frames.message_decoding import decode_depth, pressure_of, wrench_of
+from bubbleviz.frames.message_decoding import decode_depth, encoding_of, pressure_of, wrench_of
 from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import NEAREST_NS, Laps, Series
 
@@ -222,6 +223,10 @@ class Recording:
 
     def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
         """Width and height of the images; those of a cloud without rows are its camera's."""
+        if self.depth_topic.type == COMPRESSED_IMAGE:
+            with damage(self.path, f"the first image on {self.depth_topic.name}"):
+                height, width = decode_depth(first).shape
+            return width, height
         if self.depth_topic.type != POINT_CLOUD or first.height > 1:
             return int(first.width), int(first.height)
         info = first_of_type(self.bag, CAMERA_INFO, info_topic, near=self.depth_topic.name)
@@ -239,7 +244,7 @@ class Recording:
             raise InputError(f"{self.path}: the index lists no depth images; record it again")
         first = self._images.message(0)
         self.size = self._size_of(first, info_topic)
-        self.encoding = str(getattr(first, "encoding", "points"))
+        self.encoding = encoding_of(first)
         stamps = _without_garbage(_header_stamps(self._images), self._images.log_ns)
         self._by_log = not stamps.all()
         if self._by_log:

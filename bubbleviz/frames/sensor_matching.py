@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from bubbleviz.errors import InputError
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz.frames.depth_topics import CAMERA_INFO, of_type
+from bubbleviz.frames.message_decoding import COMPRESSED
 from bubbleviz.frames.recording import Recording
 from bubbleviz.sensor import Sensor, load_sensor
 
@@ -129,7 +130,10 @@ def _check_camera_info(recording: Recording) -> None:
     """
     if recording.intrinsics is not None:
         return
-    namespace = PurePosixPath(recording.depth_topic.name).parent
+    topic_name = PurePosixPath(recording.depth_topic.name)
+    if topic_name.name == COMPRESSED:  # below the topic of the images as they were
+        topic_name = topic_name.parent
+    namespace = topic_name.parent
     for topic in of_type(recording.bag, CAMERA_INFO):
         if PurePosixPath(topic.name).parent != namespace:
             continue

@@ -29,7 +29,7 @@ from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.signal_buffer import Samples
 from bubbleviz.live.stamps import StampClock
-from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames
 
 WAIT_NS = 20_000_000
 """How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""
@@ -166,7 +166,7 @@ class FrameAssembler:
             return False
         if not self._names.wants(topic, kind):
             return False
-        if kind in (IMAGE, POINT_CLOUD):
+        if kind in DEPTH_TYPES:
             return self._may_be_depth(topic, kind)
         if kind in _SERIES:
             series = self._series.setdefault(kind, _Series(topic))

@@ -4,10 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, POINT_CLOUD, PRESSURE, RESULTS, WRENCH
+from bubbleviz.frames.depth_topics import (
+    CAMERA_INFO,
+    COMPRESSED_IMAGE,
+    IMAGE,
+    POINT_CLOUD,
+    PRESSURE,
+    RESULTS,
+    WRENCH,
+)
+from bubbleviz.frames.message_decoding import COMPRESSED
 
-TYPES = (IMAGE, CAMERA_INFO, PRESSURE, WRENCH, POINT_CLOUD)
+DEPTH_TYPES = (IMAGE, COMPRESSED_IMAGE, POINT_CLOUD)
+TYPES = (*DEPTH_TYPES, CAMERA_INFO, PRESSURE, WRENCH)
 """Message types that are used, hence subscribed to and recorded."""
+
+
+def is_used(topic: str, kind: str) -> bool:
+    """Whether messages of a topic and type are; compressed colour images are not."""
+    return kind in TYPES and (kind != COMPRESSED_IMAGE or topic.endswith(f"/{COMPRESSED}"))
 
 
 @dataclass(frozen=True)
@@ -17,7 +32,7 @@ class TopicNames:
     Attributes
     ----------
     depth : str or None
-        Image or PointCloud2.
+        Image, CompressedImage or PointCloud2.
     info, pressure, wrench : str or None
     prefix : str
         Topics that do not begin with it belong to another sensor.
@@ -39,8 +54,7 @@ class TopicNames:
         if not topic.startswith(self.prefix):
             return False
         chosen = {
-            IMAGE: self.depth,
-            POINT_CLOUD: self.depth,
+            **dict.fromkeys(DEPTH_TYPES, self.depth),
             CAMERA_INFO: self.info,
             PRESSURE: self.pressure,
             WRENCH: self.wrench,
@@ -48,4 +62,6 @@ class TopicNames:
         if kind not in chosen:
             return False
         name = chosen[kind]
-        return topic == name or (name is None and not topic.startswith(RESULTS))
+        if name is not None:
+            return topic == name
+        return is_used(topic, kind) and not topic.startswith(RESULTS)

@@ -18,6 +18,7 @@ from bagmaker import (
     fill,
     pressure_at,
 )
+from compressed_depth import compressed
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import chunks
@@ -40,6 +41,53 @@ def test_every_format_gives_the_frames_written(press: Path) -> None:
             assert (frame.intrinsics.width, frame.intrinsics.height) == (WIDTH, HEIGHT)
             assert (frame.intrinsics.fx, frame.intrinsics.cy) == (30.0, 11.5)
             assert frame.intrinsics.distortion_model == "none"  # plumb_bob with zeros
+
+
+def write_compressed(
+    folder: Path, kind: str, encoding: str, cut: int | None = None, more: str = ""
+) -> Path:
+    """Depth as its publisher compresses it, beside compressed colour, and with a hole."""
+    bag, topic = BagMaker(kind), "/cam/depth/image/compressedDepth"
+    image = "sensor_msgs/msg/CompressedImage"
+    for k in range(4):
+        stamp = START + k * PERIOD
+        depth = depth_image(k)
+        depth[3, 5] = np.nan
+        text, data = compressed(depth, encoding)
+        pixels = np.frombuffer(data[:cut], np.uint8)
+        header = bag.header(stamp)
+        bag.camera_info(stamp)
+        jpeg = np.arange(9, dtype=np.uint8)
+        bag.add("/cam/color/compressed", image, stamp, header=header, format="jpeg", data=jpeg)
+        bag.add(topic, image, stamp, header=header, format=text + more, data=pixels)
+    return bag.write(folder)
+
+
+@pytest.mark.parametrize("kind", ["mcap file", "db3 folder", "bag none"])
+@pytest.mark.parametrize(("encoding", "off_m"), [("16UC1", 5.1e-4), ("32FC1", 2e-5)])
+def test_compressed_depth_is_read(tmp_path: Path, kind: str, encoding: str, off_m: float) -> None:
+    with Recording(write_compressed(tmp_path, kind, encoding, more=" png")) as recording:
+        assert (len(recording), recording.size) == (4, (WIDTH, HEIGHT))
+        assert recording.encoding == encoding
+        assert recording.intrinsics is not None
+        for k in range(4):
+            depth, true = recording[k].depth_m, depth_image(k)
+            assert depth.dtype == np.float32 and np.isnan(depth[3, 5])
+            true[3, 5] = np.nan
+            assert np.nanmax(np.abs(depth - true)) < off_m
+            np.testing.assert_array_equal(np.isnan(depth), np.isnan(true))
+
+
+@pytest.mark.parametrize(
+    ("cut", "more", "says"),
+    [(60, "", "no compressed depth image"), (5, "", "no compressed"), (None, " rvl", "as PNG")],
+)
+def test_compressed_depth_that_cannot_be_read_is_refused(
+    tmp_path: Path, cut: int | None, more: str, says: str
+) -> None:
+    path = write_compressed(tmp_path, "mcap file", "16UC1", cut, more)
+    with pytest.raises(InputError, match=says):
+        Recording(path)
 
 
 def test_index_outside_is_an_index_error(press: Path) -> None:

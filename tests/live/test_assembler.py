@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wire import (
     CLOUD,
+    COMPRESSED,
     HEIGHT,
     IMAGE,
     INFO,
@@ -22,6 +23,7 @@ from wire import (
     arrived,
     camera_info,
     cloud,
+    compressed_depth,
     depth,
     gas,
     image,
@@ -54,6 +56,21 @@ def test_a_frame_is_what_was_sent() -> None:
     assert second.time_s == pytest.approx(PERIOD * 1e-9)
     assert assembler.counters.frames == 2
     assert assembler.counters.received == 3
+
+
+def test_compressed_depth_is_depth_and_compressed_colour_is_not_asked_for() -> None:
+    topic, names = "/cam/depth/image/compressedDepth", TopicNames()
+    assembler = FrameAssembler()
+    messages = [
+        arrived(topic, COMPRESSED, compressed_depth(NOW + k * PERIOD, k), NOW + k * PERIOD)
+        for k in (3, 4)
+    ]
+    frames = frames_of(assembler, *messages)
+    assert [float(frame.depth_m[0, 0]) for frame in frames] == pytest.approx([0.103, 0.104])
+    assert frames[0].depth_m.shape == (HEIGHT, WIDTH)
+    assert names.wants(topic, COMPRESSED) and not names.wants("/cam/color/compressed", COMPRESSED)
+    garbage = arrived(topic, COMPRESSED, compressed_depth(NOW)[:-30], NOW + 9 * PERIOD)
+    assert frames_of(assembler, garbage) == [] and assembler.counters.undecodable == 1
 
 
 def test_gas_pressure_and_wrench_are_interpolated_at_the_stamp_with_the_lag() -> None:

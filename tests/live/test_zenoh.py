@@ -18,7 +18,7 @@ import pytest
 import zenoh
 from mcap.reader import make_reader
 from robot import KEYS, TOKENS, attachment, open_session
-from wire import HEIGHT, IMAGE, WIDTH, image, number_of
+from wire import HEIGHT, IMAGE, WIDTH, compressed_depth, image, number_of
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_stream import LiveStream
@@ -84,6 +84,33 @@ def test_a_topic_named_needs_no_announcement(small_sensor: Sensor) -> None:
                 quiet.put("quiet", image(time.time_ns()))
                 frame = stream.take(0.05)
         assert frame.depth_m.shape == (HEIGHT, WIDTH)
+
+
+@pytest.mark.parametrize("raw_too", [False, True])
+def test_compressed_depth_is_asked_for_where_there_is_no_other(
+    small_sensor: Sensor, raw_too: bool
+) -> None:
+    """Else the robot would have to compress every image for nobody."""
+    port, topics = free_port(), set[str]()
+    squeezed, raw = "cam/depth/image/compressedDepth", "cam/depth/image"
+    token = "@/b3f7/@ros2_lv/MP/{}/sensor_msgs§msg§{}/:::"
+    announced = [token.format(squeezed.replace("/", "§"), "CompressedImage")]
+    if raw_too:
+        announced.append(token.format(raw.replace("/", "§"), "Image"))
+    with open_session(str(port)) as camera:
+        held = [camera.liveliness().declare_token(key) for key in announced]
+        with stream_of(port, small_sensor) as stream:
+            stream.listen(lambda message: topics.add(message.topic))
+            frames = 0
+            while frames < 3:
+                camera.put(squeezed, compressed_depth(time.time_ns()))
+                if raw_too:
+                    camera.put(raw, image(time.time_ns()))
+                frame = stream.take(0.05)
+                frames += frame is not None
+                assert frame is None or frame.depth_m.shape == (HEIGHT, WIDTH)
+        assert len(held) == len(announced)
+    assert topics == {f"/{raw if raw_too else squeezed}"}
 
 
 def test_the_robot_is_killed_and_comes_back(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import struct
 from typing import Any
 
 import numpy as np
+from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
 from bubbleviz.live.raw_message import RawMessage
@@ -20,6 +23,7 @@ INFO = "sensor_msgs/msg/CameraInfo"
 PRESSURE = "sensor_msgs/msg/FluidPressure"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 CLOUD = "sensor_msgs/msg/PointCloud2"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
 
 def header(stamp: int) -> Any:
@@ -96,6 +100,15 @@ def cloud(stamp: int, points: np.ndarray, height: int, width: int) -> bytes:
         is_dense=True,
     )
     return cdr(message, CLOUD)
+
+
+def compressed_depth(stamp: int, k: int = 0) -> bytes:
+    """The pixels of `image`, compressed with Pillow as ROS's transport does."""
+    file = io.BytesIO()
+    Image.fromarray(np.full((HEIGHT, WIDTH), 100 + k, np.uint16)).save(file, "PNG")
+    data = np.frombuffer(struct.pack("<iff", 0, 0.0, 0.0) + file.getvalue(), np.uint8)
+    message = STORE.types[COMPRESSED](header(stamp), "16UC1; compressedDepth", data)
+    return cdr(message, COMPRESSED)
 
 
 def arrived(

@@ -13,7 +13,7 @@ from bubbleviz.frames.bags.bag import typestore
 from bubbleviz.live.raw_message import RawMessage, stamp_of
 from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
 from bubbleviz.live.sources.paced_thread import PacedThread
-from bubbleviz.live.topic_names import TYPES
+from bubbleviz.live.topic_names import is_used
 
 
 class Replay:
@@ -43,7 +43,9 @@ class Replay:
         self._speed, self._loop, self._realtime = speed, loop, realtime
         self._thread: PacedThread | None = None
         self._streams: list[Messages] = [
-            self._bag.messages(topic) for topic in self._bag.topics if topic.type in TYPES
+            self._bag.messages(topic)
+            for topic in self._bag.topics
+            if is_used(topic.name, topic.type)
         ]
         if not any(len(stream) for stream in self._streams):
             self._bag.close()

@@ -10,7 +10,14 @@ from typing import Any
 import zenoh
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
+from bubbleviz.frames.depth_topics import (
+    CAMERA_INFO,
+    COMPRESSED_IMAGE,
+    IMAGE,
+    PRESSURE,
+    WRENCH,
+)
+from bubbleviz.frames.message_decoding import COMPRESSED
 from bubbleviz.live.raw_message import RawMessage, stamp_of
 from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
 from bubbleviz.live.sources.paced_thread import PacedThread
@@ -30,7 +37,7 @@ from bubbleviz.live.sources.zenoh_session import (
     make_config,
     open_session,
 )
-from bubbleviz.live.topic_names import TYPES, TopicNames
+from bubbleviz.live.topic_names import TopicNames, is_used
 
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
 BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
@@ -97,7 +104,8 @@ class ZenohSource:
     def topics(self) -> tuple[OfferedTopic, ...]:
         """Announced topics of the types used here, by name."""
         with self._lock:
-            found = {(a.topic, a.type) for a in self._announced.values() if a.type in TYPES}
+            there = self._announced.values()
+            found = {(a.topic, a.type) for a in there if is_used(a.topic, a.type)}
         return tuple(OfferedTopic(*topic) for topic in sorted(found))
 
     def missed(self) -> int:
@@ -111,7 +119,7 @@ class ZenohSource:
     def _named(self) -> list[tuple[str, str]]:
         names = self._names
         roles = (
-            (names.depth, IMAGE),
+            (names.depth, _depth_type(names.depth)),
             (names.info, CAMERA_INFO),
             (names.pressure, PRESSURE),
             (names.wrench, WRENCH),
@@ -129,6 +137,7 @@ class ZenohSource:
             while pace.wait_until(time.monotonic() + LOOK_S):
                 while not self._tokens.empty():
                     self._take_token(*self._tokens.get())
+                self._subscribe_to_wanted()
                 if connected(self._session):
                     self._link = "up"
                 elif self._link == "up":
@@ -168,8 +177,21 @@ class ZenohSource:
                 self._announced[key] = announced
             else:
                 self._announced.pop(key, None)
-        if alive and self._names.wants(announced.topic, announced.type):
-            self._subscribe(announced)
+
+    def _subscribe_to_wanted(self) -> None:
+        """Subscribe to what was announced, but not to compressed images beside the same raw ones.
+
+        Robots announce them for every camera, and compress only for who subscribes.
+        """
+        with self._lock:
+            announced = list(self._announced.values())
+        there = {each.topic for each in announced}
+        for each in announced:
+            spare = each.type == COMPRESSED_IMAGE and each.topic != self._names.depth
+            if spare and each.topic.removesuffix(f"/{COMPRESSED}") in there:
+                continue
+            if self._names.wants(each.topic, each.type):
+                self._subscribe(each)
 
     def _subscribe(self, announced: Announced) -> None:
         """Subscribe once per topic and key layout, however many publishers announce it."""
@@ -212,3 +234,9 @@ class ZenohSource:
             self._missed += sequence - last - 1
         if last is None or sequence > last:
             self._counts[publisher, topic] = sequence
+
+
+def _depth_type(topic: str | None) -> str:
+    """Type that a depth topic has by its name, for those that are not announced."""
+    compressed = topic is not None and topic.endswith(f"/{COMPRESSED}")
+    return COMPRESSED_IMAGE if compressed else IMAGE
