@@ -11,6 +11,7 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
+from bubbleviz.wording import count_of
 
 
 class Frames(Sequence[Frame]):
@@ -82,7 +83,7 @@ class Frames(Sequence[Frame]):
         self.close()
 
     def __repr__(self) -> str:
-        return f"<{len(self)} frames of {self.name}>"
+        return f"<{count_of(len(self), 'frame')} of {self.name}>"
 
 
 def open(

@@ -18,7 +18,7 @@ from bubbleviz.export.table_export import Table, more_columns, table_of
 from bubbleviz.files.output_files import whole_file
 from bubbleviz.files.pose_writer import PoseRow
 from bubbleviz.files.result_writer import COLUMNS, NODAL_FIELDS, result_arrays, summary_row
-from bubbleviz.wording import how_to_install
+from bubbleviz.wording import count_of, how_to_install
 
 if TYPE_CHECKING:
     import pandas
@@ -155,7 +155,7 @@ class Run(Sequence[FrameResult]):
     def __repr__(self) -> str:
         names, counts = np.unique(self.status, return_counts=True)
         found = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
-        return f"<{len(self)} frames: {found}>"
+        return f"<{count_of(len(self), 'frame')}: {found}>"
 
 
 def _new_figure(shown: bool) -> Figure:

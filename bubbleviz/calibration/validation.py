@@ -19,6 +19,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.synthetic_source import simulation_mesh
+from bubbleviz.wording import count_of
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class KnownPress:
         if not 0 <= self.first < self.stop <= len(source):
             raise InputError(
                 f"{source.name}: pressed frames {self.first}:{self.stop} are outside its"
-                f" {len(source)} frames; name others"
+                f" {count_of(len(source), 'frame')}; name others"
             )
         frames = [source[k] for k in range(self.first, self.stop)]
         return validate(model, frames, obj, T_B_O)

@@ -43,7 +43,7 @@ from bubbleviz.calibration.validation import KnownPress, Validation
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
-from bubbleviz.progress import Progress, quiet
+from bubbleviz.progress import Progress, part_of, quiet
 from bubbleviz.sensor import Sensor
 
 _KEPT = 3  # results of a step: the present one, the one undone, and one more
@@ -59,6 +59,10 @@ class Step(IntEnum):
     PIXELS = 2
     SURFACE = 3
     TENSION = 4
+
+
+_SHARES = {Step.FRAMES: 0.1, Step.PIXELS: 0.1, Step.SURFACE: 0.2, Step.TENSION: 0.6}
+"""Of the time that the steps take, about."""
 
 
 @dataclass(frozen=True)
@@ -161,15 +165,18 @@ class Workbench:
             raise InputError(f"{self.source.name}: {error}") from error
 
     def _work(self, settings: Settings, progress: Progress) -> Draft:
-        draft = Draft(settings)
-        if settings.reached >= Step.FRAMES:
-            draft = self._frames(draft, progress)
-        if settings.reached >= Step.PIXELS:
-            draft = self._pixels(draft, progress)
-        if settings.reached >= Step.SURFACE:
-            draft = self._surface(draft, progress)
-        if settings.reached >= Step.TENSION:
-            draft = self._tension(draft, progress)
+        draft, done = Draft(settings), 0.0
+        steps = {
+            Step.FRAMES: self._frames,
+            Step.PIXELS: self._pixels,
+            Step.SURFACE: self._surface,
+            Step.TENSION: self._tension,
+        }
+        wanted = [step for step in steps if settings.reached >= step]
+        total = sum(_SHARES[step] for step in wanted)
+        for step in wanted:
+            before, done = done, done + _SHARES[step] / total
+            draft = steps[step](draft, part_of(progress, before, done))
         progress("done", 1.0)
         return draft
 
@@ -223,23 +230,29 @@ class Workbench:
         tension = self._once(
             "tension",
             rests_on,
-            lambda: estimate_tension(samples, surfaces, gauge, progress=progress),
+            lambda: estimate_tension(
+                samples, surfaces, gauge, progress=part_of(progress, 0.0, 0.3)
+            ),
         )
         chamber = self._once(
             "chamber",
             (*rests_on, settings.min_validity, settings.deviations),
-            lambda: measure_chamber(self.source, samples, surfaces, pixels, tension, progress),
+            lambda: measure_chamber(
+                self.source, samples, surfaces, pixels, tension, part_of(progress, 0.3, 0.5)
+            ),
         )
         found = assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
-        levels = [self._level(path, progress) for path in settings.levels]
+        onwards = part_of(progress, 0.5, 0.6)
+        levels = [self._level(path, onwards) for path in settings.levels]
         found = rectify(found, levels)
         found = self._once(
             "rubber",
             (*rests_on, settings.min_validity, settings.deviations, settings.levels),
-            lambda: self._with_rubber(found, levels, vented, progress),
+            lambda: self._with_rubber(found, levels, vented, part_of(progress, 0.6, 0.9)),
         )
         draft = replace(draft, tension=found.tension, pixels=found.pixels, found=found)
-        return replace(draft, validation=self._validation(found, settings, progress))
+        last = part_of(progress, 0.9, 1.0)
+        return replace(draft, validation=self._validation(found, settings, last))
 
     def _with_rubber(
         self,

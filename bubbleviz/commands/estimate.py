@@ -27,6 +27,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result, Status
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.wording import count_of
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
@@ -190,8 +191,9 @@ def parse_frames(text: str | None, count: int, name: str) -> range:
     if step < 1:
         raise InputError(f'--frames "{text}": the step must be 1 or more')
     if stop > count or start >= count:
+        there = count_of(count, "frame")
         raise InputError(
-            f'{name}: --frames "{text}" is outside its {count} frames; choose within 0:{count}'
+            f'{name}: --frames "{text}" is outside its {there}; choose within 0:{count}'
         )
     if start >= stop:
         raise InputError(f'--frames "{text}": holds no frame; choose A below B')

@@ -18,6 +18,7 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.live.sources.open_stream import open_stream, patience_s
 from bubbleviz.sensor import Sensor
+from bubbleviz.wording import count_of
 
 _LOOK_S = 0.1  # s between looks at the stream; chosen
 
@@ -54,7 +55,8 @@ class RecordSummary(Summary):
         """Text for the terminal, with units."""
         lines = [
             f"wrote   {self.out}, {self.size_bytes / 1e6:.1f} MB",
-            f"frames  {self.frames} in {self.duration_s:.2f} s, {self.messages} messages",
+            f"frames  {self.frames} in {self.duration_s:.2f} s, "
+            f"{count_of(self.messages, 'message')}",
         ]
         wrong = {
             name: count

@@ -19,6 +19,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.point_cloud import project_points
 from bubbleviz.frames.time_series import NEAREST_NS
+from bubbleviz.wording import count_of
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 NEAREST_M, FARTHEST_M = 1e-3, 10.0
@@ -106,7 +107,8 @@ class ImageFolder:
         else:
             stamps = self._stamps()
         if len(stamps) != len(self._files):
-            raise InputError(f"{folder}: {len(self._files)} images but {len(stamps)} times")
+            images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
+            raise InputError(f"{folder}: {images} but {times}")
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
             raise InputError(f"{folder}: the time of image {late} is not after the one before")

@@ -13,6 +13,7 @@ from bubbleviz.files.defaults import TRUTH_SUFFIX
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.simulation.synthetic_source import Truth
+from bubbleviz.wording import count_of
 
 KEYS = (*(field.name for field in fields(Truth)), "time_s", "T_B_O")
 """What a TRUTH.npz has; T_B_O tells it from a RESULT.npz."""
@@ -124,4 +125,4 @@ def known_beside(recording: Recording) -> KnownRecording | Recording:
 
 
 def _described(frames: int, shape: tuple[int, ...]) -> str:
-    return f"{frames} frames of {shape[2]}×{shape[1]} pixels"
+    return f"{count_of(frames, 'frame')} of {shape[2]}×{shape[1]} pixels"

@@ -99,13 +99,16 @@ def test_a_threshold_touches_only_the_pixels(bench):
 
 
 def test_cancelled_anywhere_it_can_be_done_after_all(bench, dome):
-    calls = 0
+    calls, shares = 0, []
 
     def count(step, done):
         nonlocal calls
         calls += 1
+        shares.append(done)
 
     wanted = Workbench(dome, dome.sensor).work(full(), count).tension.tension
+    # once from nothing to all, however many steps there are
+    assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0
     for stop in (calls // 3, 2 * calls // 3):
         left = stop
 

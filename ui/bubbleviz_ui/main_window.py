@@ -40,7 +40,7 @@ from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import PATCH_CHOICES, PLAYBACK_CHOICES
 from bubbleviz_ui.model.costs import Costs
 from bubbleviz_ui.model.hover import Hover
-from bubbleviz_ui.model.messages import Messages, UserMessage
+from bubbleviz_ui.model.messages import OPENING, Messages, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -93,8 +93,6 @@ NUMBERS_EVERY_MS = 100
 """While playing: nobody reads faster, and every new text costs an upload of the window."""
 UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
 """Choices that draw nothing by themselves."""
-OPENING = "opening"
-"""Topic of messages."""
 OPENED_HERE = (".mcap", ".toml", SESSION_SUFFIX)
 """Written by the window, and opened by it."""
 SIDES = {

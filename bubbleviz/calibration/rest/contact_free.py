@@ -11,6 +11,7 @@ from bubbleviz.calibration.robust_statistics import robust_sigma
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.wording import count_of
 
 SIGNIFICANT = 6.0
 """Standard deviations: noise does not get there in a recording's lifetime."""
@@ -76,7 +77,9 @@ def find_contact_free(source: FrameSource, progress: Progress = quiet) -> Contac
 def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.ndarray | None]:
     """Depth of every tile (F, K) in m and gas pressure (F,) in Pa, None if a frame lacks it."""
     if len(source) < MIN_FRAMES:
-        raise InputError(f"{source.name}: {len(source)} frames; record at least {MIN_FRAMES}")
+        raise InputError(
+            f"{source.name}: {count_of(len(source), 'frame')}; record at least {MIN_FRAMES}"
+        )
     tiles, pressures = [], []
     for k in range(len(source)):
         frame = source[k]

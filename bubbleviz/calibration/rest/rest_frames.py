@@ -14,6 +14,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.sensor import Sensor
+from bubbleviz.wording import count_of
 
 MAX_FRAMES = 150
 """Frames above which more of them only cost memory: every so many-th is used then."""
@@ -68,11 +69,12 @@ def collect(
     if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
         raise InputError(
             f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are outside its"
-            f" {len(source)} frames; name others"
+            f" {count_of(len(source), 'frame')}; name others"
         )
     if len(chosen) < MIN_FRAMES:
         raise InputError(
-            f"{source.name}: {len(chosen)} contact-free frames; name at least {MIN_FRAMES}"
+            f"{source.name}: {count_of(len(chosen), 'contact-free frame')}; name at least"
+            f" {MIN_FRAMES}"
         )
     chosen = list(chosen)[:: -(-len(chosen) // MAX_FRAMES)]
     images: list[np.ndarray] = []

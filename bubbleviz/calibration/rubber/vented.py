@@ -10,6 +10,7 @@ from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.sensor import Sensor
+from bubbleviz.wording import count_of
 
 _FEWEST = 5  # frames whose mean and spread say something; chosen
 
@@ -44,8 +45,8 @@ class Vented:
         known = np.array([value for value in values if value is not None])
         if len(known) < _FEWEST:
             raise InputError(
-                f"{source.name}: {len(known)} frames with a gas pressure; --vented needs"
-                f" {_FEWEST}: record the sensor with its chamber open"
+                f"{source.name}: {count_of(len(known), 'frame')} with a gas pressure; --vented"
+                f" needs {_FEWEST}: record the sensor with its chamber open"
             )
         return cls(source.name, float(np.median(known)), error_of_mean(known))
 

@@ -13,6 +13,7 @@ from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.depth_topics import MARKERS, STRING
 from bubbleviz.frames.message_encoding import ros2_types, serialise
 from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.wording import count_of
 
 SYNC_S = 0.4
 """Interval of fsync, s: the most that a crash can lose."""
@@ -191,8 +192,8 @@ class _Session:
         if not kept.messages:
             return "nothing could be kept, as there was no room for a megabyte"
         return (
-            f"its first {kept.duration_s:.1f} s are in the file, {kept.messages} messages, "
-            f"{1e-6 * kept.size_bytes:.1f} MB"
+            f"its first {kept.duration_s:.1f} s are in the file, "
+            f"{count_of(kept.messages, 'message')}, {1e-6 * kept.size_bytes:.1f} MB"
         )
 
     def _write_all(self) -> None:

@@ -274,6 +274,20 @@ def test_nothing_is_clipped(bench: Bench) -> None:
     assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
 
 
+def test_a_later_success_replaces_what_failed_before(bench: Bench, tmp_path: Path) -> None:
+    window, state = bench.driver.window, bench.driver.state
+    (tmp_path / "there.csv").write_text("precious")
+    state.choose_range((3, 4))
+    bench.dialog.step.setValue(2)
+    assert bench.dialog.about.text().endswith(" 1 frame.")
+    assert "exists already" in bench.export("Table", tmp_path / "there.csv")
+    assert window.message.isVisible()
+    assert "Exported 1 frame to" in bench.export("Table", tmp_path / "new.csv")
+    assert not window.message.isVisible()
+    assert "Exported 1 frame to" in bench.export("Video of the view", tmp_path / "one.mp4")
+    assert [message.kind for message in window.messages.all][-3:] == ["error", "notice", "notice"]
+
+
 def test_a_long_message_squeezes_nothing(bench: Bench) -> None:
     dialog = bench.dialog
     bench.choose("Video of the view")

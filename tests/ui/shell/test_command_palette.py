@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QApplication
 from window_driver import Driver
 
@@ -73,6 +73,24 @@ def test_own_words_come_before_the_path(drive: Drive) -> None:
         opened.search.setText(typed)
         assert opened.list.item(0).text().split("    ")[0] == first
     opened.close()
+
+
+def test_what_fits_nothing_is_said_in_words_and_does_nothing(drive: Drive) -> None:
+    driver = drive(frame=3)
+    title = driver.window.windowTitle()
+    opened = palette(driver, Qt.Key.Key_K, CTRL)
+    driver.bot.keyClicks(opened.search, "zzzz")
+    assert [opened.list.item(row).text() for row in range(opened.list.count())] == [
+        "Nothing fits; type other letters, or fewer"
+    ]
+    driver.bot.keyClick(opened.search, Qt.Key.Key_Return)
+    driver.bot.mouseClick(opened.list.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(40, 8))
+    assert opened.isVisible() and driver.state.frame == 3
+    driver.bot.keyClick(opened.search, Qt.Key.Key_Backspace)
+    opened.search.setText("last frame")
+    assert opened.list.item(0).text().startswith("Playback › Last frame")
+    driver.bot.keyClick(opened.search, Qt.Key.Key_Escape)
+    assert driver.window.windowTitle() == title
 
 
 def test_search() -> None:

@@ -74,7 +74,7 @@ def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(
     driver = drive()
     window = driver.window
     window.save_screenshot(tmp_path / "missing" / "shot.png")
-    window.save_screenshot(tmp_path / "shot.png")
+    window.session_saver.save_as(tmp_path / "look.bubbleviz")  # something else
     assert window.notice.isVisible()
     driver.wait(lambda: not window.notice.isVisible())
     assert window.message.isVisible() and "cannot be written" in window.message.label.text()

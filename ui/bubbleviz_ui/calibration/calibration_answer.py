@@ -16,9 +16,12 @@ from bubbleviz.calibration.rest.collected_frames import CollectedFrames
 from bubbleviz.calibration.sensor_comparison import Comparison, compare
 from bubbleviz.calibration.workbench import Draft, Settings, Workbench
 from bubbleviz.frames.gaps import TimeAxis
-from bubbleviz.progress import Progress
+from bubbleviz.progress import Progress, part_of
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.units import Units
+
+PICTURES = 0.95
+"""Share of the work that is done before the pictures of it are made."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +78,11 @@ class Answer:
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
     """Do the work and everything that is shown of it; runs in the calibration thread."""
-    draft = bench.work(work.settings, progress)
+    draft = bench.work(work.settings, part_of(progress, 0.0, PICTURES))
     axis = TimeAxis(bench.source.times_s)
     if draft.found is None:
         return Answer(work, draft, axis)
-    progress("pictures", 0.0)
+    progress("pictures", PICTURES)
     return Answer(
         work,
         draft,

@@ -27,7 +27,7 @@ from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_answer import Work
 from bubbleviz_ui.calibration.calibration_page import Page
-from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.calibration.calibration_session import TOPIC, Calibration
 from bubbleviz_ui.calibration.frames_page import FramesPage
 from bubbleviz_ui.calibration.pixels_page import PixelsPage
 from bubbleviz_ui.calibration.rectification_page import RectificationPage
@@ -127,7 +127,8 @@ class Gamma0Panel(QWidget):
         def job(progress: Progress) -> None:
             save(named, benches.source(work), given.name, path, report, progress, validation)
 
-        notice = UserMessage("notice", f"Saved {path} and {report.name}", file=path)
+        saved = f"Saved {path} and {report.name}"
+        notice = UserMessage("notice", saved, file=path, topic=TOPIC)
 
         def told(_: None) -> None:
             self.calibration.saved = work

@@ -26,6 +26,8 @@ from bubbleviz_ui.model.undo import Change
 
 PATIENCE_S = 10.0
 """How long a window that closes waits for a step that cannot be interrupted."""
+TOPIC = "calibration"
+"""Of messages."""
 REMEMBERED = 4
 """Answers that undo finds again without computing."""
 
@@ -192,7 +194,7 @@ class Calibration(QObject):
     def _tell_problem(self, done: Done) -> bool:
         """Say why a job has no answer; whether it has none."""
         if done.message:
-            self.said.emit(UserMessage("error", done.message, done.details))
+            self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
         return bool(done.message)
 
     def _on_opened(self, opened: Opened) -> None:

@@ -9,6 +9,7 @@ from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout, QHBoxLayout, QSlider
 
 from bubbleviz.calibration.workbench import Step
+from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
@@ -80,7 +81,7 @@ class PixelsPage(Page):
         noise = float(np.median(pixels.noise_m[pixels.mask])) if used else None
         self.numbers.set("noise of a pixel", units.fine_length.text(noise))
         for reason, count in pixels.removed.items():
-            self.numbers.set(reason.replace("_", " "), f"{count} pixels")
+            self.numbers.set(reason.replace("_", " "), count_of(count, "pixel"))
         self.numbers.set("one independent sample", f"{statistics.correlated_pixels:.1f} pixels")
         self.numbers.set(
             "frames", f"{statistics.effective_frames:.1f} effective frames of {statistics.frames}"

@@ -33,7 +33,7 @@ from bubbleviz_ui.engine.requests import (
 )
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver_thread import Worker
-from bubbleviz_ui.model.choices import PATCH_CHOICES
+from bubbleviz_ui.model.choices import PATCH_CHOICES, solver_title
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.playback.player import Player
@@ -185,7 +185,7 @@ class Controller(QObject):
         choices, sensor = self.state.choices, self.sensor
         estimator = names & {"solver", "compared"} and self.opening.options != choices.options
         if estimator and sensor is not None:
-            self.opening.reopen(choices.solver or "default solver", lambda: sensor)
+            self.opening.reopen(f"solver: {solver_title(choices.solver)}", lambda: sensor)
         elif "cloud_points" in names or not self.client.demand.covers(Demand.of(choices)):
             self._ask_frame()
         elif names & PATCH_CHOICES:

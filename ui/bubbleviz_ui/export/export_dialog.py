@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz.wording import count_of
 from bubbleviz_ui.export.export_kinds import KINDS, Kind
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.model.messages import UserMessage
@@ -143,7 +144,7 @@ class ExportDialog(QDialog):
         self.frames.clear()
         if range_ is not None:
             self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
-        self.frames.addItem(f"all {0 if facts is None else facts.frames} frames", ALL)
+        self.frames.addItem(f"all {count_of(0 if facts is None else facts.frames, 'frame')}", ALL)
         self.frames.blockSignals(False)
 
     def _show(self) -> None:
@@ -161,12 +162,12 @@ class ExportDialog(QDialog):
     def _about(self) -> str:
         kind, count = self.chosen, len(self.chosen_frames)
         if not kind.is_video:
-            return f"{kind.tip}. {count} frames."
+            return f"{kind.tip}. {count_of(count, 'frame')}."
         width, height = self._state.choices.picture_size
         fps = self._exporting.fps(self.step.value())
         return (
-            f"{kind.tip}. {count} pictures of {width}×{height} (3-D tools, Picture), {fps:.3g} a "
-            f"second: as playback at {self._state.choices.speed:g}×."
+            f"{kind.tip}. {count_of(count, 'picture')} of {width}×{height} (3-D tools, Picture), "
+            f"{fps:.3g} a second: as playback at {self._state.choices.speed:g}×."
         )
 
     def _choose_name(self) -> None:

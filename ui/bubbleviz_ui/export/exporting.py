@@ -27,6 +27,8 @@ PATIENCE_S = 10.0
 """How long a window that closes waits for a step that cannot be interrupted."""
 STILL_FPS = 30.0
 """Of a video of a single frame."""
+TOPIC = "export"
+"""Of messages."""
 
 
 class Exporting(QObject):
@@ -135,9 +137,9 @@ class Exporting(QObject):
     def _on_done(self, path: Path, done: Done) -> None:
         self._end_video()
         if done.message:
-            self.said.emit(UserMessage("error", done.message, done.details))
+            self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
         else:
-            self.said.emit(UserMessage("notice", str(done.answer), file=path))
+            self.said.emit(UserMessage("notice", str(done.answer), file=path, topic=TOPIC))
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:

@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz.wording import count_of
 from bubbleviz_ui.view3d.scene_text import write_in
 from bubbleviz_ui.view3d.tools.still_picture import still
 
@@ -92,7 +93,7 @@ class VideoExport(QObject):
             for done in range(count):
                 writer.add(self._picture(progress, done / count))
                 self._taken.emit()
-        return f"Exported {count} frames to {self._path}, {self._fps:g} pictures a second"
+        return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:g} a second"
 
     def _picture(self, progress: Progress, done: float) -> np.ndarray:
         while True:

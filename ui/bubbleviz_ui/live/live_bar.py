@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from bubbleviz.live.counters import Counters
+from bubbleviz.wording import count_of
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.record_controls import RecordControls
 from bubbleviz_ui.model.source_facts import Badge
@@ -190,8 +191,8 @@ class LiveBar(QFrame):
 def counted(counters: Counters) -> list[str]:
     """What was counted, in words: what came, and what was wrong with it where something was."""
     words = [
-        f"{counters.received} messages",
-        f"{counters.frames} images",
+        count_of(counters.received, "message"),
+        count_of(counters.frames, "image"),
         f"{counters.skipped} skipped",
     ]
     for name, word in WRONG.items():

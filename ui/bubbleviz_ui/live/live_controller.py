@@ -19,7 +19,7 @@ from bubbleviz_ui.live.recording_control import OWN_FOLDER, Recording
 from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
-from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.messages import OPENING, UserMessage
 from bubbleviz_ui.model.result_text import doubt_text
 from bubbleviz_ui.model.source_facts import Link
 from bubbleviz_ui.model.undo import SettingsHistory
@@ -241,7 +241,7 @@ class LiveController(QObject):
         self.connection = None
         if self.run is None:
             self._timer.stop()
-        self.said.emit(UserMessage("error", problem, details))
+        self.said.emit(UserMessage("error", problem, details, topic=OPENING))
         self.changed.emit()
 
     def _is_ours(self, request: OpenRequest) -> bool:

@@ -14,6 +14,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz.wording import count_of
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState
 from bubbleviz_ui.panels.binding import bind
@@ -110,5 +111,5 @@ def progress(state: RecordingState) -> str:
     status = state.status
     return (
         f"{minutes:02d}:{seconds:02d} · {status.size_bytes / 1e6:.1f} MB · "
-        f"{status.messages} messages · {status.waiting_bytes / 1e6:.1f} MB waiting"
+        f"{count_of(status.messages, 'message')} · {status.waiting_bytes / 1e6:.1f} MB waiting"
     )

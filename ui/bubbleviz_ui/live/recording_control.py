@@ -10,6 +10,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.files.output_files import free_name
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
+from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.model.messages import MessageKind, UserMessage
 
@@ -109,13 +110,13 @@ class Recording(QObject):
             self._say("error", status.problem)
         elif status.messages:
             size = status.size_bytes / 1e6
-            text = f"Recorded {status.path}: {status.messages} messages, {size:.1f} MB"
+            text = f"Recorded {status.path}: {count_of(status.messages, 'message')}, {size:.1f} MB"
             self._say("notice", text, Path(status.path))
         else:
             self._say("warning", "Nothing arrived while recording; no file was written")
 
     def _say(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
-        self.said.emit(UserMessage(kind, text, file=file))
+        self.said.emit(UserMessage(kind, text, file=file, topic="recording"))
 
 
 def new_name(folder: Path) -> Path:

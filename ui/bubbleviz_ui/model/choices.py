@@ -37,6 +37,11 @@ SETTINGS = ("A", "B")
 FEWEST_NODES = 100
 
 
+def solver_title(solver: str | None) -> str:
+    """What the window calls a value of `Choices.solver`."""
+    return f"setting {solver} of Compare" if solver in SETTINGS else solver or "default"
+
+
 @dataclass(frozen=True)
 class Setting:
     """A setting of estimator and patch to compare; None is bubbleviz's default.

@@ -11,6 +11,8 @@ from typing import Literal
 from PySide6.QtCore import QObject, Signal
 
 MessageKind = Literal["notice", "warning", "error"]
+OPENING = "opening"
+"""Topic of what could not be opened or connected."""
 MOST_KEPT = 1000
 """A source that fails frame after frame must not fill the memory."""
 

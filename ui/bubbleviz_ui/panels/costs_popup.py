@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.costs import Cost, Costs
 from bubbleviz_ui.model.registry import ASKING, LAYERS
@@ -69,8 +70,8 @@ class CostsPopup(QFrame):
         view, duration = self._view, self._state.units.duration
         each = 1e3 * view.busy_s / view.render_count if view.render_count else None
         self.drawing.setText(
-            f"Drawing: {duration.text(each)} a picture, {view.render_count} pictures,"
-            f" {self._controller.dropped} frames left out because a newer one was there"
+            f"Drawing: {duration.text(each)} a picture, {count_of(view.render_count, 'picture')},"
+            f" {count_of(self._controller.dropped, 'frame')} left out because a newer one was there"
         )
 
     def _texts(self, line: Cost) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
 from bubbleviz.result import Result
-from bubbleviz_ui.model.choices import SETTINGS
+from bubbleviz_ui.model.choices import SETTINGS, solver_title
 from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
@@ -59,11 +59,7 @@ class KappaPanel(QWidget):
         self.box.setKeyboardTracking(False)
         self.solver = options(
             QComboBox(),
-            {
-                None: "default",
-                **{name: name for name in SOLVER_NAMES},
-                **{name: f"setting {name} of Compare" for name in SETTINGS},
-            },
+            {name: solver_title(name) for name in (None, *SOLVER_NAMES, *SETTINGS)},
         )
         self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
         self.threshold, self.area, self.force = (_value() for _ in range(3))

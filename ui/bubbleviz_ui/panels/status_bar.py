@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QLabel, QStatusBar
 
 from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
+from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import History
 from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -136,7 +137,7 @@ class StatusBar(QStatusBar):
         solve = f"{units.duration.text(self._solve_ms)} · {units.rate.text(rates.solve_hz)}"
         self.labels["solve"].setText(f"solve {solve}")
         self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
-        self.labels["dropped"].setText(f"dropped {rates.dropped} frames")
+        self.labels["dropped"].setText(f"dropped {count_of(rates.dropped, 'frame')}")
 
     def show_latency(self, report: LatencyReport | None) -> None:
         """Write how old live frames are when their pictures are drawn."""

@@ -221,10 +221,10 @@ class PosePanel(QWidget):
         try:
             count = self.session.export(path, "tum" if form == "tum" else "csv")
         except InputError as error:
-            self.said.emit(UserMessage("error", str(error)))
+            self.said.emit(UserMessage("error", str(error), topic="export of poses"))
         else:
             text = f"Exported {count_of(count, 'pose')} to {path}"
-            self.said.emit(UserMessage("notice", text, file=path))
+            self.said.emit(UserMessage("notice", text, file=path, topic="export of poses"))
 
     def _on_choices(self, names: frozenset[str]) -> None:
         if names & SYSTEMS.keys():

@@ -10,6 +10,7 @@ import numpy as np
 from bubbleviz.files.pose_reader import angles_of_pose, pose_numbers
 from bubbleviz.pose.observability import open_axes
 from bubbleviz.result import Pose, Stage
+from bubbleviz.wording import count_of
 from bubbleviz_ui.model.units import NOTHING, Units
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def _turn(T_B_O: np.ndarray) -> str:
 def _stage(stage: Stage, units: Units) -> str:
     return (
         f"{100 * stage.fitness:.0f} % · rmse {units.length.text(stage.rmse_m)} · "
-        f"{stage.correspondences} points"
+        f"{count_of(stage.correspondences, 'point')}"
     )
 
 

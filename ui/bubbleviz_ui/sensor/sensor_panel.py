@@ -171,9 +171,9 @@ class SensorPanel(QWidget):
         try:
             save_sensor(copy, path)
         except InputError as error:
-            self.said.emit(UserMessage("error", str(error)))
+            self.said.emit(UserMessage("error", str(error), topic="sensor file"))
             return
-        self.said.emit(UserMessage("notice", f"Saved {path}", file=path))
+        self.said.emit(UserMessage("notice", f"Saved {path}", file=path, topic="sensor file"))
         self._end()
         self._opening.sensor_file(path)
 

@@ -19,7 +19,7 @@ from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for, synthetic
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import OWN_CHOICES
-from bubbleviz_ui.model.messages import MessageKind, UserMessage
+from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.bundled_sensor import forget_others, is_beside, kept_beside
 from bubbleviz_ui.session_files.live_paths import with_paths, with_sensor
@@ -166,17 +166,17 @@ class SessionSaver(QObject):
         try:
             write_whole(path, for_colleague(self.snapshot(path), path))
         except InputError as error:
-            self._tell("error", str(error))
+            self._tell("error", str(error), topic="session")
         else:
             self._remember(str(path.absolute()))
-            self._tell("notice", f"Saved {path}", path)
+            self._tell("notice", f"Saved {path}", path, topic="session")
 
     def open(self, path: Path) -> None:
         """Open a session file; what of it cannot be opened is a message, the rest is restored."""
         try:
             saved = read_session(path)
         except InputError as error:
-            self._tell("error", str(error))
+            self._tell("error", str(error), topic=OPENING)
             return
         self.restore(saved, path)
 
@@ -402,8 +402,10 @@ class SessionSaver(QObject):
             self._tell("warning", f"{self._origin}{text}; the rest is restored.")
             self._problems = []
 
-    def _tell(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
-        self._window.messages.tell(UserMessage(kind, text, file=file))
+    def _tell(
+        self, kind: MessageKind, text: str, file: Path | None = None, topic: str = ""
+    ) -> None:
+        self._window.messages.tell(UserMessage(kind, text, file=file, topic=topic))
 
     def _remember(self, path: str) -> None:
         recent = (path, *(other for other in self.recent if other != path))[:MOST_RECENT]

@@ -13,6 +13,7 @@ from bubbleviz_ui.shell.shortcuts import Shortcuts
 WIDTH, HEIGHT = 520, 340
 TOP = 60
 """Distance from the window's upper edge, screen pixels."""
+NOTHING_FITS = "Nothing fits; type other letters, or fewer"
 MOVES = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
 
 
@@ -45,7 +46,7 @@ class CommandPalette(QDialog):
     def do(self) -> None:
         """Do what is chosen, once the palette is gone."""
         item = self.list.currentItem()
-        if item is None:
+        if item is None or not item.flags():
             return
         action = self._shortcuts.actions[item.data(Qt.ItemDataRole.UserRole)]
         self.close()
@@ -71,4 +72,8 @@ class CommandPalette(QDialog):
             item = QListWidgetItem(f"{name}    {keys}" if keys else name)
             item.setData(Qt.ItemDataRole.UserRole, name)
             self.list.addItem(item)
+        if not self.list.count():
+            nothing = QListWidgetItem(NOTHING_FITS)
+            nothing.setFlags(Qt.ItemFlag.NoItemFlags)
+            self.list.addItem(nothing)
         self.list.setCurrentRow(0)

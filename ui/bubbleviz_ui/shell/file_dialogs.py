@@ -118,8 +118,9 @@ def _folders() -> QSettings:
 def picture_saved(path: Path, *, written: bool) -> UserMessage:
     """What to tell of a picture that was written, or could not be."""
     if written:
-        return UserMessage("notice", f"Saved {path}", file=path)
-    return UserMessage("error", f"{path}: cannot be written; choose another place")
+        return UserMessage("notice", f"Saved {path}", file=path, topic="picture")
+    problem = f"{path}: cannot be written; choose another place"
+    return UserMessage("error", problem, topic="picture")
 
 
 def picture_format(path: Path) -> str:
