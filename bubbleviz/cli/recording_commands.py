@@ -12,12 +12,13 @@ from bubbleviz.cli.shared_options import report, solver_option
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@click.option("--lag", is_flag=True, help="Tell how much the colour images lead the depth images.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
-def info(recording: Path, as_json: bool) -> None:
+def info(recording: Path, lag: bool, as_json: bool) -> None:
     """Show topics, frames, rate, duration, size and gaps of a recording."""
     from bubbleviz.commands.info import recording_info
 
-    facts = recording_info(recording)
+    facts = recording_info(recording, lag=lag)
     click.echo(facts.to_json() if as_json else facts.to_text())
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.recorded_colour import RecordedColour
+from bubbleviz.colour.temporal_lag import TemporalLag, temporal_lag
 from bubbleviz.commands.summary import Summary
 from bubbleviz.frames.bags import Topic
 from bubbleviz.frames.gaps import Gap, find_gaps, usual_step
@@ -33,6 +34,8 @@ class ColourInfo:
         Pose of the colour camera in the depth camera, (4, 4).
     remark : str
         What of its camera was not recorded and is taken for granted.
+    lag : TemporalLag or None
+        None where it was not asked for.
     """
 
     topic: str
@@ -44,9 +47,10 @@ class ColourInfo:
     intrinsics: Intrinsics | None
     T_D_C: list[list[float]]
     remark: str
+    lag: TemporalLag | None
 
     @classmethod
-    def of(cls, colour: RecordedColour) -> ColourInfo:
+    def of(cls, colour: RecordedColour, lag: TemporalLag | None) -> ColourInfo:
         """Facts of the colour images of an open recording."""
         camera = colour.camera
         return cls(
@@ -58,6 +62,7 @@ class ColourInfo:
             camera.intrinsics,
             camera.T_D_C.tolist(),
             camera.remark,
+            lag,
         )
 
     def to_text(self) -> str:
@@ -66,7 +71,8 @@ class ColourInfo:
             f"{self.width} × {self.height} pixels, {self.encoding}, {self.topic}",
             count_of(self.images, "image") + (f", {_hertz(self.rate_hz)}" if self.rate_hz else ""),
         ]
-        return "; ".join(parts + [self.remark] * bool(self.remark))
+        parts.append(self.lag.to_text() if self.lag else "")
+        return "; ".join(part for part in (*parts, self.remark) if part)
 
 
 @dataclass(frozen=True)
@@ -166,11 +172,24 @@ class RecordingInfo(Summary):
         return f"{low / 1e3:.3f} … {high / 1e3:.3f} kPa absolute"
 
 
-def recording_info(recording: Recording | str | Path) -> RecordingInfo:
-    """Facts of a recording, open or by its path."""
+def recording_info(recording: Recording | str | Path, *, lag: bool = False) -> RecordingInfo:
+    """Facts of a recording, open or by its path.
+
+    Parameters
+    ----------
+    recording : Recording or path-like
+    lag : bool
+        Estimate the lag of its colour images, which reads the images of the first contact.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, or the lag was asked for and cannot be told.
+    """
     if not isinstance(recording, Recording):
         with Recording(recording) as opened:
-            return recording_info(opened)
+            return recording_info(opened, lag=lag)
+    found = temporal_lag(recording) if lag else None
     times = recording.times_s
     gaps = find_gaps(times)
     pressures = recording.gas_pressures_pa()
@@ -191,7 +210,7 @@ def recording_info(recording: Recording | str | Path) -> RecordingInfo:
         intrinsics=recording.intrinsics,
         gas_pressure_pa=extremes,
         wrench=recording.has_wrench,
-        colour=None if recording.colour is None else ColourInfo.of(recording.colour),
+        colour=None if recording.colour is None else ColourInfo.of(recording.colour, found),
         note=recording.bag.note,
     )
 

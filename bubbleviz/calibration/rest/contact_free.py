@@ -83,14 +83,14 @@ def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.
     tiles, pressures = [], []
     for k in range(len(source)):
         frame = source[k]
-        tiles.append(_tile_depths(frame.depth_m))
+        tiles.append(tile_depths(frame.depth_m))
         pressures.append(frame.gas_pressure_pa)
         progress("finding contact-free frames", (k + 1) / len(source))
     known = np.array([np.nan if p is None else p for p in pressures])
     return np.array(tiles), known if np.isfinite(known).all() else None
 
 
-def _tile_depths(depth: np.ndarray) -> np.ndarray:
+def tile_depths(depth: np.ndarray) -> np.ndarray:
     """Interquartile mean of the depth in each 8×8 tile, m; NaN where half of it has no return.
 
     As safe from false returns as the median, and not tied to the camera's quantum.
