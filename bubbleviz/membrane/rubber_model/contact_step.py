@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.membrane.rubber_model.object_surface import Planes
-from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser, NodeBlocks
+from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser, Grip, NodeBlocks
 
 _ROUNDS = 12
 """Changes of the active set in one step; the next step goes on from where it ended."""
@@ -27,11 +27,14 @@ class Step:
         Contact force along each plane's normal, N, not below 0.
     held : (f,) bool array
         Nodes on their planes.
+    pull : (f, 3) array
+        What must hold the nodes, N: 0 for those that are free.
     """
 
     motion: np.ndarray
     load: np.ndarray
     held: np.ndarray
+    pull: np.ndarray
 
 
 class ContactStep:
@@ -50,6 +53,9 @@ class ContactStep:
         Stiffness of the gas −dp/dV, Pa/m³.
     planes : Planes
         Of the moving nodes.
+    grip : Grip, optional
+        Friction, none by default. The forces have no energy then, and the step goes to where they
+        are in balance.
     """
 
     def __init__(
@@ -61,9 +67,11 @@ class ContactStep:
         gradient: np.ndarray,
         beta: float,
         planes: Planes,
+        grip: Grip | None = None,
     ) -> None:
         self._factoriser, self._blocks, self._data = factoriser, blocks, data
         self.residual, self._gradient, self._beta, self._planes = residual, gradient, beta, planes
+        self._grip = grip
         self.factorisations = 0
         self._last: tuple[Factor, np.ndarray] | None = None
 
@@ -77,7 +85,7 @@ class ContactStep:
             data = self._data
             if shift:
                 data = self._blocks.shifted(data, shift)
-            step = self._solve(data, held)
+            step = self.direct(data, held)
             if self.slope(step) < 0.0 or not step.motion.any():
                 break
         return step
@@ -88,8 +96,8 @@ class ContactStep:
         energy = float(np.sum(self.residual * step.motion))
         return energy - 2.0 * float(step.load.max(initial=0.0)) * float(inside)
 
-    def _solve(self, data: np.ndarray, held: np.ndarray) -> Step:
-        """Primal-dual active set."""
+    def direct(self, data: np.ndarray, held: np.ndarray) -> Step:
+        """Solve with a tangent of these data (nnz,) as it is, by a primal-dual active set."""
         gap, normal = self._planes.gap, self._planes.normal
         near = np.isfinite(gap)
         held = held & near
@@ -104,7 +112,7 @@ class ContactStep:
             if (following == held).all():
                 break
             held = following
-        return Step(motion, np.maximum(load, 0.0), held)
+        return Step(motion, np.maximum(load, 0.0), held, pull)
 
     def _motion(self, data: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Motion at which all forces across the planes of the held nodes vanish."""
@@ -112,16 +120,21 @@ class ContactStep:
         normal = self._planes.normal[nodes]
         to_plane = np.zeros_like(self.residual)
         to_plane[nodes] = -self._planes.gap[nodes, None] * normal
+        grip = None if self._grip is None else self._grip.of(nodes)
+        if grip is not None:
+            to_plane[nodes] += grip.back
         right = -self.residual - self._blocks.times(data, to_plane)
         right -= self._beta * np.sum(self._gradient * to_plane) * self._gradient
-        gradient = self._gradient.copy()
-        for vectors in (right, gradient):
-            along = np.einsum("ij,ij->i", vectors[nodes], normal)
-            vectors[nodes] -= along[:, None] * normal
-        factor = self._factoriser.factor(self._blocks.held(data, nodes, normal))
+        right = _across(right, nodes, normal, grip)
+        gradient = _across(self._gradient, nodes, normal)
+        pushed = gradient
+        if grip is not None:
+            gradient[nodes[grip.stuck]] = 0.0
+            pushed = _across(self._gradient, nodes, normal, grip)
+        factor = self._factoriser.factor(self._blocks.held(data, nodes, normal, grip))
         self.factorisations += 1
         self._last = factor, gradient.ravel()
-        free = factor.solve_with(right.ravel(), gradient.ravel(), self._beta)
+        free = factor.solve_with(right.ravel(), pushed.ravel(), self._beta, gradient.ravel())
         return to_plane + free.reshape(-1, 3)
 
     def is_minimum(self) -> bool:
@@ -134,3 +147,16 @@ class ContactStep:
         if downward == 1:  # the gas may hold one
             return 1.0 + self._beta * float(gradient @ factor.solve(gradient)) < 0.0
         return downward == 0
+
+
+def _across(
+    vectors: np.ndarray, nodes: np.ndarray, normal: np.ndarray, grip: Grip | None = None
+) -> np.ndarray:
+    """Vectors (f, 3) without what planes and friction take at some nodes (k,)."""
+    out = vectors.copy()
+    along = np.einsum("ij,ij->i", out[nodes], normal)
+    out[nodes] -= along[:, None] * normal
+    if grip is not None:
+        out[nodes] += along[:, None] * grip.drag
+        out[nodes[grip.stuck]] = 0.0
+    return out

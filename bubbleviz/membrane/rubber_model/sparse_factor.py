@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -62,11 +62,21 @@ class Factor:
         out[self._order] = solve(permuted)
         return out
 
-    def solve_with(self, right: np.ndarray, vector: np.ndarray, weight: float) -> np.ndarray:
-        """(K + w v vᵀ)⁻¹ b by Sherman and Morrison; `right` as in `solve`, `vector` (3f,)."""
+    def solve_with(
+        self,
+        right: np.ndarray,
+        vector: np.ndarray,
+        weight: float,
+        across: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """(K + w v aᵀ)⁻¹ b by Sherman and Morrison.
+
+        `right` as in `solve`, `vector` and `across` (3f,), a = v where not given.
+        """
+        across = vector if across is None else across
         both = self.solve(np.column_stack([right, vector]))
         plain, by_vector = both[:, :-1], both[:, -1]
-        share = weight * (vector @ plain) / (1.0 + weight * (vector @ by_vector))
+        share = weight * (across @ plain) / (1.0 + weight * (across @ by_vector))
         return (plain - np.outer(by_vector, share)).reshape(right.shape)
 
     def negative_directions(self) -> int:
@@ -83,6 +93,28 @@ def _superlu(
         diag_pivot_thresh=0.0,  # no pivoting: keeps the symmetric order
         options={"SymmetricMode": True},
     )
+
+
+class Grip(NamedTuple):
+    """What friction does to nodes on their planes.
+
+    Attributes
+    ----------
+    stuck : (k,) bool array
+        Nodes that do not move across their normals but for `back`.
+    back : (k, 3) array
+        Motion of the stuck ones to where they stick, m.
+    drag : (k, 3) array
+        Of nodes that slip: μ times the direction. Their force across the normal is −drag × load.
+    """
+
+    stuck: np.ndarray
+    back: np.ndarray
+    drag: np.ndarray
+
+    def of(self, nodes: np.ndarray) -> Grip:
+        """On some of the nodes."""
+        return Grip(self.stuck[nodes], self.back[nodes], self.drag[nodes])
 
 
 class NodeBlocks:
@@ -124,8 +156,17 @@ class NodeBlocks:
         data[self._places[self._diagonal[nodes]]] += blocks
         return data
 
-    def held(self, data: np.ndarray, nodes: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Data of P K P + s N Nᵀ: K where some nodes only move across their normals.
+    def held(
+        self,
+        data: np.ndarray,
+        nodes: np.ndarray,
+        normals: np.ndarray,
+        grip: Grip | None = None,
+    ) -> np.ndarray:
+        """Data of Q K P + s (I − P): K where some nodes only move across their normals.
+
+        P takes from a node's motion the part along its normal, or all of it where it is stuck, and
+        Q the same from its force, to which it adds as much of the drag.
 
         Parameters
         ----------
@@ -134,16 +175,24 @@ class NodeBlocks:
         nodes : (k,) int array
         normals : (k, 3) array
             Unit; s is of the size of K's diagonal.
+        grip : Grip, optional
+            Of these nodes, without drag where they are stuck.
         """
         planes = np.broadcast_to(np.eye(3), (len(self._diagonal), 3, 3)).copy()
         lines = normals[:, :, None] * normals[:, None, :]
+        if grip is not None:
+            lines[grip.stuck] = np.eye(3)
         planes[nodes] -= lines
+        forces = planes
+        if grip is not None:
+            forces = planes.copy()
+            forces[nodes] += grip.drag[:, :, None] * normals[:, None, :]
         which = np.zeros(len(planes), bool)
         which[nodes] = True
         some = np.flatnonzero(which[self._row] | which[self._column])
         data = data.copy()
         places = self._places[some]
-        data[places] = planes[self._row[some]] @ data[places] @ planes[self._column[some]]
+        data[places] = forces[self._row[some]] @ data[places] @ planes[self._column[some]]
         diagonal = self._places[self._diagonal]
         size = np.abs(data[diagonal[:, [0, 1, 2], [0, 1, 2]]]).mean()
         data[diagonal[nodes]] += size * lines
