@@ -69,6 +69,9 @@ def simulate(
     outliers: float = 0.0,
     seed: int = 0,
     model: Literal["rubber", "linear"] | None = None,
+    friction: float = 0.0,
+    drag_m: float = 0.0,
+    twist_rad: float = 0.0,
 ) -> Simulation:
     """Press a rigid object into a simulated sensor (Eq. 16, or the exact membrane).
 
@@ -94,6 +97,12 @@ def simulate(
     seed : int
     model : {"rubber", "linear"}, optional
         By default the exact membrane where the sensor has a pre-stretch.
+    friction : float
+        Coulomb's μ between object and exact membrane, up to 5; each frame then follows from those
+        before. 0: it slides freely.
+    drag_m, twist_rad : float
+        The object comes from above to the one pose given, is dragged along x of the bubble frame,
+        m, and twisted about its own z axis, rad; 10 frames or more.
 
     Returns
     -------
@@ -120,6 +129,16 @@ def simulate(
     )
     with OneBlasThread():
         source = simulated_press(
-            sensor, object, pose, noise, frames=frames, rate_hz=rate_hz, seed=seed, model=model
+            sensor,
+            object,
+            pose,
+            noise,
+            frames=frames,
+            rate_hz=rate_hz,
+            seed=seed,
+            model=model,
+            friction=friction,
+            drag_m=drag_m,
+            twist_rad=twist_rad,
         )
     return Simulation(source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import radians
 from pathlib import Path
 from typing import Literal
 
@@ -40,6 +41,9 @@ def info(recording: Path, lag: bool, as_json: bool) -> None:
     type=click.Choice(["rubber", "linear"]),
     help="The exact membrane (default where the sensor has a prestretch), or the linear one.",
 )
+@click.option("--friction", metavar="MU", type=float, default=0.0, help="Coulomb's coefficient.")
+@click.option("--drag", metavar="MM", type=float, default=0.0, help="Then along x of B, mm.")
+@click.option("--twist", metavar="DEG", type=float, default=0.0, help="Then about its z axis, °.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap.")
 @click.option("--truth", type=click.Path(path_type=Path), help="TRUTH.npz.")
 def simulate(
@@ -56,6 +60,9 @@ def simulate(
     outliers: float,
     seed: int,
     model: Literal["rubber", "linear"] | None,
+    friction: float,
+    drag: float,
+    twist: float,
     out: Path,
     truth: Path | None,
 ) -> None:
@@ -76,7 +83,17 @@ def simulate(
         outliers=outliers,
     )
     source = simulated_press(
-        sensor, object_name, where, noise, frames=frames, rate_hz=rate, seed=seed, model=model
+        sensor,
+        object_name,
+        where,
+        noise,
+        frames=frames,
+        rate_hz=rate,
+        seed=seed,
+        model=model,
+        friction=friction,
+        drag_m=1e-3 * drag,
+        twist_rad=radians(twist),
     )
     write_simulation(source, out, truth)
 

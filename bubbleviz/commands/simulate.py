@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose, read_path
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.membrane.gap import checked_pose
+from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.press_path import press_path
 from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
 
 
@@ -29,6 +33,9 @@ def simulated_press(
     rate_hz: float = 30.0,
     seed: int = 0,
     model: Model | None = None,
+    friction: float = 0.0,
+    drag_m: float = 0.0,
+    twist_rad: float = 0.0,
 ) -> SyntheticSource:
     """Source of the frames that the command line describes.
 
@@ -47,16 +54,31 @@ def simulated_press(
     seed : int
     model : {"rubber", "linear"}, optional
         As of `SyntheticSource`.
+    friction : float
+        As of `SyntheticSource`.
+    drag_m, twist_rad : float
+        Motion of an object that is pressed to one pose, as of `press_path`.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together.
     """
-    obj, times = load_object(object_name), None
+    sensor, obj, times = load_sensor(sensor), load_object(object_name), None
+    moved = drag_m != 0.0 or twist_rad != 0.0
     if isinstance(pose, Path):
         poses, times = read_path(pose)
     else:
         poses = parse_pose(pose) if isinstance(pose, str) else np.asarray(pose, dtype=np.float64)
-        if poses.ndim == 2:
+        if poses.ndim == 2 and moved:
+            mesh, moved = build_mesh(sensor), False
+            poses = press_path(obj, checked_pose(poses), mesh, frames, drag_m, twist_rad)
+        elif poses.ndim == 2:
             poses = np.repeat(poses[None], frames, axis=0)
+    if moved:
+        raise InputError("drag and twist: give one pose to press to, not a path")
     return SyntheticSource(
-        load_sensor(sensor), obj, poses, noise, rate_hz, seed, times_s=times, model=model
+        sensor, obj, poses, noise, rate_hz, seed, times_s=times, model=model, friction=friction
     )
 
 

@@ -17,7 +17,7 @@ from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.refine import refinement
 from bubbleviz.membrane.rubber_model.object_surface import MOST_TURN_RAD, ObjectSurface
-from bubbleviz.membrane.rubber_model.pressed_membrane import RubberContact
+from bubbleviz.membrane.rubber_model.rubber_contact import RubberContact
 from bubbleviz.membrane.rubber_model.rubber_forward import PressStart, RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import RigidObject

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Protocol, runtime_checkable
 
@@ -18,6 +19,7 @@ from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
 from bubbleviz.membrane.refine import refine
+from bubbleviz.membrane.rubber_model.friction_forward import FrictionContact, FrictionForward
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.rigid_object import RigidObject, load_object
@@ -31,6 +33,9 @@ Model = Literal["rubber", "linear"]
 
 FINER = 4
 """Nodes of the simulation's mesh for every node of the estimator's."""
+
+SLIP_M = 1e-6
+"""Way over the object from one frame to the next beyond which a node slips."""
 
 _LEVELS, _LOOKS = 3, 40
 """How often that mesh is refined under edges, and the number of poses looked at for them."""
@@ -55,6 +60,14 @@ class Truth:
         Where the linear interpolation of `touching_share` is at least one half.
     patch_mask : (H, W) bool array
         Pixels that see such a place.
+    traction_pa : (n, 3) array, optional
+        Of the object on the membrane, force over present area, Pa; None from a TRUTH.npz without.
+    torque_nm : (3,) array, optional
+        Of the same about the centre of pressure, N·m; 0 without contact.
+    slip_m : (n,) array, optional
+        Way of each node over the object since the frame before, m; NaN without friction.
+    slip_share : float, optional
+        Share of the touching area that slipped by more than 1 µm; NaN without friction or contact.
     """
 
     displacement_m: np.ndarray
@@ -65,6 +78,10 @@ class Truth:
     center_of_pressure_m: np.ndarray
     patch_area_m2: float
     patch_mask: np.ndarray
+    traction_pa: np.ndarray | None = None
+    torque_nm: np.ndarray | None = None
+    slip_m: np.ndarray | None = None
+    slip_share: float | None = None
 
     @classmethod
     def of(cls, contact: Contact, view: MembraneView) -> Truth:
@@ -72,9 +89,15 @@ class Truth:
         touching = touching_share(view.mesh, contact.contact_pressure_pa)
         load = np.linalg.norm(contact.nodal_force_n, axis=1)
         moved = contact.displacement_3d_m
-        center = np.full(3, np.nan)
+        center, torque = np.full(3, np.nan), np.zeros(3)
         if load.sum() > 0.0:
-            center = load @ view.mesh.deformed(moved) / load.sum()
+            x = view.mesh.deformed(moved)
+            center = load @ x / load.sum()
+            torque = np.cross(x - center, contact.nodal_force_n).sum(axis=0)
+        areas = replace(view.mesh, nodes=view.mesh.deformed(moved)).areas
+        slip = np.full(len(load), np.nan)
+        if isinstance(contact, FrictionContact):
+            slip = contact.slip_m
         half = 0.5 - 1e-9  # a place at exactly one half counts
         return cls(
             displacement_m=contact.displacement_m,
@@ -85,7 +108,18 @@ class Truth:
             center_of_pressure_m=center,
             patch_area_m2=area_above(view.mesh, touching, half),
             patch_mask=view.above(moved, touching, half),
+            traction_pa=contact.nodal_force_n / areas[:, None],
+            torque_nm=torque,
+            slip_m=slip,
+            slip_share=_slip_share(slip, np.where(load > 0.0, areas, 0.0)),
         )
+
+
+def _slip_share(slip_m: np.ndarray, touching_m2: np.ndarray) -> float:
+    """Share of the touching area (n,) that slips; NaN where that is not known."""
+    if not touching_m2.any() or np.isnan(slip_m).any():
+        return float("nan")
+    return float(touching_m2[slip_m > SLIP_M].sum() / touching_m2.sum())
 
 
 @runtime_checkable
@@ -126,6 +160,9 @@ class SyntheticSource:
     model : {"rubber", "linear"}, optional
         Membrane to press into; the exact one where the sensor's pre-stretch is known, as it is
         estimated with.
+    friction : float, optional
+        Coulomb's μ between object and membrane, which must be the exact one. Frames then follow
+        from those before.
 
     Attributes
     ----------
@@ -148,6 +185,7 @@ class SyntheticSource:
         nodes: int | None = None,
         sharp: bool = False,
         model: Model | None = None,
+        friction: float = 0.0,
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
@@ -162,11 +200,22 @@ class SyntheticSource:
         # γ0 of the sensor's own mesh: a refined polyhedron has its curvature in the old edges.
         tension = own.tension_n_per_m
         gas = Gas.of(sensor.pneumatics, self.mesh)
-        self._model: ForwardModel | RubberForward = (
-            RubberForward(build_rubber(sensor, self.mesh, tension), gas)
-            if model == "rubber" or (model is None and sensor.membrane.prestretch is not None)
-            else ForwardModel(self.mesh, tension, gas)
-        )
+        self._gas = gas
+        self._model: ForwardModel | RubberForward | FrictionForward
+        if model == "rubber" or (model is None and sensor.membrane.prestretch is not None):
+            rubber = build_rubber(sensor, self.mesh, tension)
+            self._model = (
+                FrictionForward(rubber, gas, friction) if friction else RubberForward(rubber, gas)
+            )
+        elif friction:
+            raise InputError(
+                f"friction {friction:g}: the linear membrane has none; choose the model rubber, or "
+                "a sensor file with a prestretch"
+            )
+        else:
+            self._model = ForwardModel(self.mesh, tension, gas)
+        self._past: list[Contact] = []
+        self._path: Iterator[Contact] | None = None
         self._view = MembraneView(self.camera, self.mesh)
         self._solved = lru_cache(maxsize=300)(self._solve)
 
@@ -184,12 +233,13 @@ class SyntheticSource:
             time_s=float(self.times_s[index]),
             depth_m=depth.astype(np.float32),
             intrinsics=self.camera.intrinsics,
-            gas_pressure_pa=self._model.gas.P0 + contact.gas_pressure_change_pa,
+            gas_pressure_pa=self._gas.P0 + contact.gas_pressure_change_pa,
         )
 
     def close(self) -> None:
         """Forget what was solved."""
         self._solved.cache_clear()
+        self._past, self._path = [], None
 
     def contact(self, index: int) -> Contact:
         """Equilibrium of frame `index`."""
@@ -202,7 +252,7 @@ class SyntheticSource:
         return Truth.of(self.contact(index), self._view)
 
     def _solve(self, index: int) -> Contact:
-        contact = self._model.press(self.obj, self.poses[index])
+        contact = self._pressed(index)
         if contact.rim_penetration_m > 1e-6:
             raise InputError(
                 f"frame {index}: {self.obj.name} cuts {contact.rim_penetration_m:.2g} m into the"
@@ -211,6 +261,20 @@ class SyntheticSource:
         if not contact.converged:
             raise SolveError(f"frame {index}: no equilibrium of {self.obj.name} at this pose")
         return contact
+
+    def _pressed(self, index: int) -> Contact:
+        if not isinstance(self._model, FrictionForward):
+            return self._model.press(self.obj, self.poses[index])
+        if self._path is None:
+            self._path = self._model.follow(self.obj, self.poses)
+        while len(self._past) <= index:
+            contact = next(self._path, None)
+            if contact is None:
+                raise SolveError(
+                    f"frame {len(self._past) - 1}: no equilibrium of {self.obj.name} at this pose"
+                )
+            self._past.append(contact)
+        return self._past[index]
 
 
 def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMesh:

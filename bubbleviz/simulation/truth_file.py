@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,10 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.wording import count_of
 
-KEYS = (*(field.name for field in fields(Truth)), "time_s", "T_B_O")
+KEYS = (*(f.name for f in fields(Truth) if f.default is MISSING), "time_s", "T_B_O")
 """What a TRUTH.npz has; T_B_O tells it from a RESULT.npz."""
+MORE = tuple(f.name for f in fields(Truth) if f.default is not MISSING)
+"""What it may have besides: those of version 0.2.0 and before do not."""
 SAME_S = 1e-3
 """Times of the same frame differ by no more: those of a recording are whole nanoseconds."""
 
@@ -71,8 +73,8 @@ class KnownRecording:
 
     def truth(self, index: int) -> Truth:
         """What is true of frame `index`."""
-        known = {field.name: self._truth[field.name][index] for field in fields(Truth)}
-        return Truth(**known)
+        known = [field.name for field in fields(Truth) if field.name in self._truth]
+        return Truth(**{name: self._truth[name][index] for name in known})
 
     def close(self) -> None:
         """Let go of files."""
@@ -80,7 +82,7 @@ class KnownRecording:
 
 
 def read_truth(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of a TRUTH.npz by `KEYS`, each with a row a frame.
+    """Arrays of a TRUTH.npz by `KEYS` and as many of `MORE` as it has, each with a row a frame.
 
     Raises
     ------
@@ -95,7 +97,7 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
                     f"{path}: is no TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
                     "choose another file"
                 )
-            arrays = {key: file[key] for key in KEYS}
+            arrays = {key: file[key] for key in (*KEYS, *MORE) if key in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
         raise InputError(f"{path}: cannot be read as TRUTH.npz ({error}); check it") from error
     counts = {len(array) if array.ndim else 0 for array in arrays.values()}

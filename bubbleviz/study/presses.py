@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
+from bubbleviz.simulation.press_path import touching_height
 from bubbleviz.study import object_shapes
 
 GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
@@ -59,24 +59,6 @@ def made(name: str) -> RigidObject:
     generator = getattr(object_shapes, name)
     obj: RigidObject = generator()
     return obj
-
-
-def touching_height(obj: RigidObject, T_B_O: np.ndarray, mesh: MembraneMesh) -> float:
-    """Height z of O at which the object, lowered along −z, first touches the membrane, m."""
-    vertices = obj.vertices @ T_B_O[:3, :3].T + [*T_B_O[:2, 3], 0.0]
-    above_nodes = _vertical_distance(mesh.nodes, 1.0, vertices, obj.triangles)
-    below_vertices = _vertical_distance(vertices, -1.0, mesh.nodes, mesh.triangles)
-    return -float(min(above_nodes.min(), below_vertices.min()))
-
-
-def _vertical_distance(
-    points: np.ndarray, up: float, vertices: np.ndarray, triangles: np.ndarray
-) -> np.ndarray:
-    """Signed way in m from points (k, 3) along ±z to the first of a mesh; inf beside it."""
-    rays = np.zeros((len(points), 6))
-    rays[:, :3], rays[:, 5] = points, up
-    rays[:, 2] -= up  # start 1 m away, so that overlapping bodies count too
-    return TriangleScene(vertices, triangles).cast(rays).distance - 1.0
 
 
 def presses(names: tuple[str, ...], depths_m: tuple[float, ...]) -> list[Press]:

@@ -14,7 +14,7 @@ from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
 from bubbleviz.membrane.rubber_model.friction_law import Friction
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
-from bubbleviz.membrane.rubber_model.pressed_membrane import Missed, PressedMembrane, RubberContact
+from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas, RubberContact
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
@@ -131,7 +131,7 @@ class FrictionForward:
         if not 0.0 < friction <= MOST_FRICTION:
             raise InputError(f"friction {friction:g}: give a number above 0, up to 5")
         self.membrane, self.gas, self.mesh, self.friction = membrane, gas, membrane.mesh, friction
-        self._pressed, self._rounding_m = PressedMembrane(membrane, gas), rounding_m
+        self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
         rest = membrane.tangent(self.mesh.nodes, 0.0)
         self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
         self._weight = float(np.abs(rest.diagonal()).mean())

@@ -12,7 +12,7 @@ from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
-from bubbleviz.membrane.rubber_model.pressed_membrane import Missed, PressedMembrane, RubberContact
+from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas, RubberContact
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
@@ -96,7 +96,7 @@ class RubberForward:
 
     def __init__(self, membrane: RubberMembrane, gas: Gas, rounding_m: float = 0.0) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
-        self._pressed = PressedMembrane(membrane, gas)
+        self._pressed = RubberAndGas(membrane, gas)
         self._rounding_m = rounding_m
         pattern = membrane.tangent(self.mesh.nodes, 0.0)
         self._factoriser, self._blocks = Factoriser(pattern), NodeBlocks(pattern)

@@ -76,7 +76,7 @@ class Missed:
         return self.balance < BALANCE_ACCEPTED and self.distance_m < DISTANCE_ACCEPTED_M
 
 
-class PressedMembrane:
+class RubberAndGas:
     """A membrane and its gas.
 
     Parameters
