@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
+from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
@@ -27,11 +28,20 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
+    from bubbleviz.colour.flow_field import FlowField
     from bubbleviz.pose.tracker import PoseTracker
+    from bubbleviz.shear.slip import SlipFinder, SlipStart
+    from bubbleviz.shear.traction_estimator import TractionEstimator, TractionOptions
+    from bubbleviz.shear.traction_state import TractionStart
 
 _T = TypeVar("_T")
 
-Product = Literal["estimate", "patch", "pixel_mask", "cloud", "residual", "pose"]
+Product = Literal[
+    "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "flow", "traction", "slip"
+]
+
+FlowOf = Callable[[Frame], "FlowField | None"]
+"""Optical flow of a frame's colour image from the contact-free one; None where there is none."""
 
 SETTLED, SETTLED_WITHIN = 1e-3, 8
 """Change of the contact pressure over its largest that is no change, and solves until then at most;
@@ -75,6 +85,8 @@ class Pipeline:
         How often each stage ran, by stage name.
     tracker : PoseTracker or None
         Of the object to look for, see `follow`.
+    flow_of : callable or None
+        Optical flow of a frame, see `watch_texture`.
     """
 
     def __init__(self, model: SensorModel, options: EstimatorOptions | None = None) -> None:
@@ -83,6 +95,11 @@ class Pipeline:
         self.counts: Counter[str] = Counter()
         self.tracker: PoseTracker | None = None
         self._start: Any = None  # of the estimator's own kind
+        self.flow_of: FlowOf | None = None
+        self._colour_camera = self.camera
+        self._traction_options: TractionOptions | None = None
+        self._traction_start: TractionStart | None = None
+        self._slip_start: SlipStart | None = None
 
     @classmethod
     def of(
@@ -131,7 +148,7 @@ class Pipeline:
 
     def restart(self) -> None:
         """Forget the warm start: the next frame is solved from rest."""
-        self._start = None
+        self._start = self._traction_start = self._slip_start = None
 
     def settle(self, frame: Frame) -> None:
         """Have the next frame start where this one ends, whatever came before it.
@@ -174,6 +191,8 @@ class Pipeline:
             _ = self.estimator
         if "patch" in needed:
             _ = self._finder, self.model.view
+        if "traction" in needed:
+            _ = self.traction_estimator
 
     def follow(self, obj: RigidObject | None, start: np.ndarray | None = None) -> None:
         """Track an object from the next frame on, or none.
@@ -195,6 +214,51 @@ class Pipeline:
         from bubbleviz.pose.tracker import PoseTracker  # open3d takes long to load
 
         self.tracker = PoseTracker(self.estimator, obj, start, membrane=self.model.rubber)
+
+    def watch_texture(
+        self,
+        flow_of: FlowOf | None,
+        camera: DepthCamera | None = None,
+        options: TractionOptions | None = None,
+    ) -> None:
+        """Measure traction with friction and slip by optical flow from the next frame on.
+
+        Parameters
+        ----------
+        flow_of : callable or None
+            Of a frame; None where there is no colour, so that depth is left alone.
+        camera : DepthCamera, optional
+            Colour camera; the depth camera where not given, as for images aligned to depth.
+        options : TractionOptions, optional
+        """
+        self.flow_of, self._colour_camera = flow_of, camera or self.camera
+        self._traction_options = options
+        self._traction_start = self._slip_start = None
+        self.__dict__.pop("traction_estimator", None)
+
+    @cached_property
+    def traction_estimator(self) -> TractionEstimator:
+        """The inverse with friction; built when the first frame needs it.
+
+        Raises
+        ------
+        InputError
+            The estimator is not of the exact membrane.
+        """
+        from bubbleviz.shear.traction_estimator import TractionEstimator  # nobody else needs it
+
+        if not isinstance(self.estimator, RubberEstimator):
+            raise InputError(
+                f"sensor {self.model.sensor.name}: shear takes the exact membrane; choose "
+                "--solver rubber, or identify the sensor's prestretch"
+            )
+        return TractionEstimator(self.estimator, self._colour_camera, self._traction_options)
+
+    @cached_property
+    def _slip_finder(self) -> SlipFinder:
+        from bubbleviz.shear.slip import SlipFinder  # nobody else needs it
+
+        return SlipFinder(self.mesh)
 
     def patch(
         self, estimate: Estimate, options: FrameOptions | None = None, *, pixel_mask: bool = False
@@ -232,6 +296,25 @@ class Pipeline:
         tracker = _made(self.tracker)
         pose = tracker.update(result.frame, _made(result.estimate), _made(result.patch))
         return replace(result, pose=pose)
+
+    def _flow_stage(self, result: Result, options: FrameOptions) -> Result:
+        return replace(result, flow=None if self.flow_of is None else self.flow_of(result.frame))
+
+    def _traction_stage(self, result: Result, options: FrameOptions) -> Result:
+        frame = result.frame
+        traction, self._traction_start = self.traction_estimator.estimate(
+            frame.depth_m,
+            result.flow,
+            frame.gas_pressure_pa,
+            _made(result.estimate),
+            self._start,
+            self._traction_start,
+        )
+        return replace(result, traction=traction)
+
+    def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
+        slip, self._slip_start = self._slip_finder.find(_made(result.traction), self._slip_start)
+        return replace(result, slip=slip)
 
     def _cloud_stage(self, result: Result, options: FrameOptions) -> Result:
         """Points of the pixels with a return, evenly fewer where there are too many."""
@@ -284,6 +367,9 @@ _STAGES: dict[Product, _Stage] = {
     "patch": _Stage(("estimate",), Pipeline._patch_stage),
     "pixel_mask": _Stage(("patch",), Pipeline._pixel_mask_stage),
     "pose": _Stage(("patch",), Pipeline._pose_stage),
+    "flow": _Stage((), Pipeline._flow_stage),
+    "traction": _Stage(("estimate", "flow"), Pipeline._traction_stage),
+    "slip": _Stage(("traction",), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),
     "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
 }

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from bubbleviz.frames.frame import Frame
+
+if TYPE_CHECKING:
+    from bubbleviz.colour.flow_field import FlowField
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 """`implausible`: no membrane of this sensor, with the noise its file or calibration tells of and
@@ -139,6 +142,130 @@ class Patch:
         return self.level > 0.0
 
 
+TractionStatus = Literal["ok", "no_contact", "depth_alone", "no_data", "not_converged"]
+"""`depth_alone`: no texture was seen where the membrane is touched, so that nothing is known of
+friction and the traction is the contact pressure of the estimate."""
+
+
+@dataclass(frozen=True)
+class Traction:
+    """What depth and optical flow say together of a contact with friction.
+
+    Attributes
+    ----------
+    status : TractionStatus
+        The numbers of `no_data` and `not_converged` are NaN.
+    nodal_force_n : (n, 3) array
+        Of the object on the membrane, N.
+    normal_force_n, tangential_force_n : (n, 3) array
+        Its parts along and across the current normals, N.
+    traction_pa : (n, 3) array
+        The force over the current area of the node, Pa.
+    positions_m : (n, 3) array
+        Nodes of the membrane, m.
+    tangential_displacement_m : (n, 3) array
+        Displacement from the reference surface less its part along the current normal, m.
+    center_m : (3,) array
+        Centre of the contact's normal force, m; NaN without contact.
+    wrench_covariance : (6, 6) array
+        Of the force, N, and the torque about `center_m`, N·m, by noise and material; NaN where
+        nothing is known of friction.
+    displacement_sigma_m : float
+        Root mean square over the contact of the standard deviation of a node's displacement by
+        noise, in each direction, m.
+    flow_rms_px : float
+        Measured less modelled motion in the image; NaN without flow.
+    flow_noise : float
+        By how much more than by its own noise the flow was missed, which its weight allows for.
+    reason : str
+        Why nothing is known of friction, or of anything, in one clause; empty where it is.
+    """
+
+    status: TractionStatus
+    nodal_force_n: np.ndarray
+    normal_force_n: np.ndarray
+    tangential_force_n: np.ndarray
+    traction_pa: np.ndarray
+    positions_m: np.ndarray
+    tangential_displacement_m: np.ndarray
+    center_m: np.ndarray
+    wrench_covariance: np.ndarray
+    displacement_sigma_m: float = np.nan
+    flow_rms_px: float = np.nan
+    flow_noise: float = np.nan
+    reason: str = ""
+
+    @property
+    def contact_pressure_pa(self) -> np.ndarray:
+        """Traction along the current normals, (n,), Pa; 0 where nothing touches."""
+        force = np.linalg.norm(self.nodal_force_n, axis=1)
+        share = np.linalg.norm(self.normal_force_n, axis=1) / np.where(force > 0.0, force, 1.0)
+        pressure: np.ndarray = share * np.linalg.norm(self.traction_pa, axis=1)
+        return pressure
+
+    @property
+    def force_n(self) -> np.ndarray:
+        """Force of the object on the membrane in B, (3,), N."""
+        total: np.ndarray = self.nodal_force_n.sum(axis=0)
+        return total
+
+    @property
+    def force_sigma_n(self) -> np.ndarray:
+        """Standard deviation of that, (3,), N."""
+        return np.sqrt(np.diag(self.wrench_covariance)[:3])
+
+    @property
+    def torque_nm(self) -> np.ndarray:
+        """Torque of the object on the membrane about `center_m` in B, (3,), N·m."""
+        return self.torque_about(self.center_m)
+
+    @property
+    def torque_sigma_nm(self) -> np.ndarray:
+        """Standard deviation of that, (3,), N·m."""
+        return self.torque_sigma_about(self.center_m)
+
+    def torque_about(self, point_m: np.ndarray) -> np.ndarray:
+        """Torque about a point (3,) in B, (3,), N·m; 0 without contact."""
+        touching = self.nodal_force_n.any(axis=1)
+        arm = self.positions_m[touching] - point_m
+        total: np.ndarray = np.cross(arm, self.nodal_force_n[touching]).sum(axis=0)
+        return total
+
+    def torque_sigma_about(self, point_m: np.ndarray) -> np.ndarray:
+        """Standard deviation of the torque about a point (3,) in B, (3,), N·m."""
+        x, y, z = self.center_m - point_m
+        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        moving = np.hstack([arm, np.eye(3)])
+        return np.sqrt(np.diag(moving @ self.wrench_covariance @ moving.T))
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Parts of a contact patch that moved against the rest of it since they came into contact.
+
+    Slip of the whole patch at once leaves no part to compare with and is not seen.
+
+    Attributes
+    ----------
+    slipping : (n,) bool array
+        Nodes that slipped by more than noise.
+    slip_m : (n, 3) array
+        Motion along the membrane over the object, m; NaN outside the patch.
+    share : float
+        Area of the nodes that slipped over that of the patch, 0 to 1.
+    share_sigma : float
+        Its standard deviation.
+    limit_m : float
+        Slip that noise is longer than in one of a hundred frames, m.
+    """
+
+    slipping: np.ndarray
+    slip_m: np.ndarray
+    share: float
+    share_sigma: float
+    limit_m: float
+
+
 PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]
 """`lost`: no pose fits this frame; the last good one is kept, where there was one. While there was
 none yet, `no_contact`, `few_points` (the patch has fewer than a pose needs) and `no_data` (the
@@ -234,6 +361,11 @@ class Result:
         Measured minus modelled range of each point, m (NaN where the model has no surface).
     pose : Pose or None
         None also where there is no object to look for.
+    flow : FlowField or None
+        None also where the frame has no colour image, or no contact-free one is known.
+    traction : Traction or None
+    slip : Slip or None
+        None also where too little of the patch sticks to tell.
     times_ms : dict
         Wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
     """
@@ -245,6 +377,9 @@ class Result:
     cloud_pixels: np.ndarray | None = None
     cloud_residual_m: np.ndarray | None = None
     pose: Pose | None = None
+    flow: FlowField | None = None
+    traction: Traction | None = None
+    slip: Slip | None = None
     times_ms: dict[str, float] = field(default_factory=dict)
 
     @property

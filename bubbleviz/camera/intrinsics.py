@@ -67,6 +67,25 @@ class Intrinsics:
             x, y = _undistort(x, y, coefficients)
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
 
+    def projection(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixel coordinates of points (k, 3) in C, (k, 2), and their derivative, (k, 2, 3), 1/m."""
+        pixels, depth = self.project(points), points[:, 2]
+        ideal = points[:, :2] / depth[:, None]
+        bend: np.ndarray = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+        if self.distortion_model != "none":
+            x, y = ideal.T
+            if self.distortion_model == "inverse_brown_conrady":
+                x = (pixels[:, 0] - self.cx) / self.fx
+                y = (pixels[:, 1] - self.cy) / self.fy
+            xx, xy, yy = _brown_conrady_slopes(x, y, self._coefficients())
+            bend = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+            if self.distortion_model == "inverse_brown_conrady":
+                bend = np.linalg.inv(bend)
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / depth
+        by_point[:, :, 2] = -ideal / depth[:, None]
+        return pixels, np.array([[self.fx], [self.fy]]) * (bend @ by_point)
+
     def _coefficients(self) -> tuple[float, float, float, float, float]:
         k1, k2, p1, p2, k3 = (*self.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
         return k1, k2, p1, p2, k3
@@ -85,19 +104,28 @@ def _brown_conrady(
     )
 
 
+def _brown_conrady_slopes(
+    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """∂x'/∂x, ∂x'/∂y = ∂y'/∂x and ∂y'/∂y of `_brown_conrady`."""
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))
+    return (
+        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
+        radial + slope * y * y + 2.0 * p2 * x + 6.0 * p1 * y,
+    )
+
+
 def _undistort(
     x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], most_steps: int = 10
 ) -> tuple[np.ndarray, np.ndarray]:
     """Inverse of `_brown_conrady` by Newton's method, from the distorted point itself."""
-    k1, k2, p1, p2, k3 = coefficients
     x0, y0 = x, y
     for _ in range(most_steps):
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        yy = radial + slope * y * y + 2.0 * p2 * x + 6.0 * p1 * y
-        xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        xx, xy, yy = _brown_conrady_slopes(x, y, coefficients)
         xd, yd = _brown_conrady(x, y, coefficients)
         ex, ey = x0 - xd, y0 - yd
         determinant = xx * yy - xy * xy

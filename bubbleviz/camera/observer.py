@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.camera.block_squares import MAD, BlockSquares
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
@@ -19,13 +20,6 @@ from bubbleviz.membrane.mesh import MembraneMesh
 
 _HUBER = 1.345
 """Residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise."""
-
-_MAD = 0.6745
-"""Median of |z| of a standard normal z."""
-
-_SQUARES = 40
-"""Number of squares over the image in which correlated noise shows, the same for every mesh: what
-the model gets wrong is alike over much of one, and their median needs some tens."""
 
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
@@ -185,8 +179,7 @@ class RangeObserver:
         self._line = None if pixels is None or pixels.line is None else pixels.line.at(pixel)
         self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
-        self._side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
-        self._neighbourhood = self._neighbourhoods(blocks)
+        self._squares = BlockSquares(blocks, self.columns)
         self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
@@ -204,11 +197,6 @@ class RangeObserver:
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
         return (row // self.block) * self.columns + column // self.block
-
-    def _neighbourhoods(self, blocks: np.ndarray) -> np.ndarray:
-        """Number of the square that each block lies in, (B,)."""
-        row, column = np.divmod(blocks, self.columns)
-        return (row // self._side) * self.columns + column // self._side
 
     def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
         """Positions of some thousand pixels in whole blocks, one block a row."""
@@ -348,26 +336,20 @@ class RangeObserver:
         if not len(error):
             return Misfit(np.nan, np.inf, 1.0)
         z = error * np.sqrt(weight)
-        sums = np.bincount(self._neighbourhood[block[seen]], z)
+        sums = np.bincount(self._squares.of_block[block[seen]], z)
         return Misfit(
             rms_m=float(np.sqrt(weight @ error**2 / weight.sum())),
-            deviations=float(np.median(np.abs(z)) / _MAD),
+            deviations=float(np.median(np.abs(z)) / MAD),
             clumping=float(sums @ sums / max(z @ z, 1e-300)),
         )
 
     def noise_left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> float:
         """Factor by which errors (k,) of some blocks exceed the noise, at least 1.
 
-        By the median of their sums over squares of blocks, which white noise has at random. What
-        the model gets wrong is alike from block to block, and so is correlated noise.
+        See `BlockSquares.noise_left`.
         """
         z = error_m * np.sqrt(observation.weight[block] / observation.trusted)
-        square = self._neighbourhood[block]
-        sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
-        full = count >= 0.5 * self._side**2
-        if not full.any():
-            return 1.0
-        return max(1.0, float(np.median(np.abs(sums[full]) / np.sqrt(count[full])) / _MAD))
+        return self._squares.noise_left(block, z)
 
     def around(self, nodes: np.ndarray) -> ShapeRanges:
         """Model of the block residuals around a shape, nodes (n, 3) in B, m."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -55,8 +56,8 @@ class LinearisedRubber:
         self._factor = factoriser.factor(membrane.tangent(x, pressure_pa).data)
         self._a = self.area_vectors[self._moving].ravel()
         self._beta, self.with_gas = gas_stiffness, gas_stiffness != 0.0
-        self._known: dict[int, int] = {}
-        self._columns = np.empty((3 * self._nodes, 0))
+        self._normal = _Columns(3 * self._nodes)
+        self._tangential = _Columns(3 * self._nodes)
 
     @cached_property
     def bulge(self) -> np.ndarray:
@@ -91,12 +92,55 @@ class LinearisedRubber:
 
     def responses(self, nodes: np.ndarray) -> np.ndarray:
         """S a_j for unit pressures at nodes (c,), (3n, c), m/Pa; each is solved for once."""
+        return self._normal.of(nodes, self._to_forces(self.area_vectors[:, None]))
+
+    @cached_property
+    def tangents(self) -> np.ndarray:
+        """Two vectors across each node's area vector and as long, (n, 2, 3), m²."""
+        size = np.linalg.norm(self.area_vectors, axis=1, keepdims=True)
+        normal = self.area_vectors / np.maximum(size, 1e-300)
+        least = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+        first = np.cross(normal, least)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        return size[:, :, None] * np.stack([first, np.cross(normal, first)], axis=1)
+
+    def tangential_responses(self, nodes: np.ndarray) -> np.ndarray:
+        """S t for unit tractions along the `tangents` of nodes (c,), (3n, 2c), m/Pa."""
+        return self._tangential.of(nodes, self._to_forces(self.tangents))
+
+    def _to_forces(self, vectors: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Motions (3n, k c) under each of the vectors (n, k, 3) of nodes (c,)."""
+
+        def motions(nodes: np.ndarray) -> np.ndarray:
+            each = vectors.shape[1]
+            unit = np.zeros((self._nodes, 3, len(nodes) * each))
+            places = np.arange(len(nodes) * each)
+            unit[np.repeat(nodes, each), :, places] = vectors[nodes].reshape(-1, 3)
+            return self.motion(unit).reshape(3 * self._nodes, -1)
+
+        return motions
+
+
+class _Columns:
+    """Columns of nodes, as many for each, kept once solved for.
+
+    Parameters
+    ----------
+    rows : int
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._known: dict[int, int] = {}
+        self._columns = np.empty((rows, 0))
+
+    def of(self, nodes: np.ndarray, solved: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Columns of nodes (c,); of those not known yet by solving for them."""
         new = np.array([j for j in nodes.tolist() if j not in self._known], int)
         if len(new):
-            unit = np.zeros((self._nodes, 3, len(new)))
-            unit[new, :, np.arange(len(new))] = self.area_vectors[new]
-            solved = self.motion(unit).reshape(3 * self._nodes, -1)
+            added = solved(new)
             for j in new.tolist():
                 self._known[j] = len(self._known)
-            self._columns = np.hstack([self._columns, solved])
-        return self._columns[:, [self._known[j] for j in nodes.tolist()]]
+            self._columns = np.hstack([self._columns, added])
+        each = self._columns.shape[1] // max(1, len(self._known))
+        places = np.array([self._known[j] for j in nodes.tolist()], int)
+        return self._columns[:, (each * places[:, None] + np.arange(each)).ravel()]

@@ -34,11 +34,11 @@ from bubbleviz.inverse.plausibility import (
     reason_against_gas,
 )
 from bubbleviz.inverse.resolution import at_noise, resolution_m
+from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
@@ -58,11 +58,6 @@ _LONGEST = 1.0
 _NOISE_ALIKE, _NOISES = 1.1, 8
 """Factor between the noise that a frame was solved with and the one it leaves within which they are
 the same, and how many are tried."""
-_BALANCED = 1e-3
-"""Force left at a node over the gas load on one of mean area."""
-_NEWTON, _FRESH = 10, 2
-"""Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
-tangent."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +94,30 @@ class RubberStart:
         Tangent that was used last.
     noise : float
         By how much more than its noise the frame before was missed, a first guess for the next.
+    reached : State or None
+        Where the steps of this frame ended, be it to be trusted or not: a place to go on from for
+        who knows more of the frame. None where they did not begin.
     """
 
     state: State | None = None
     rubber: LinearisedRubber | None = None
     noise: float = 1.0
+    reached: State | None = None
+
+
+@dataclass(frozen=True)
+class _Failure:
+    """A frame that could not be solved.
+
+    Attributes
+    ----------
+    status : Status
+    reached : State or None
+        Where the steps ended.
+    """
+
+    status: Status
+    reached: State | None = None
 
 
 @dataclass(frozen=True)
@@ -177,20 +191,18 @@ class RubberEstimator:
         self.observer, self.membrane, self.gas = observer, membrane, gas
         self.options = options or EstimatorOptions()
         self.solver_name = RUBBER
-        self._variants = tuple(variants)
+        self.variants = tuple(variants)
         rest = self.mesh.nodes
         self.scales = Scales.of(self.mesh, membrane.mean_tension)
         self.held_pressure_pa = membrane.gauge_pressure_pa
-        self._rest_volume = membrane.volume(rest)
-        self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
-        self._load = membrane.gauge_pressure_pa * float(self.mesh.areas.mean())
+        self.equilibrium = RubberEquilibrium(membrane, gas)
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, _LONGEST * edge
         nothing = np.zeros(len(rest))
         self._rest = State(rest, nothing, nothing > 0.0, 0.0)
         self._rest_rubber = {
-            measured: self._linearised(rest, nothing, None if not measured else 0.0)
+            measured: self.equilibrium.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
         }
         self._prior_at_rest()
@@ -209,10 +221,10 @@ class RubberEstimator:
         self._weight = float(weight.sum())
         laplacian = cotangent_laplacian(mesh).tocsr()
         held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
-        self._smoothness = (smoothness * (held @ laplacian @ held)).tocsr()
-        self._neighbours = abs(laplacian)
-        self._neighbours.setdiag(0.0)
-        self._neighbours.eliminate_zeros()
+        self.smoothness = (smoothness * (held @ laplacian @ held)).tocsr()
+        self.neighbours = abs(laplacian)
+        self.neighbours.setdiag(0.0)
+        self.neighbours.eliminate_zeros()
         self.resolution_m = resolution_m(
             smoothness, self.membrane.mean_tension, float(weight.sum() / mesh.facet_areas.sum())
         )
@@ -243,20 +255,23 @@ class RubberEstimator:
         try:
             answer = self._solve(depth_m, gas, start)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
-            answer = "not_converged"
-        if isinstance(answer, str):
-            return self._nothing(answer, STATUS_REASONS[answer]), RubberStart()
+            answer = _Failure("not_converged")
+        if isinstance(answer, _Failure):
+            nothing = self._nothing(answer.status, STATUS_REASONS[answer.status])
+            return nothing, RubberStart(reached=answer.reached)
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white):
-            return self._nothing("implausible", doubt, answer.misfit.rms_m), RubberStart()
+            nothing = self._nothing("implausible", doubt, answer.misfit.rms_m)
+            return nothing, RubberStart(reached=answer.state)
         touching = answer.state if answer.state.pressure.any() else None
-        return self._report(answer), RubberStart(touching, answer.rubber, answer.noise)
+        start = RubberStart(touching, answer.rubber, answer.noise, answer.state)
+        return self._report(answer), start
 
     # -- one frame ------------------------------------------------------------------------------
 
     def _solve(
         self, depth_m: np.ndarray, measured_gas: float | None, start: RubberStart
-    ) -> _Answer | Status:
+    ) -> _Answer | _Failure:
         """Gauss–Newton steps until the shape stands, on a support found anew while it moves far.
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
@@ -279,10 +294,10 @@ class RubberEstimator:
             error = observation.residual_m[view.block] - view.model_m[view.block]
             seen = weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
-                return "no_data"
+                return _Failure("no_data")
             if np.median(np.abs(error[seen])) > self.scales.length_m:
-                return "implausible"
-            rubber = self._rubber_at(state, measured_gas, rubber)
+                return _Failure("implausible", state)
+            rubber = self.rubber_at(state, measured_gas, rubber)
             gas_error = self._gas_error(rubber, view, measured_gas)
             ranges = Ranges(view.jacobian, error, weight, gas_error)
             began = time.perf_counter()
@@ -290,7 +305,7 @@ class RubberEstimator:
             contact = self._contact(rubber, ranges, state, measured_gas, rounds)
             solve_ms += 1e3 * (time.perf_counter() - began)
             if not contact.converged:
-                return "not_converged"
+                return _Failure("not_converged", state)
             before = state
             state, balanced = self._step(rubber, state, contact, measured_gas)
             moved = float(np.abs(state.x - before.x).max())
@@ -310,11 +325,11 @@ class RubberEstimator:
                 selecting = standing = True
                 chosen += 1
             elif far_steps == _FAR_STEPS:
-                return "not_converged"
+                return _Failure("not_converged", state)
             else:
                 selecting, standing = far, False
         else:
-            return "not_converged"
+            return _Failure("not_converged", state)
         misfit = self.observer.left(observation, view.block, left)
         contradicts = measured_gas is not None and self._contradicts(state.gas, measured_gas)
         sigma = self._sigma(rubber, ranges, state, contact)
@@ -325,7 +340,7 @@ class RubberEstimator:
     ) -> GasError | None:
         if gas is None:
             return None
-        return GasError(rubber.bulge, view.jacobian @ rubber.bulge.ravel(), self._gas_sigma(gas))
+        return GasError(rubber.bulge, view.jacobian @ rubber.bulge.ravel(), self.gas_sigma(gas))
 
     def _contact(
         self,
@@ -336,13 +351,14 @@ class RubberEstimator:
         rounds: int,
     ) -> ContactPressure:
         tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
-        prior = Prior(self._smoothness, tau, self._neighbours)
-        relaxing = rubber.motion(-self._residual(state.x, state.pressure, gas))
+        prior = Prior(self.smoothness, tau, self.neighbours)
+        relaxing = rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
         problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support, rounds)
-        least = self.held_pressure_pa + (self._gas_at(state.x)[0] if gas is None else gas)
+        change = self.equilibrium.gas_at(state.x)[0] if gas is None else gas
+        least = self.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return self._parts_with(pressure >= least, support)
@@ -356,7 +372,7 @@ class RubberEstimator:
         nodes = np.flatnonzero(support)
         if not len(nodes):
             return support
-        count, part = connected_components(self._neighbours[nodes][:, nodes], directed=False)
+        count, part = connected_components(self.neighbours[nodes][:, nodes], directed=False)
         chosen = np.bincount(part, some[nodes], minlength=count) > 0.0
         kept = np.zeros_like(support)
         kept[nodes] = chosen[part]
@@ -381,60 +397,15 @@ class RubberEstimator:
             inside = state.gas + share * (gas + contact.gas_error_pa - state.gas)
         x, balanced = ahead, False
         if share == 1.0:
-            x, balanced = self._settled(rubber, ahead, pressure, inside)
+            x, balanced = self.equilibrium.settled(rubber, ahead, pressure, inside)
             balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead
         if inside is None:
-            inside = self._gas_at(x)[0]
+            inside = self.equilibrium.gas_at(x)[0]
         return State(x, pressure, contact.support, inside), balanced
 
-    def _settled(
-        self, rubber: LinearisedRubber, x: np.ndarray, pressure: np.ndarray, gas: float | None
-    ) -> tuple[np.ndarray, bool]:
-        """Equilibrium under a contact pressure, from close by: Newton's method."""
-        last, fresh = np.inf, 0
-        for _ in range(_NEWTON):
-            left = self._residual(x, pressure, gas)
-            size = float(np.abs(left[self.membrane.moving]).max()) / self._load
-            if size < _BALANCED:
-                return x, True
-            if not size < 1e3:
-                break
-            if size > 0.3 * last:
-                if fresh == _FRESH:
-                    break
-                rubber = self._linearised(x, pressure, gas)
-                fresh += 1
-            last = size
-            motion = rubber.motion(-left)
-            x = x + min(1.0, self._longest_m / float(np.abs(motion).max())) * motion
-        return x, False
-
-    # -- equilibrium ----------------------------------------------------------------------------
-
-    def _gas_at(self, x: np.ndarray) -> tuple[float, float]:
-        """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
-        volume = max(self.gas.V0 + self.membrane.volume(x) - self._rest_volume, 1e-6 * self.gas.V0)
-        pressure = self.gas.P0 * self.gas.V0 / volume
-        return pressure - self.gas.P0, pressure / volume
-
-    def _inside(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
-        """Pressure from inside over that from outside at the nodes, (n,), Pa."""
-        change = self._gas_at(x)[0] if gas is None else gas
-        return self.membrane.gauge_pressure_pa + change - pressure
-
-    def _residual(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
-        return self.membrane.residual(x, self._inside(x, pressure, gas))
-
-    def _linearised(
-        self, x: np.ndarray, pressure: np.ndarray, gas: float | None
-    ) -> LinearisedRubber:
-        stiffness = self._gas_at(x)[1] if gas is None else 0.0
-        inside = self._inside(x, pressure, gas)
-        return LinearisedRubber(self.membrane, self._factoriser, x, inside, stiffness)
-
-    def _rubber_at(
+    def rubber_at(
         self, state: State, gas: float | None, last: LinearisedRubber | None
     ) -> LinearisedRubber:
         """A tangent taken close to a state: the last one, where it still serves."""
@@ -443,7 +414,7 @@ class RubberEstimator:
             return self._rest_rubber[measured]
         if last is not None and last.with_gas is not measured and self._serves(last.x, state.x):
             return last
-        return self._linearised(state.x, state.pressure, state.gas if measured else None)
+        return self.equilibrium.linearised(state.x, state.pressure, state.gas if measured else None)
 
     def _serves(self, before: np.ndarray, x: np.ndarray) -> bool:
         """Whether what was found at a shape still holds at another."""
@@ -453,10 +424,10 @@ class RubberEstimator:
 
     def _contradicts(self, asked_pa: float, measured_pa: float) -> bool:
         """Whether the shape asks for another p_v than was measured."""
-        certain = IMPLAUSIBLE_MISFIT * self._gas_sigma(measured_pa)
+        certain = IMPLAUSIBLE_MISFIT * self.gas_sigma(measured_pa)
         return abs(asked_pa - measured_pa) > max(certain, GAS_LAG * self.held_pressure_pa)
 
-    def _gas_sigma(self, measured_pa: float) -> float:
+    def gas_sigma(self, measured_pa: float) -> float:
         """Standard deviation of a measured p_v, and of what the model makes of it, Pa."""
         return float(np.hypot(GAS_NOISE * self.gas.P0, GAS_MODEL_ERROR * measured_pa))
 
@@ -474,9 +445,9 @@ class RubberEstimator:
         push = self.membrane.volume_gradient(state.x)[nodes]
         variance = np.einsum("ik,ij,jk->k", push, contact.covariance, push)
         C = rubber.responses(nodes)
-        inside = self._inside(state.x, state.pressure, state.gas)
+        inside = self.equilibrium.inside(state.x, state.pressure, state.gas)
         usual = self.membrane.residual(state.x, inside)
-        for variant in self._variants:
+        for variant in self.variants:
             gauge = variant.gauge_pressure_pa - self.membrane.gauge_pressure_pa
             change = variant.residual(state.x, inside + gauge) - usual
             moved = ranges.jacobian @ rubber.motion(change).ravel()
@@ -501,7 +472,7 @@ class RubberEstimator:
             displacement_3d_m=moved,
             force_n=-state.pressure @ vectors,
             force_sigma_n=answer.sigma_n,
-            gas_law_pa=self._gas_at(state.x)[0],
+            gas_law_pa=self.equilibrium.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
         )
 

@@ -1,0 +1,54 @@
+"""Squares of blocks over the image, in which correlated noise and the model's error show."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SQUARES = 40
+"""Number of squares, the same for every mesh: what the model gets wrong is alike over much of one,
+and their median needs some tens."""
+
+MAD = 0.6745
+"""Median of |z| of a standard normal z."""
+
+
+class BlockSquares:
+    """Squares that some blocks lie in.
+
+    Parameters
+    ----------
+    blocks : (B,) int array
+        Numbers of the blocks, row by row over the image.
+    columns : int
+        Blocks in a row of the image.
+
+    Attributes
+    ----------
+    of_block : (B,) int array
+        Number of the square of each.
+    """
+
+    def __init__(self, blocks: np.ndarray, columns: int) -> None:
+        self._side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
+        row, column = np.divmod(blocks, columns)
+        self.of_block = (row // self._side) * columns + column // self._side
+
+    def noise_left(self, block: np.ndarray, z: np.ndarray) -> float:
+        """Factor by which errors exceed their noise, at least 1.
+
+        By the median of their sums over squares, which white noise has at random. What the model
+        gets wrong is alike from block to block, and so is correlated noise.
+
+        Parameters
+        ----------
+        block : (k,) int array
+            Positions in `blocks`.
+        z : (k,) array
+            Errors in standard deviations; 0 where nothing was measured.
+        """
+        square = self.of_block[block]
+        sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
+        full = count >= 0.5 * self._side**2
+        if not full.any():
+            return 1.0
+        return max(1.0, float(np.median(np.abs(sums[full]) / np.sqrt(count[full])) / MAD))

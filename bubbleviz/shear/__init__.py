@@ -1,0 +1,1 @@
+"""Traction with friction and slip, from depth and optical flow together."""

@@ -1,0 +1,301 @@
+"""From depth and optical flow to the contact traction with friction of the exact membrane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.observer import Measured
+from bubbleviz.colour.flow_field import FlowField
+from bubbleviz.inverse.linearised_rubber import LinearisedRubber
+from bubbleviz.inverse.rubber_estimator import RubberEstimator, RubberStart
+from bubbleviz.result import Estimate, Traction
+from bubbleviz.shear.flow_observer import FlowObserver, MeasuredFlow
+from bubbleviz.shear.traction_problem import SolvedTraction, TractionProblem, Unknowns
+from bubbleviz.shear.traction_report import TractionReport
+from bubbleviz.shear.traction_state import Look, TractionStart
+
+_NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
+"""Shares of a mesh edge, as of `RubberEstimator`: a step that ends a frame, a way over which a
+tangent and a warm start hold, and one too far for equilibrium to be looked for nearby."""
+_STEPS = 12
+_SHARES = (1.0, 0.5, 0.25)
+"""Of a step that are tried until the shape explains more than before."""
+_SEEN_SHARE = 0.5
+"""Of the touched nodes that flow must be seen beside, for the rest to follow from it."""
+
+NO_FLOW = "no optical flow: the colour image of the frame or the contact-free one is missing"
+NO_TEXTURE = "no flow is seen where the membrane is touched: texture is missing or washed out"
+NO_CONTACT_SHAPE = "depth shows no contact to begin with"
+NOT_CONVERGED = "no equilibrium with friction was found"
+
+
+@dataclass(frozen=True)
+class TractionOptions:
+    """Choices of an operator.
+
+    Attributes
+    ----------
+    friction : float or None
+        Coulomb's bound μ of the tangential over the normal traction; None for no bound.
+    """
+
+    friction: float | None = None
+
+
+class _Frame(NamedTuple):
+    """What was measured."""
+
+    ranges: Measured
+    flow: MeasuredFlow
+    gas: float | None
+
+
+class _Wanted(NamedTuple):
+    """What a step aims at; `present` is the shear on the tangents it is described by."""
+
+    solved: SolvedTraction
+    pressure: np.ndarray
+    present: np.ndarray
+    shear: np.ndarray
+    gas: float
+
+
+class TractionEstimator:
+    """Solves for shape, pressure and tangential traction frame by frame, after the estimate.
+
+    Outside the support that depth found the membrane is in equilibrium by construction. How much
+    more than by their noise ranges and flow are missed decides how far each is trusted.
+
+    Parameters
+    ----------
+    estimator : RubberEstimator
+        Of the frames' depth.
+    camera : DepthCamera
+        Whose images the flow is of.
+    options : TractionOptions, optional
+    """
+
+    def __init__(
+        self,
+        estimator: RubberEstimator,
+        camera: DepthCamera,
+        options: TractionOptions | None = None,
+    ) -> None:
+        self.mesh, self.options = estimator.mesh, options or TractionOptions()
+        self._estimator, self._equilibrium = estimator, estimator.equilibrium
+        scale = camera.intrinsics.width / estimator.observer.camera.intrinsics.width
+        block = max(1, round(estimator.observer.block * scale))
+        self.flow_observer = FlowObserver(camera, self.mesh, block)
+        edge = self.mesh.edge_length
+        self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
+        self._far_m, self._longest_m = _FAR * edge, edge
+        self._report = TractionReport(self.mesh, estimator.membrane, estimator.variants)
+
+    def estimate(
+        self,
+        depth_m: np.ndarray,
+        flow: FlowField | None,
+        gas_pressure_pa: float | None,
+        estimate: Estimate,
+        reached: RubberStart,
+        start: TractionStart | None = None,
+    ) -> tuple[Traction, TractionStart | None]:
+        """Traction of one frame; also what the next one starts from.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+            z-depth, NaN where there is no return.
+        flow : FlowField or None
+            Of the colour image of the same moment.
+        gas_pressure_pa : float or None
+            Measured absolute gas pressure.
+        estimate : Estimate
+            Of the depth image.
+        reached : RubberStart
+            That the estimator handed on with it.
+        start : TractionStart, optional
+            Of the frame before.
+        """
+        report = self._report
+        if estimate.status == "no_contact":
+            return report.untouched(estimate), None
+        if estimate.status == "no_data":
+            return report.nothing("no_data", estimate.reason), None
+        if flow is None or not len(flow.pixel):
+            return self._alone(estimate, NO_FLOW), None
+        begin, support = self._begin(estimate, reached, start)
+        if begin is None or not support.any():
+            return report.nothing("not_converged", NO_CONTACT_SHAPE), None
+        measured = self.flow_observer.measure(flow)
+        if self.flow_observer.seen_share(measured, support) < _SEEN_SHARE:
+            return self._alone(estimate, NO_TEXTURE), None
+        gas = None
+        if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
+            gas = gas_pressure_pa - self._estimator.gas.P0
+        frame = _Frame(self._estimator.observer.measure(depth_m), measured, gas)
+        try:
+            return self._solve(frame, begin, support, warm=start is not None)
+        except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
+            return report.nothing("not_converged", NOT_CONVERGED), None
+
+    def _alone(self, estimate: Estimate, reason: str) -> Traction:
+        if estimate.trusted:
+            return self._report.alone(estimate, reason)
+        return self._report.nothing("not_converged", estimate.reason)
+
+    def _begin(
+        self, estimate: Estimate, reached: RubberStart, start: TractionStart | None
+    ) -> tuple[TractionStart | None, np.ndarray]:
+        """Where to begin, and the support (n,) bool: depth's, and that of the frame before.
+
+        Under much shear no frictionless shape looks like the image; the contact is then about
+        where it was, or where depth looked for it.
+        """
+        there = reached.reached
+        nothing = np.zeros(len(self.mesh.nodes), bool)
+        support = nothing if there is None else there.support
+        if start is not None:
+            before = start.pressure > 0.0
+            if estimate.trusted:
+                support = support | before
+            else:
+                support = before | (self._estimator.neighbours @ before.astype(float) > 0.0)
+            support = support & ~self.mesh.rim
+            pressure = np.where(support, start.pressure, 0.0)
+            shear = np.where(support[:, None], start.shear, 0.0)
+            return replace(start, pressure=pressure, shear=shear), support
+        if there is None:
+            return None, support
+        rubber = reached.rubber
+        if rubber is None or np.abs(there.x - rubber.x).max() > self._serves_m:
+            with_gas = there.gas if rubber is None or not rubber.with_gas else None
+            rubber = self._equilibrium.linearised(there.x, there.pressure, with_gas)
+        shear = np.zeros_like(there.x)
+        return TractionStart(
+            there.x, there.pressure, shear, there.gas, rubber, reached.noise
+        ), support
+
+    # -- one frame ------------------------------------------------------------------------------
+
+    def _solve(
+        self, frame: _Frame, state: TractionStart, support: np.ndarray, *, warm: bool
+    ) -> tuple[Traction, TractionStart | None]:
+        """Gauss–Newton steps until the shape stands, each no longer than it helps."""
+        nodes, begin = np.flatnonzero(support), state.x
+        look = self._look(frame, state.x)
+        for _ in range(_STEPS):
+            rubber = self._rubber_at(state, frame.gas)
+            before, wanted = state, self._wanted(frame, look, state, rubber, nodes)
+            misfit = look.misfit(before)
+            for share in _SHARES:
+                state, balanced = self._moved(before, rubber, wanted, share, frame.gas)
+                motion = state.x - before.x
+                way = float(np.abs(motion).max())
+                lasting = warm and float(np.abs(state.x - begin).max()) <= self._serves_m
+                if balanced and (way <= self._near_m or lasting):
+                    left = look.after(motion)
+                    state = self._with_noise(left, state)
+                    return self._report.solved(state, wanted.solved, nodes, left), state
+                ahead = self._look(frame, state.x)
+                if balanced and ahead.misfit(before) < misfit:
+                    break
+            look, state = ahead, self._with_noise(ahead, state)
+        return self._report.nothing("not_converged", NOT_CONVERGED), None
+
+    def _look(self, frame: _Frame, x: np.ndarray) -> Look:
+        observer = self._estimator.observer
+        view = observer.around(x)
+        observation = observer.weigh(frame.ranges, view.model_m)
+        flow = self.flow_observer.around(x, frame.flow.block)
+        return Look(
+            view,
+            observation,
+            observation.residual_m[view.block] - view.model_m[view.block],
+            flow,
+            frame.flow.moved_px - flow.moved_px,
+            frame.flow,
+        )
+
+    def _rubber_at(self, state: TractionStart, gas: float | None) -> LinearisedRubber:
+        """A tangent taken close to a state: the last one, where it still serves."""
+        last, with_gas = state.rubber, gas is None
+        away = float(np.abs(state.x - last.x).max())
+        if last.with_gas is with_gas and away <= self._serves_m:
+            return last
+        return self._equilibrium.linearised(
+            state.x, state.pressure, None if with_gas else state.gas
+        )
+
+    def _wanted(
+        self,
+        frame: _Frame,
+        look: Look,
+        state: TractionStart,
+        rubber: LinearisedRubber,
+        nodes: np.ndarray,
+    ) -> _Wanted:
+        """What would explain the frame, to first order."""
+        estimator, gas = self._estimator, frame.gas
+        tangents = rubber.tangents[nodes]
+        square = np.maximum(np.einsum("ikj,ikj->ik", tangents, tangents), 1e-300)
+        shear = np.einsum("ikj,ij->ik", tangents, state.shear[nodes]) / square
+        present = np.zeros_like(state.x)
+        present[nodes] = np.einsum("ik,ikj->ij", shear, tangents)
+        inside = None if gas is None else state.gas
+        left = self._equilibrium.residual(state.x, state.pressure, inside, present)
+        columns = [-rubber.responses(nodes), rubber.tangential_responses(nodes)]
+        if gas is not None:
+            columns.append(rubber.bulge.reshape(-1, 1))
+        problem = TractionProblem(
+            np.hstack(columns),
+            rubber.motion(-left),
+            look.measurements(state),
+            estimator.smoothness[nodes][:, nodes].toarray(),
+            Unknowns(state.pressure[nodes], shear.ravel(), 0.0 if gas is None else state.gas - gas),
+            None if gas is None else estimator.gas_sigma(gas),
+        )
+        solved = problem.solve(self.options.friction)
+        pressure, force = np.zeros_like(state.pressure), np.zeros_like(state.x)
+        pressure[nodes] = solved.unknowns.pressure
+        force[nodes] = np.einsum("ik,ikj->ij", solved.unknowns.shear.reshape(-1, 2), tangents)
+        change = solved.unknowns.gas_error_pa if gas is None else gas + solved.unknowns.gas_error_pa
+        return _Wanted(solved, pressure, present, force, change)
+
+    def _moved(
+        self,
+        state: TractionStart,
+        rubber: LinearisedRubber,
+        wanted: _Wanted,
+        share: float,
+        gas: float | None,
+    ) -> tuple[TractionStart, bool]:
+        """A share of the way, and to equilibrium there; whether that was found close by."""
+        motion = wanted.solved.motion
+        share = min(share, self._longest_m / max(float(np.abs(motion).max()), 1e-300))
+        pressure = state.pressure + share * (wanted.pressure - state.pressure)
+        shear = wanted.present + share * (wanted.shear - wanted.present)
+        inside = None if gas is None else state.gas + share * (wanted.gas - state.gas)
+        ahead = state.x + share * motion
+        x, balanced = self._equilibrium.settled(rubber, ahead, pressure, inside, shear)
+        balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
+        if not balanced:
+            x = ahead
+        change = self._equilibrium.gas_at(x)[0] if inside is None else inside
+        return TractionStart(
+            x, pressure, shear, change, rubber, state.range_noise, state.flow_noise
+        ), balanced
+
+    def _with_noise(self, look: Look, state: TractionStart) -> TractionStart:
+        """The state with the noise that a look leaves."""
+        observer, squares = self._estimator.observer, self.flow_observer.squares
+        ranges = observer.noise_left(look.observation, look.view.block, look.range_error)
+        deviations = look.flow_error / look.measured.sigma_px[:, None]
+        flow = [squares.noise_left(look.measured.block, z) for z in deviations.T]
+        return replace(
+            state, range_noise=ranges, flow_noise=float(np.sqrt(np.mean(np.square(flow))))
+        )

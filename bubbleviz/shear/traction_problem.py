@@ -1,0 +1,225 @@
+"""The contact traction that explains ranges and flow, around a shape of the exact membrane.
+
+    min  ½ ‖e − D (δ − S a Δp + S t Δq + b g)‖²_W + ½ λ pᵀ L p + ½ Λ qᵀ L q + ½ (g/σ_g)²
+
+over the pressure p ≥ 0, the tangential traction q and the error g of a measured gas pressure, on
+the support of a contact. How smooth q is, Λ, is the likeliest by the evidence (MacKay 1992):
+friction may leave a contact without shear, or put most of it at its edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.optimize import minimize_scalar
+
+from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
+from bubbleviz.shear.friction_cone import within_cone
+
+_DECADES = 8.0
+"""Between the smoothest and the roughest tangential traction that are compared, around the scale of
+the pressure's prior."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What contact and gas may add at a support of s nodes.
+
+    Attributes
+    ----------
+    pressure : (s,) array
+        p, Pa.
+    shear : (2s,) array
+        q: traction along the two tangents of each node, Pa.
+    gas_error_pa : float
+        g.
+    """
+
+    pressure: np.ndarray
+    shear: np.ndarray
+    gas_error_pa: float
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Ranges and flow, one after the other.
+
+    Attributes
+    ----------
+    jacobian : (k, 3n) sparse array
+    error : (k,) array
+        m, then pixels.
+    weight : (k,) array
+        1/σ².
+    """
+
+    jacobian: sparse.csr_array
+    error: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class SolvedTraction:
+    """Solution of a problem.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    motion : (n, 3) array
+        To first order, m.
+    shear_weight : float
+        Λ over λ.
+    factor : tuple
+        Cholesky factor of the Hessian of the columns `active`.
+    active : (c,) int array
+        Of p, q and g one after the other, those that are free.
+    columns : (3n, c) array
+        Motions under unit p, q and g.
+    converged : bool
+    """
+
+    unknowns: Unknowns
+    motion: np.ndarray
+    shear_weight: float
+    factor: tuple[np.ndarray, bool]
+    active: np.ndarray
+    columns: np.ndarray
+    converged: bool
+
+    def answer(self, measurements: Measurements, motion: np.ndarray) -> np.ndarray:
+        """Change of the `active` unknowns that hides a motion (3n,) which nothing caused."""
+        seen = measurements.weight * (measurements.jacobian @ motion)
+        pull = self.columns[:, self.active].T @ (measurements.jacobian.T @ seen)
+        change: np.ndarray = cho_solve(self.factor, pull, check_finite=False)
+        return change
+
+
+class TractionProblem:
+    """The problem of one frame around one shape.
+
+    Parameters
+    ----------
+    columns : (3n, c) array
+        Motions under unit p, q and, where it is measured, gas pressure, in this order.
+    relaxing : (n, 3) array
+        δ: motion to equilibrium under the present traction, m.
+    measurements : Measurements
+    smoothness : (s, s) array
+        λ L on the support, 1/Pa².
+    present : Unknowns
+    gas_sigma_pa : float or None
+        None where the gas pressure follows from the volume.
+    """
+
+    def __init__(
+        self,
+        columns: np.ndarray,
+        relaxing: np.ndarray,
+        measurements: Measurements,
+        smoothness: np.ndarray,
+        present: Unknowns,
+        gas_sigma_pa: float | None,
+    ) -> None:
+        self._columns, self._relaxing, self._smoothness = columns, relaxing, smoothness
+        self._size = len(smoothness)
+        m = measurements
+        left = m.error - m.jacobian @ relaxing.ravel()
+        J = m.jacobian @ columns
+        self._linear = J.T @ (m.weight * left)
+        J *= np.sqrt(m.weight)[:, None]
+        self._data = J.T @ J
+        gas = [] if gas_sigma_pa is None else [present.gas_error_pa]
+        self._before = np.concatenate([present.pressure, present.shear, gas])
+        self._linear += self._data @ self._before
+        self._prior = np.zeros_like(self._data)
+        s = self._size
+        self._prior[:s, :s] = smoothness
+        if gas_sigma_pa is not None:
+            self._prior[-1, -1] = 1.0 / gas_sigma_pa**2
+        self._shear = np.arange(s, 3 * s)
+        self._shear_smoothness = np.kron(smoothness, np.eye(2))
+
+    def solve(self, friction: float | None = None) -> SolvedTraction:
+        """Likeliest traction.
+
+        Parameters
+        ----------
+        friction : float, optional
+            Bound μ of the tangential over the normal traction.
+        """
+        s = self._size
+        touching = np.ones(s, bool)
+        weight = self._likeliest_weight(touching)
+        H = self._data + self._prior
+        H[np.ix_(self._shear, self._shear)] += weight * self._shear_smoothness
+        if friction is not None:
+            x, converged = within_cone(H, self._linear, s, friction)
+        else:
+            x, converged = self._pressing(H, touching)
+        active = self._active(x[:s] > 0.0)
+        factor = cho_factor(part(H, active), lower=True, check_finite=False)
+        motion = (self._columns @ (x - self._before)).reshape(-1, 3) + self._relaxing
+        gas = float(x[-1]) if len(x) > 3 * s else 0.0
+        return SolvedTraction(
+            Unknowns(x[:s], x[s : 3 * s], gas),
+            motion,
+            weight,
+            factor,
+            active,
+            self._columns,
+            converged,
+        )
+
+    def _active(self, touching: np.ndarray) -> np.ndarray:
+        gas = np.ones(len(self._before) - 3 * self._size, bool)
+        return np.flatnonzero(np.concatenate([touching, np.repeat(touching, 2), gas]))
+
+    def _pressing(self, H: np.ndarray, touching: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Minimise with p ≥ 0, and no traction at all where p is 0."""
+        s, x, converged = self._size, np.zeros(len(H)), True
+        while touching.any():
+            active = self._active(touching)
+            count = int(np.count_nonzero(touching))
+            K, f = part(H, active), self._linear[active]
+            rest = cho_factor(K[count:, count:], lower=True, check_finite=False)
+            across = cho_solve(rest, K[count:, :count], check_finite=False)
+            reduced = K[:count, :count] - K[:count, count:] @ across
+            p, _, solved = nonnegative_qp(
+                DenseQuadratic(np.ascontiguousarray(reduced)),
+                across.T @ f[count:] - f[:count],
+                np.ones(count, bool),
+            )
+            converged = converged and solved
+            x[:] = 0.0
+            x[active] = np.concatenate(
+                [p, cho_solve(rest, f[count:], check_finite=False) - across @ p]
+            )
+            if (p > 0.0).all() or not solved:
+                break
+            touching = x[:s] > 0.0
+        return x, converged
+
+    def _likeliest_weight(self, touching: np.ndarray) -> float:
+        """Λ/λ of the largest evidence, with p and g free where there is contact."""
+        s, active = self._size, self._active(touching)
+        shear = (active >= s) & (active < 3 * s)
+        K, f = part(self._data + self._prior, active), self._linear[active]
+        rest = cho_factor(K[~shear][:, ~shear], lower=True, check_finite=False)
+        across = cho_solve(rest, K[~shear][:, shear], check_finite=False)
+        reduced = K[shear][:, shear] - K[shear][:, ~shear] @ across
+        pull = f[shear] - across.T @ f[~shear]
+        prior = part(self._shear_smoothness, active[shear] - s)
+        values, vectors = eigh(reduced, prior, check_finite=False)
+        values, squares = np.maximum(values, 0.0), (vectors.T @ pull) ** 2
+
+        def unlikely(decade: float) -> float:
+            total = values + 10.0**decade
+            return float(np.log(total).sum() - len(values) * decade * np.log(10.0)) - float(
+                (squares / total).sum()
+            )
+
+        found = minimize_scalar(unlikely, bounds=(-_DECADES, _DECADES), method="bounded")
+        return float(10.0**found.x)

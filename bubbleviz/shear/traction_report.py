@@ -1,0 +1,149 @@
+"""What a solved frame says of the contact: forces, torque, displacement, and how certain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.result import Estimate, Traction, TractionStatus
+from bubbleviz.shear.traction_problem import SolvedTraction
+from bubbleviz.shear.traction_state import Look, TractionStart
+
+_ALL_UNKNOWN = np.full((6, 6), np.nan)
+
+
+class TractionReport:
+    """Makes tractions of solutions, and of frames without one.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Reference surface.
+    membrane : RubberMembrane
+    variants : sequence of RubberMembrane
+        With one of its material numbers moved by its standard deviation each.
+    """
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        membrane: RubberMembrane,
+        variants: Sequence[RubberMembrane] = (),
+    ) -> None:
+        self._mesh, self._membrane, self._variants = mesh, membrane, variants
+
+    def nothing(self, status: TractionStatus, reason: str) -> Traction:
+        """A frame about which nothing is known."""
+        nodal = np.full((len(self._mesh.nodes), 3), np.nan)
+        center = np.full(3, np.nan)
+        return Traction(
+            status, nodal, nodal, nodal, nodal, nodal, nodal, center, _ALL_UNKNOWN, reason=reason
+        )
+
+    def untouched(self, estimate: Estimate) -> Traction:
+        """A frame without contact."""
+        return self._of("no_contact", self._positions(estimate), np.zeros_like(self._mesh.nodes))
+
+    def alone(self, estimate: Estimate, reason: str) -> Traction:
+        """The contact pressure of an estimate, nothing being known of friction."""
+        x = self._positions(estimate)
+        force = -estimate.contact_pressure_pa[:, None] * self._membrane.volume_gradient(x)
+        return self._of("depth_alone", x, force, reason=reason)
+
+    def solved(
+        self, state: TractionStart, solved: SolvedTraction, nodes: np.ndarray, look: Look
+    ) -> Traction:
+        """A frame with friction; `nodes` (s,) are its support, `look` is at its shape."""
+        vectors = self._membrane.volume_gradient(state.x)
+        force = state.shear - state.pressure[:, None] * vectors
+        center = self._center(state.x, force)
+        squares = np.einsum("ij,ij->i", look.flow_error, look.flow_error)
+        wrench = self._wrench_columns(state, vectors, nodes, center)[:, solved.active]
+        deviation = solve_triangular(solved.factor[0], wrench.T, lower=True, check_finite=False)
+        covariance = deviation.T @ deviation + self._by_material(state, solved, look, wrench)
+        columns = solved.columns.reshape(-1, 3, solved.columns.shape[1])[nodes]
+        motions = columns[:, :, solved.active].reshape(3 * len(nodes), -1)
+        moved = solve_triangular(solved.factor[0], motions.T, lower=True, check_finite=False)
+        return self._of(
+            "ok",
+            state.x,
+            force,
+            wrench_covariance=covariance,
+            displacement_sigma_m=float(np.sqrt(np.mean(np.sum(moved**2, axis=0)))),
+            flow_rms_px=float(np.sqrt(0.5 * np.mean(squares))),
+            flow_noise=state.flow_noise,
+        )
+
+    def _positions(self, estimate: Estimate) -> np.ndarray:
+        return self._mesh.deformed(estimate.motion_m)
+
+    def _of(
+        self,
+        status: TractionStatus,
+        x: np.ndarray,
+        force: np.ndarray,
+        *,
+        wrench_covariance: np.ndarray = _ALL_UNKNOWN,
+        displacement_sigma_m: float = np.nan,
+        flow_rms_px: float = np.nan,
+        flow_noise: float = np.nan,
+        reason: str = "",
+    ) -> Traction:
+        now = MembraneMesh(x, self._mesh.triangles, self._mesh.rim)
+        n, moved = now.normals, x - self._mesh.nodes
+        normal = np.einsum("ij,ij->i", force, n)[:, None] * n
+        along = np.einsum("ij,ij->i", moved, n)[:, None] * n
+        return Traction(
+            status,
+            force,
+            normal,
+            force - normal,
+            force / now.areas[:, None],
+            x,
+            moved - along,
+            self._center(x, force),
+            wrench_covariance,
+            displacement_sigma_m,
+            flow_rms_px,
+            flow_noise,
+            reason,
+        )
+
+    def _center(self, x: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Centre of the normal forces (3,), m; NaN where there are none."""
+        normals = MembraneMesh(x, self._mesh.triangles, self._mesh.rim).normals
+        load = np.maximum(-np.einsum("ij,ij->i", force, normals), 0.0)
+        total = float(load.sum())
+        return load @ x / total if total > 0.0 else np.full(3, np.nan)
+
+    def _wrench_columns(
+        self, state: TractionStart, vectors: np.ndarray, nodes: np.ndarray, center: np.ndarray
+    ) -> np.ndarray:
+        """Force and torque of unit p, q and gas pressure, (6, c)."""
+        across = state.rubber.tangents[nodes].reshape(-1, 3)
+        forces = np.concatenate([-vectors[nodes], across])
+        arms = state.x[np.concatenate([nodes, np.repeat(nodes, 2)])] - center
+        wrench = np.concatenate([forces, np.cross(arms, forces)], axis=1).T
+        gas = np.zeros((6, 0 if state.rubber.with_gas else 1))
+        return np.hstack([wrench, gas])
+
+    def _by_material(
+        self, state: TractionStart, solved: SolvedTraction, look: Look, wrench: np.ndarray
+    ) -> np.ndarray:
+        """Covariance of the wrench by what is not known of the material, (6, 6)."""
+        covariance = np.zeros((6, 6))
+        membrane, x = self._membrane, state.x
+        inside = membrane.gauge_pressure_pa + state.gas - state.pressure
+        usual = membrane.residual(x, inside)
+        for variant in self._variants:
+            gauge = variant.gauge_pressure_pa - membrane.gauge_pressure_pa
+            change = variant.residual(x, inside + gauge) - usual
+            off = wrench @ solved.answer(
+                look.measurements(state), state.rubber.motion(change).ravel()
+            )
+            covariance += np.outer(off, off)
+        return covariance

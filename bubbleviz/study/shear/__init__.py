@@ -1,0 +1,1 @@
+"""Error of shear force, torque and slip against truths with friction."""
