@@ -18,6 +18,8 @@ from bubbleviz.colour.flow_field import FlowField
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
+_STRIDE = 2
+"""Every how many pixels of a row and a column flow is looked at: those between say the same."""
 _LEAST_SHARE = 0.5
 """Of a block's pixels that must have flow: with fewer their mean is not that of the block."""
 
@@ -84,8 +86,10 @@ class FlowObserver:
                 "colour camera: no pixel sees the membrane; correct its pose in the sensor file"
             )
         row, column = np.divmod(hits.ray, width)
+        stride = min(_STRIDE, block)
+        some = (row % stride == 0) & (column % stride == 0)
         number = (row // block) * columns + column // block
-        blocks, which, count = np.unique(number, return_inverse=True, return_counts=True)
+        blocks, which = np.unique(number, return_inverse=True)
         rays = np.zeros((len(blocks), 3))
         for k in range(3):
             rays[:, k] = np.bincount(which, camera.directions[hits.ray, k])
@@ -94,8 +98,8 @@ class FlowObserver:
         kept = np.full(len(blocks), -1)
         kept[points.ray] = np.arange(len(points.ray))
         self._block_of_pixel = np.full(width * height, -1)
-        self._block_of_pixel[hits.ray] = kept[which]
-        self._pixels = count[points.ray]
+        self._block_of_pixel[hits.ray[some]] = kept[which[some]]
+        self._pixels = np.bincount(which[some], minlength=len(blocks))[points.ray]
         self._corners = mesh.triangles[points.triangle]
         self._barycentric = points.barycentric
         self._rest_px = camera.intrinsics.project(self._in_camera(mesh.nodes, slice(None)))
@@ -105,8 +109,10 @@ class FlowObserver:
     def measure(self, flow: FlowField) -> MeasuredFlow:
         """Motions of the blocks that have flow."""
         block = self._block_of_pixel[flow.pixel]
-        seen = (block >= 0) & np.isfinite(flow.moved_px).all(axis=1) & (flow.sigma_px > 0.0)
-        block, moved, sigma = block[seen], flow.moved_px[seen], flow.sigma_px[seen]
+        some = np.flatnonzero(block >= 0)
+        block, moved, sigma = block[some], flow.moved_px[some], flow.sigma_px[some]
+        seen = np.isfinite(moved).all(axis=1) & (sigma > 0.0)
+        block, moved, sigma = block[seen], moved[seen], sigma[seen]
         count = np.bincount(block, minlength=len(self._pixels))
         full = np.flatnonzero(count >= np.maximum(1.0, _LEAST_SHARE * self._pixels))
         sums = [np.bincount(block, each, minlength=len(count))[full] for each in moved.T]

@@ -24,11 +24,6 @@ _LEAST_STUCK = 4
 """Nodes that a rigid motion is fitted to; three would fit any."""
 _ROUNDS = 10
 """Of leaving out nodes that slip, which settle in two or three."""
-_PER_MEDIAN = 1.0 / np.sqrt(2.0 * np.log(2.0))
-"""Standard deviation in each direction over the median length of a normal vector in the plane."""
-_INSIDE = 0.5
-"""Of the pressure under the contact's middle, above which a node is inside it rather than beside
-its edge, where a coarse mesh mixes what touches with what does not."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +89,13 @@ class SlipFinder:
         return slip, SlipStart(anchors, (known & start.stuck & ~slipping) | new)
 
     def _inside(self, traction: Traction) -> np.ndarray:
-        """Nodes (n,) bool surely within the contact."""
-        pressure = traction.contact_pressure_pa
-        touching = pressure > 0.0
-        middle = float(np.median(pressure[touching])) if touching.any() else 0.0
-        inside: np.ndarray = pressure > _INSIDE * middle
+        """Nodes (n,) bool in contact with all their neighbours.
+
+        Beside its edge a coarse mesh mixes what touches with what does not.
+        """
+        touching, triangles = traction.contact_pressure_pa > 0.0, self._mesh.triangles
+        inside = touching.copy()
+        inside[triangles[~touching[triangles].all(axis=1)]] = False
         return inside
 
 
@@ -137,8 +134,7 @@ class _Nodes(NamedTuple):
         shift = now - turn.apply(before)
         away = self.positions - turn.apply(self.anchors) - shift
         slip = away - np.einsum("ij,ij->i", away, self.normals)[:, None] * self.normals
-        scatter = _PER_MEDIAN * float(np.median(np.linalg.norm(slip[still], axis=1)))
-        sigma = float(np.hypot(displacement_sigma_m, scatter))
+        sigma = displacement_sigma_m
         # of so many vectors of noise the longest is rarely longer
         limit = sigma * float(np.sqrt(2.0 * np.log(len(self.stuck) / _FALSE_ALARMS)))
         return _Way(slip, sigma, limit, turn, shift)
