@@ -28,7 +28,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.flow_field import FlowField
+    from bubbleviz.colour.optical_flow import FlowField
     from bubbleviz.pose.tracker import PoseTracker
     from bubbleviz.shear.slip import SlipFinder, SlipStart
     from bubbleviz.shear.traction_estimator import TractionEstimator, TractionOptions

@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.frames.frame import Frame
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.flow_field import FlowField
+    from bubbleviz.colour.optical_flow import FlowField
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 """`implausible`: no membrane of this sensor, with the noise its file or calibration tells of and

@@ -1,12 +1,9 @@
-"""What optical flow says about the membrane: motion of material points in the image, by blocks.
-
-The flow of neighbouring pixels is of one patch of texture and alike, so that a block of pixels is
-one sample whatever their number.
-"""
+"""What optical flow says about the membrane: motion of material points in the image."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -14,32 +11,42 @@ from scipy import sparse
 from bubbleviz.camera.block_squares import BlockSquares
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.colour.flow_field import FlowField
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
-_STRIDE = 2
-"""Every how many pixels of a row and a column flow is looked at: those between say the same."""
-_LEAST_SHARE = 0.5
-"""Of a block's pixels that must have flow: with fewer their mean is not that of the block."""
+if TYPE_CHECKING:
+    from bubbleviz.colour.optical_flow import FlowField
+
+BLOCK_PX = 8
+"""Side of the blocks of which flow tells one motion each."""
 
 
 @dataclass(frozen=True)
 class MeasuredFlow:
-    """Motion of the material points of blocks of pixels.
+    """Motion of material points that were seen at rest.
 
     Attributes
     ----------
-    block : (k,) int array
-        Blocks with flow.
+    point : (k,) int array
+        Of the observer's, one a pixel that sees the membrane.
     moved_px : (k, 2) array
     sigma_px : (k,) array
         Standard deviation of each component.
+    squares : BlockSquares
+        Parts of the image in which flow is wrong alike.
     """
 
-    block: np.ndarray
+    point: np.ndarray
     moved_px: np.ndarray
     sigma_px: np.ndarray
+    squares: BlockSquares
+
+    def noise_left(self, error_px: np.ndarray) -> float:
+        """Factor by which errors (k, 2) exceed the noise, at least 1."""
+        deviations = error_px / self.sigma_px[:, None]
+        every = np.arange(len(self.point))
+        both = [self.squares.noise_left(every, z) for z in deviations.T]
+        return float(np.sqrt(np.mean(np.square(both))))
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,7 @@ class ShapeFlow:
     ----------
     moved_px : (k, 2) array
     jacobian : (2k, 3n) sparse array
-        Two rows a block, three columns a node, pixels/m.
+        Two rows a point, three columns a node, pixels/m.
     """
 
     moved_px: np.ndarray
@@ -58,15 +65,13 @@ class ShapeFlow:
 
 
 class FlowObserver:
-    """Turns flow fields of one camera into motions of blocks and models them.
+    """Models the flow that a camera sees of the membrane.
 
     Parameters
     ----------
     camera : DepthCamera
         Whose contact-free image the flow starts from.
     mesh : MembraneMesh
-    block : int
-        Side of a block in pixels.
 
     Raises
     ------
@@ -74,74 +79,49 @@ class FlowObserver:
         The camera does not see the membrane.
     """
 
-    def __init__(self, camera: DepthCamera, mesh: MembraneMesh, block: int) -> None:
-        self._camera, self._mesh = camera, mesh
-        width, height = camera.intrinsics.width, camera.intrinsics.height
-        columns = -(-width // block)
-        hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
-            mesh.nodes, mesh.normals
-        )
+    def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
+        self._camera = camera
+        caster = RayCaster(camera.center, camera.directions, mesh.triangles)
+        hits = caster.cast(mesh.nodes, mesh.normals)
         if not len(hits.ray):
             raise InputError(
                 "colour camera: no pixel sees the membrane; correct its pose in the sensor file"
             )
-        row, column = np.divmod(hits.ray, width)
-        stride = min(_STRIDE, block)
-        some = (row % stride == 0) & (column % stride == 0)
-        number = (row // block) * columns + column // block
-        blocks, which = np.unique(number, return_inverse=True)
-        rays = np.zeros((len(blocks), 3))
-        for k in range(3):
-            rays[:, k] = np.bincount(which, camera.directions[hits.ray, k])
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        points = RayCaster(camera.center, rays, mesh.triangles).cast(mesh.nodes, mesh.normals)
-        kept = np.full(len(blocks), -1)
-        kept[points.ray] = np.arange(len(points.ray))
-        self._block_of_pixel = np.full(width * height, -1)
-        self._block_of_pixel[hits.ray[some]] = kept[which[some]]
-        self._pixels = np.bincount(which[some], minlength=len(blocks))[points.ray]
-        self._corners = mesh.triangles[points.triangle]
-        self._barycentric = points.barycentric
-        self._rest_px = camera.intrinsics.project(self._in_camera(mesh.nodes, slice(None)))
-        self.squares = BlockSquares(blocks[points.ray], columns)
-        """Parts of the image in which flow is wrong alike."""
+        self._point_of_pixel = np.full(len(camera.directions), -1)
+        self._point_of_pixel[hits.ray] = np.arange(len(hits.ray))
+        self._corners = mesh.triangles[hits.triangle]
+        self._barycentric = hits.barycentric
+        rows_and_columns = np.divmod(hits.ray, camera.intrinsics.width)
+        self._rest_px = np.stack(rows_and_columns[::-1], axis=1).astype(float)
 
     def measure(self, flow: FlowField) -> MeasuredFlow:
-        """Motions of the blocks that have flow."""
-        block = self._block_of_pixel[flow.pixel]
-        some = np.flatnonzero(block >= 0)
-        block, moved, sigma = block[some], flow.moved_px[some], flow.sigma_px[some]
-        seen = np.isfinite(moved).all(axis=1) & (sigma > 0.0)
-        block, moved, sigma = block[seen], moved[seen], sigma[seen]
-        count = np.bincount(block, minlength=len(self._pixels))
-        full = np.flatnonzero(count >= np.maximum(1.0, _LEAST_SHARE * self._pixels))
-        sums = [np.bincount(block, each, minlength=len(count))[full] for each in moved.T]
-        variance = np.bincount(block, sigma**2, minlength=len(count))[full] / count[full]
-        mean = np.stack(sums, axis=1) / count[full][:, None]
-        return MeasuredFlow(full, mean, np.sqrt(variance))
+        """Motions of the points of the membrane."""
+        point = self._point_of_pixel[flow.pixel]
+        seen = (point >= 0) & np.isfinite(flow.moved_px).all(axis=1) & (flow.sigma_px > 0.0)
+        columns = -(-self._camera.intrinsics.width // BLOCK_PX)
+        row, column = np.divmod(flow.pixel[seen], self._camera.intrinsics.width)
+        block = (row // BLOCK_PX) * columns + column // BLOCK_PX
+        return MeasuredFlow(
+            point[seen], flow.moved_px[seen], flow.sigma_px[seen], BlockSquares(block, columns)
+        )
 
     def seen_share(self, measured: MeasuredFlow, nodes: np.ndarray) -> float:
         """Share of nodes (n,) bool with flow on a triangle beside them."""
         beside = np.zeros(len(nodes), bool)
-        beside[self._corners[measured.block]] = True
+        beside[self._corners[measured.point]] = True
         return int(np.count_nonzero(beside & nodes)) / max(1, int(np.count_nonzero(nodes)))
 
-    def around(self, nodes: np.ndarray, block: np.ndarray) -> ShapeFlow:
-        """Model of the motion of blocks (k,) around a shape, nodes (n, 3) in B, m."""
-        points = self._in_camera(nodes, block)
-        pixels, slopes = self._camera.intrinsics.projection(points)
-        slopes = slopes @ self._camera.T_B_C[:3, :3].T
-        values = slopes[:, :, None, :] * self._barycentric[block][:, None, :, None]
-        columns = 3 * self._corners[block][:, None, :, None] + np.arange(3)
+    def around(self, nodes: np.ndarray, point: np.ndarray) -> ShapeFlow:
+        """Model of the motion of points (k,) around a shape, nodes (n, 3) in B, m."""
+        T, corners, barycentric = self._camera.T_B_C, self._corners[point], self._barycentric[point]
+        in_camera = (nodes - T[:3, 3]) @ T[:3, :3]
+        places = np.einsum("ij,ijk->ik", barycentric, in_camera[corners])
+        pixels, slopes = self._camera.intrinsics.projection(places)
+        slopes = slopes @ T[:3, :3].T
+        values = slopes[:, :, None, :] * barycentric[:, None, :, None]
+        columns = 3 * corners[:, None, :, None] + np.arange(3)
         columns = np.broadcast_to(columns, values.shape)
         starts = np.arange(0, values.size + 1, 9)
-        shape = (2 * len(block), 3 * len(nodes))
+        shape = (2 * len(point), 3 * len(nodes))
         jacobian = sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
-        return ShapeFlow(pixels - self._rest_px[block], jacobian)
-
-    def _in_camera(self, nodes: np.ndarray, block: np.ndarray | slice) -> np.ndarray:
-        """Material points of blocks in the camera's frame, (k, 3), m."""
-        T = self._camera.T_B_C
-        corners = ((nodes - T[:3, 3]) @ T[:3, :3])[self._corners[block]]
-        points: np.ndarray = np.einsum("ij,ijk->ik", self._barycentric[block], corners)
-        return points
+        return ShapeFlow(pixels - self._rest_px[point], jacobian)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.observer import Measured
-from bubbleviz.colour.flow_field import FlowField
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.rubber_estimator import RubberEstimator, RubberStart
 from bubbleviz.result import Estimate, Traction
@@ -17,6 +16,9 @@ from bubbleviz.shear.flow_observer import FlowObserver, MeasuredFlow
 from bubbleviz.shear.traction_problem import SolvedTraction, TractionProblem, Unknowns
 from bubbleviz.shear.traction_report import TractionReport
 from bubbleviz.shear.traction_state import Look, TractionStart
+
+if TYPE_CHECKING:
+    from bubbleviz.colour.optical_flow import FlowField
 
 _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
 """Shares of a mesh edge, as of `RubberEstimator`: a step that ends a frame, a way over which a
@@ -28,7 +30,7 @@ _SEEN_SHARE = 0.5
 """Of the touched nodes that flow must be seen beside, for the rest to follow from it."""
 
 NO_FLOW = "no optical flow: the colour image of the frame or the contact-free one is missing"
-NO_TEXTURE = "no flow is seen where the membrane is touched: texture is missing or washed out"
+NO_TEXTURE = "no flow is seen where the membrane is touched: texture is missing or not found again"
 NO_CONTACT_SHAPE = "depth shows no contact to begin with"
 NOT_CONVERGED = "no equilibrium with friction was found"
 
@@ -87,9 +89,7 @@ class TractionEstimator:
     ) -> None:
         self.mesh, self.options = estimator.mesh, options or TractionOptions()
         self._estimator, self._equilibrium = estimator, estimator.equilibrium
-        scale = camera.intrinsics.width / estimator.observer.camera.intrinsics.width
-        block = max(1, round(estimator.observer.block * scale))
-        self.flow_observer = FlowObserver(camera, self.mesh, block)
+        self.flow_observer = FlowObserver(camera, self.mesh)
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, edge
@@ -127,7 +127,7 @@ class TractionEstimator:
         if estimate.status == "no_data":
             return report.nothing("no_data", estimate.reason), None
         if flow is None or not len(flow.pixel):
-            return self._alone(estimate, NO_FLOW), None
+            return self._alone(estimate, NO_FLOW if flow is None else flow.problem), None
         begin, support = self._begin(estimate, reached, start)
         if begin is None or not support.any():
             return report.nothing("not_converged", NO_CONTACT_SHAPE), None
@@ -211,7 +211,7 @@ class TractionEstimator:
         observer = self._estimator.observer
         view = observer.around(x)
         observation = observer.weigh(frame.ranges, view.model_m)
-        flow = self.flow_observer.around(x, frame.flow.block)
+        flow = self.flow_observer.around(x, frame.flow.point)
         return Look(
             view,
             observation,
@@ -292,10 +292,7 @@ class TractionEstimator:
 
     def _with_noise(self, look: Look, state: TractionStart) -> TractionStart:
         """The state with the noise that a look leaves."""
-        observer, squares = self._estimator.observer, self.flow_observer.squares
+        observer = self._estimator.observer
         ranges = observer.noise_left(look.observation, look.view.block, look.range_error)
-        deviations = look.flow_error / look.measured.sigma_px[:, None]
-        flow = [squares.noise_left(look.measured.block, z) for z in deviations.T]
-        return replace(
-            state, range_noise=ranges, flow_noise=float(np.sqrt(np.mean(np.square(flow))))
-        )
+        flow = look.measured.noise_left(look.flow_error)
+        return replace(state, range_noise=ranges, flow_noise=flow)
