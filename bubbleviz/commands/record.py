@@ -160,7 +160,8 @@ def _wait(
 def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
     if status.problem:
         raise InputError(status.problem)
-    if problem := stream.source.problem():
+    problem, lost = stream.source.problem(), stream.source.link() == "lost"
+    if problem and not (lost and status.messages):  # what came before it was lost is in the file
         raise InputError(f"--source {source}: {problem}")
     if not status.messages:
         offered = ", ".join(topic.name for topic in stream.topics())

@@ -49,6 +49,7 @@ class LiveStream:
         self._listeners: tuple[Listener, ...] = ()
         self._last_frame_ns: int | None = None
         self._outages: tuple[Outage, ...] = ()
+        self._wrong_before = 0
 
     def __enter__(self) -> LiveStream:
         self.start()
@@ -100,7 +101,10 @@ class LiveStream:
         """How the source is doing now."""
         last = self._last_frame_ns
         silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
-        return status_of(self.source.link(), silent, self.source.problem())
+        problem = self.source.problem() or self._size_refused()
+        if problem:  # of several sources, which
+            problem = f"{problem} ({self.name})"
+        return status_of(self.source.link(), silent, problem)
 
     @property
     def outages(self) -> tuple[Outage, ...]:
@@ -135,6 +139,18 @@ class LiveStream:
         if wrong and size is not None and own is not None:
             raise size_refusal(images, size, sensor_name, own)
 
+    def _size_refused(self) -> str:
+        """What to say of images that are of another size since the last frame; empty for none."""
+        with self._lock:
+            size, own = self._assembler.other_size, self._assembler.size
+            wrong = self._assembler.counters.wrong_size - self._wrong_before
+        if wrong < SEVERAL or size is None or own is None:
+            return ""
+        return (
+            f"refused: images are {size[0]}×{size[1]} pixels but the sensor's camera has "
+            f"{own[0]}×{own[1]}; choose the sensor file of this camera"
+        )
+
     def topics(self) -> tuple[OfferedTopic, ...]:
         """Topics to choose from."""
         return self.source.topics()
@@ -152,6 +168,7 @@ class LiveStream:
 
     def _put(self, frames: list[Frame]) -> None:
         for frame in frames:
+            self._wrong_before = self._assembler.counters.wrong_size
             before, self._last_frame_ns = self._last_frame_ns, frame.arrival_ns
             if before is not None and frame.arrival_ns - before > 1e9 * STALE_AFTER_S:
                 self._outages = (*self._outages, (before, frame.arrival_ns))

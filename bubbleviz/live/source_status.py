@@ -24,7 +24,7 @@ class Status:
     silent_s : float or None
         Time since the last depth image, s; None before the first.
     problem : str
-        Why nothing has come yet, where that is known.
+        Why nothing comes, where that is known.
     """
 
     state: State
@@ -45,7 +45,7 @@ class Status:
             return self.problem or "waiting for the first depth image"
         if self.state == "live" or self.silent_s is None:
             return ""
-        return f"nothing for {self.silent_s:.1f} s"
+        return "; ".join(filter(None, (f"nothing for {self.silent_s:.1f} s", self.problem)))
 
 
 def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
@@ -53,7 +53,9 @@ def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
     if link == "ended":
         return Status("ended", silent_s)
     if link == "lost" and (silent_s is None or silent_s > STALE_AFTER_S):
-        return Status("reconnecting", silent_s)
+        return Status("reconnecting", silent_s, problem)
     if silent_s is None:
         return Status("connecting", None, problem)
-    return Status("stale" if silent_s > STALE_AFTER_S else "live", silent_s)
+    if silent_s > STALE_AFTER_S:
+        return Status("stale", silent_s, problem)
+    return Status("live", silent_s)

@@ -315,7 +315,9 @@ def told(small_sensor: Sensor, eventually: Eventually) -> Told:
         with open_stream(f"zenoh:{endpoint}?{options}", small_sensor) as stream:
             eventually(stream.source.problem)
             assert stream.status().state == "connecting"
-            return stream.status().text.removeprefix("refused: ")
+            text = stream.status().text
+            assert text.endswith(f" ({stream.name})") and endpoint in stream.name
+            return text.removeprefix("refused: ").removesuffix(f" ({stream.name})")
 
     return ask
 
@@ -363,6 +365,62 @@ def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(
         assert f"not accept cert={other};" in told(at, ca=ca, cert=other, key=other_key)
     with listener(at, Credentials(cert=other, key=other_key)):
         assert "is the authority's own" in told(at, ca=other)
+
+
+def test_a_refusal_of_who_comes_back_is_told(
+    small_sensor: Sensor,
+    certificates: Path,
+    eventually: Eventually,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The robot is up again with another certificate; then nothing listens there."""
+    monkeypatch.setattr("bubbleviz.live.sources.zenoh_source.WHY_EVERY_S", 0.2)
+    files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
+    ca, cert, key, other, other_key = (str(certificates / name) for name in files)
+    at = f"tls/localhost:{free_port()}"
+    with open_stream(f"zenoh:{at}?ca={ca}&depth=/quiet", small_sensor) as stream:
+        with listener(at, Credentials(cert=cert, key=key)) as robot:
+            frame = None
+            while frame is None:
+                robot.put("quiet", image(time.time_ns()))
+                frame = stream.take(0.05)
+        with listener(at, Credentials(cert=other, key=other_key)):
+            eventually(lambda: "is not signed by" in stream.status().text)
+            assert stream.status().state == "reconnecting"
+            assert stream.status().text.endswith(f"; check ca= ({stream.name})")
+        eventually(lambda: "nothing listens at localhost" in stream.status().text)
+        with listener(at, Credentials(cert=cert, key=key)) as robot:
+            frame = None
+            while frame is None:
+                robot.put("quiet", image(time.time_ns()))
+                frame = stream.take(0.05)
+            eventually(lambda: stream.source.problem() == "")
+
+
+def test_a_camera_of_another_size_that_comes_back_is_told(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    port, frame = free_port(), None
+    with open_session(str(port)) as camera, stream_of(port, small_sensor, "?depth=/q") as stream:
+        while frame is None:
+            camera.put("q", image(time.time_ns()))
+            frame = stream.take(0.05)
+        other = {"height": 24, "width": 32, "step": 64}
+
+        def refused() -> bool:
+            camera.put("q", image(time.time_ns(), **other))
+            return "images are 32×24 pixels" in stream.status().text
+
+        eventually(refused)
+        assert stream.status().state == "stale"
+        assert stream.status().text.endswith(
+            f"has {WIDTH}×{HEIGHT}; choose the sensor file of this camera ({stream.name})"
+        )
+        frame = None
+        while frame is None:
+            camera.put("q", image(time.time_ns()))
+            frame = stream.take(0.05)
+        eventually(lambda: stream.status().problem == "")
 
 
 def listener(endpoint: str, credentials: Credentials) -> zenoh.Session:

@@ -30,6 +30,7 @@ from bubbleviz.live.sources.zenoh_keys import (
     type_of,
     unpack_attachment,
 )
+from bubbleviz.live.sources.zenoh_refusal import why_no_session
 from bubbleviz.live.sources.zenoh_session import (
     NotConnectedError,
     SessionOptions,
@@ -44,6 +45,8 @@ BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; cho
 CLOSING_S = 2.0  # s; chosen
 LOOK_S = 0.1
 """How often newly announced topics are subscribed to, and the connection is looked at."""
+WHY_EVERY_S = 3.0
+"""How often it is asked why a session does not come back: Zenoh tries every 2 s at least."""
 
 
 class ZenohSource:
@@ -113,7 +116,7 @@ class ZenohSource:
         return self._missed
 
     def problem(self) -> str:
-        """Why there is no session yet, or the error that ended the subscription thread."""
+        """Why there is no session, or the error that ended the subscription thread."""
         return self._no_session or ("" if self._connector is None else self._connector.problem)
 
     def _named(self) -> list[tuple[str, str]]:
@@ -132,6 +135,9 @@ class ZenohSource:
     def _keep(self, pace: PacedThread) -> None:
         if not self._connect(pace):
             return
+        why, looked = "", time.monotonic()
+        if self._options.connect is not None:  # a client's session is open once it is connected
+            self._link = "up"
         try:
             self._watch()
             while pace.wait_until(time.monotonic() + LOOK_S):
@@ -139,11 +145,21 @@ class ZenohSource:
                     self._take_token(*self._tokens.get())
                 self._subscribe_to_wanted()
                 if connected(self._session):
-                    self._link = "up"
-                elif self._link == "up":
+                    self._link, self._no_session, looked = "up", "", time.monotonic()
+                elif self._link != "connecting":
                     self._link = "lost"
+                    if time.monotonic() - looked >= WHY_EVERY_S:
+                        why, looked = self._look_why(why), time.monotonic()
         finally:
             self._session.close()
+
+    def _look_why(self, before: str) -> str:
+        """Why the session is not back, told once two looks agree: it may come back in between."""
+        place = self._options.connect
+        why = "" if place is None else why_no_session(place, self._options.credentials)
+        if why == before:
+            self._no_session = why
+        return why
 
     def _connect(self, pace: PacedThread) -> bool:
         """Open the session, retrying with increasing intervals; False when stopped."""

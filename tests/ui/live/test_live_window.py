@@ -600,7 +600,8 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
         str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
     )
     place, own = f"tls/localhost:{free_port()}", Credentials(cert=cert, key=key)
-    why = f"refused: the certificate of localhost is not signed by ca={other}; check ca="
+    source = f"zenoh:{place}?ca={other}"
+    why = f"refused: the certificate of localhost is not signed by ca={other}; check ca= ({source})"
     with open_session(SessionOptions("robot", listen=place, credentials=own)):
         for sensor in (sensor_file(bench.folder), AUTO):
             dialog = ConnectDialog(bench.window, bench.live_controller, sensor)
@@ -608,7 +609,7 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
             for file, text in ((ca, "No topics yet; looking…"), (other, why)):
                 dialog.place.setEditText(f"{place}?ca={file}")
                 bench.wait(partial(shows, dialog.problem, text))
-            assert dialog.source.text() == f"zenoh:{place}?ca={other}"
+            assert dialog.source.text() == source
             dialog.buttons.button(QDialogButtonBox.StandardButton.Ok).click()
             bench.wait(lambda: why in bench.window.live.state.text())
             bench.window.live.leave.click()

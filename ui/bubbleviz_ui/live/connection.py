@@ -163,7 +163,7 @@ def _check(stream: LiveStream, sensor_name: str) -> None:
 def _waiting_for(stream: LiveStream) -> str:
     """What a stream without a frame so far is waited for, and what came instead."""
     counters, topics = stream.counters(), stream.topics()
-    if counters.problem:
+    if counters.problem and not stream.status().problem:
         return f"no depth image yet: {counters.problem}"
     if topics:
         return f"no depth image yet; topics: {', '.join(topic.name for topic in topics)}"
