@@ -265,6 +265,17 @@ def test_a_live_source_is_recorded_first(
     assert not bench.dialog.export.isEnabled()
 
 
+def test_nothing_is_exported_while_nothing_is_open(bench: Bench) -> None:
+    window = bench.driver.window
+    with bench.driver.bot.waitActive(window):
+        window.activateWindow()
+    bench.driver.bot.keyClick(window, Qt.Key.Key_W, Qt.KeyboardModifier.ControlModifier)
+    bench.driver.wait(lambda: bench.driver.state.facts.nothing)
+    dialog = bench.dialog
+    assert "Nothing is open" in dialog.about.text() and not dialog.export.isEnabled()
+    assert dialog.frames.currentText() == "all 0 frames"
+
+
 def test_nothing_is_clipped(bench: Bench) -> None:
     bench.driver.state.choose_range((3, 8))
     for label in bench.dialog.findChildren(QLabel):

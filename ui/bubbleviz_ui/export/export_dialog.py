@@ -144,7 +144,8 @@ class ExportDialog(QDialog):
         self.frames.clear()
         if range_ is not None:
             self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
-        self.frames.addItem(f"all {count_of(0 if facts is None else facts.frames, 'frame')}", ALL)
+        count = 0 if facts is None or facts.nothing else facts.frames
+        self.frames.addItem(f"all {count_of(count, 'frame')}", ALL)
         self.frames.blockSignals(False)
 
     def _show(self) -> None:

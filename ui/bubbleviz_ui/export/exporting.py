@@ -77,6 +77,8 @@ class Exporting(QObject):
         facts = self._state.facts
         if facts is None or self._controller.sensor is None:
             return "Nothing is open yet."
+        if facts.nothing:
+            return "Nothing is open: open a recording (Ctrl+O) to export its frames."
         if facts.grows:
             return "A live source is exported from its recording: record it (Ctrl+R), then open it."
         return ""

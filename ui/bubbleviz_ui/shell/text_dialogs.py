@@ -93,6 +93,8 @@ class InformationDialog(TextDialog):
             self.text.setPlaceholderText("Reading the recording…")
             jobs.replace(lambda _: recording_info(path).to_text(), self._on_read)
             self.finished.connect(jobs.cancel)
+        elif facts is not None and facts.nothing:
+            self._write("Nothing is open.")
         elif facts is not None:
             so_far = " so far" if facts.grows else ""
             self._write(f"Source: {facts.title}, {count_of(facts.frames, 'frame')}{so_far}")
