@@ -173,6 +173,7 @@ class MainWindow(QMainWindow):
         elif path.suffix.lower() in SUFFIXES:
             with self.settings.one_step("object"):
                 self.panels["pose"].show()
+                self.state.choose_layer("object", True)
                 self.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.session_saver.open(path)
@@ -220,7 +221,12 @@ class MainWindow(QMainWindow):
     def show_import(self) -> None:
         """Make a recording of images or of another kind of recording."""
         if self._import is None:
-            self._import = ImportDialog(self, self.importing, self.controller.opening.recording)
+            self._import = ImportDialog(
+                self,
+                self.importing,
+                self.controller.opening.recording,
+                lambda: self.live_controller.recording.folder,
+            )
             self._import.said.connect(self.messages.tell)
         self._import.show()
         self._import.raise_()

@@ -73,8 +73,9 @@ class Bench:
 
 
 @pytest.fixture
-def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Bench]:
     made = Bench(drive(frame=3), monkeypatch)
+    made.driver.window.live_controller.choose_folder(tmp_path)  # where recordings go
     yield made
     del made.driver  # pytest keeps the fixture's value longer than the window lives
 
@@ -160,9 +161,11 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(
     assert "exists already" in bench.run()
 
 
-def test_typing_a_name_that_is_not_there(bench: Bench) -> None:
+def test_typing_a_name_that_is_not_there(bench: Bench, tmp_path: Path) -> None:
     bench.driver.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
-    assert bench.dialog.out.text() == "/no/such.mcap"
+    assert bench.dialog.out.text() == str(tmp_path / "such.mcap")
+    assert "/no/such.bag" in bench.run()
+    bench.dialog.out.setText("/no/such.mcap")
     assert "folder /no does not exist" in bench.run()
 
 

@@ -17,7 +17,7 @@ import pytest
 from fakes import DentSource
 from live_bench import IMAGE, STRING, Bench, contents, robot, robot_sensor, sensor_file
 from PySide6.QtCore import QPoint, QRect, Qt
-from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QLabel
+from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QFileDialog, QLabel, QWidget
 from rosbags.highlevel import AnyReader
 from window_driver import texts
 
@@ -247,10 +247,20 @@ def test_recordings_have_a_folder_of_their_own(
     own = live.stop().parent
     assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
     assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
+    begun = list[str]()  # where a dialog that opens a recording begins
+
+    def asked(parent: QWidget, title: str, folder: str, kinds: str) -> tuple[str, str]:
+        begun.append(folder)
+        return "", ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
+    live.window.shortcuts.actions["File › Open recording"].trigger()
     chosen = str(live.folder)
     monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
     live.window.shortcuts.actions["Live › Recordings go to"].trigger()
     assert live.state.choices.record_folder == chosen
+    live.window.shortcuts.actions["File › Open recording"].trigger()
+    assert begun == [str(own), chosen]
 
 
 def test_closing_the_window_ends_the_recording_whole(open_bench: Open) -> None:
@@ -647,6 +657,20 @@ def test_a_rosbag2_folder_is_chosen_as_if_live(
     bench.wait(lambda: dialog.topics.count() > 1)
     dialog.kind.setCurrentIndex(dialog.kind.findData(ZENOH))
     assert not dialog.folder.isVisible()
+    dialog.reject()
+
+
+def test_the_source_of_each_kind_is_written(open_bench: Open) -> None:
+    bench = open_bench()
+    from bubbleviz_ui.live.connect_dialog import KINDS, TOGETHER, ConnectDialog
+
+    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
+    dialog.open()
+    dialog.kind.setFocus()
+    for kind in KINDS:
+        expected = "dual_nut" if kind == TOGETHER else f"{kind}:"
+        assert dialog.kind.currentData() == kind and dialog.source.text() == expected
+        bench.bot.keyClick(dialog.kind, Qt.Key.Key_Down)
     dialog.reject()
 
 

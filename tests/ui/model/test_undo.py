@@ -21,6 +21,7 @@ from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.undo import LAYOUT
 from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.shell.theme import GAP
 
 Drive = Callable[..., Driver]
 LEFT = Qt.MouseButton.LeftButton
@@ -264,12 +265,17 @@ def test_keys_range_and_markers_are_undone(drive: Drive) -> None:
 
 def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Path) -> None:
     driver = drive(frame=6)
+    driver.window.use_scene(load_scene("calibrate"))
+    driver.settle()
     for name in ("cylinder", "frustum"):
         (tmp_path / f"{name}.ply").write_bytes(ply_bytes(load_object(name)))
         driver.window.open_file(tmp_path / f"{name}.ply")
         driver.wait(lambda name=name: driver.window.pose.session.obj is not None
                     and driver.window.pose.session.obj.name == name)  # fmt: skip
-    assert driver.window.undo_stack.index() == 2
+    assert driver.window.undo_stack.index() == 3
+    driver.settle()
+    drawn = driver.window.scene.object  # seen, and not called found before it is
+    assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == GAP
     undo(driver)
     driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
     driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")

@@ -22,11 +22,13 @@ from PySide6.QtWidgets import (
 from bubbleviz.commands.convert import Beside, ConvertSummary, convert
 from bubbleviz.files.output_files import free_name
 from bubbleviz.frames.image_folder import is_image_folder
+from bubbleviz.progress import Progress
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.importing.file_field import FileField
 from bubbleviz_ui.importing.image_fields import ImageFields
+from bubbleviz_ui.live.recording_control import make_room
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.shell.file_dialogs import folder_to_open
+from bubbleviz_ui.shell.file_dialogs import folder_to_open, remember
 from bubbleviz_ui.shell.layouts import fill
 
 SUFFIX = ".mcap"
@@ -51,6 +53,8 @@ class ImportDialog(QDialog):
         Where it is done.
     open_recording : callable
         Opens what was made.
+    folder : callable
+        Where recordings go.
 
     Attributes
     ----------
@@ -60,11 +64,17 @@ class ImportDialog(QDialog):
 
     said = Signal(object)
 
-    def __init__(self, parent: QWidget, jobs: Jobs, open_recording: Callable[[Path], None]) -> None:
+    def __init__(
+        self,
+        parent: QWidget,
+        jobs: Jobs,
+        open_recording: Callable[[Path], None],
+        folder: Callable[[], Path],
+    ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import")
         self.setMinimumWidth(WIDTH)
-        self._jobs, self._open_recording = jobs, open_recording
+        self._jobs, self._open_recording, self._folder = jobs, open_recording, folder
         self._proposed = ""
         self.source = FileField("A recording", OTHERS)
         self.source.browse.setText("Recording…")
@@ -120,11 +130,11 @@ class ImportDialog(QDialog):
             self.source.line.setText(str(path))
 
     def _on_source(self) -> None:
-        """Propose a name beside what was chosen, unless one was typed."""
+        """Propose a name in the folder of recordings, unless one was typed."""
         path = self.source.path
         if path is not None and self.out.text() in ("", self._proposed):
             name = path.stem if path.suffix.lower() in SUFFIXES else path.name
-            self._proposed = str(free_name(path.parent / f"{name}{SUFFIX}"))
+            self._proposed = str(free_name(self._folder() / f"{name}{SUFFIX}"))
             self.out.setText(self._proposed)
         self._on_field()
 
@@ -153,7 +163,7 @@ class ImportDialog(QDialog):
             return
         self._tell(None, "")
         beside = self.images.beside if is_image_folder(path) else Beside()
-        self._jobs.run(partial(convert, path, self.out_path, beside), self._on_done, _discard)
+        self._jobs.run(partial(_imported, path, self.out_path, beside), self._on_done, _discard)
         self._on_progress("opening", 0.0)
         self._show()
 
@@ -172,6 +182,7 @@ class ImportDialog(QDialog):
             self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
         elif self._summary is not None:
             out = Path(self._summary.out)
+            remember("recording", out)
             self.said.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
 
     def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
@@ -183,6 +194,11 @@ class ImportDialog(QDialog):
         if self._summary is not None:
             self._open_recording(Path(self._summary.out))
             self.accept()
+
+
+def _imported(path: Path, out: Path, beside: Beside, progress: Progress) -> ConvertSummary:
+    make_room(out)
+    return convert(path, out, beside, progress)
 
 
 def _discard(summary: ConvertSummary | None) -> None:

@@ -89,7 +89,7 @@ class ConnectDialog(QDialog):
         self.browse_sensor.setToolTip("Choose a sensor file")
         self.source = QLineEdit()
         self.source.setReadOnly(True)
-        self.source.setToolTip("The same for bubbleviz open --source")
+        self.source.setToolTip("The same for bubbleviz open --source, of two sensors --session")
         self.problem = QLabel(wordWrap=True)
         self.problem.setObjectName("problem")
         buttons = QDialogButtonBox.StandardButton
@@ -102,12 +102,11 @@ class ConnectDialog(QDialog):
 
     @property
     def uri(self) -> str:
-        """The source as `--source` takes it; empty for two sensors."""
-        kind = self.kind.currentData()
+        """The source as `--source` takes it, of two sensors the session as `--session` does."""
+        kind, place = self.kind.currentData(), self.place.currentText().strip()
         if kind == TOGETHER:
-            return ""
+            return place
         topic = self._topic()
-        place = self.place.currentText().strip()
         option = f"{'&' if '?' in place else '?'}depth={quote(topic)}" if topic else ""
         return f"{kind}:{place}{option}"
 
@@ -175,6 +174,7 @@ class ConnectDialog(QDialog):
         self.folder.setVisible(kind == REPLAY)
         self._form.setRowVisible(self.topics, kind in (ZENOH, REPLAY))
         self._form.setRowVisible(self._sensor_row, kind != TOGETHER)
+        self._show_source()
         self._look()
 
     def _look(self) -> None:

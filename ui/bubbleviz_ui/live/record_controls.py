@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
@@ -16,8 +17,9 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.wording import count_of
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.recording_control import RecordingState
+from bubbleviz_ui.live.recording_control import RecordingState, new_name
 from bubbleviz_ui.panels.binding import bind
+from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.shell.layouts import Elided, fill
 
 MOST_PRE_ROLL_S = 60.0  # kept in memory: 1.1 GB of 16-bit 640×480 at 30 Hz
@@ -89,10 +91,12 @@ class RecordControls(QWidget):
 
     def choose_folder(self) -> None:
         """Choose where recordings go."""
-        present = str(self._live.recording.folder)
-        name = QFileDialog.getExistingDirectory(self, "Record into", present)
+        folder = self._live.recording.folder
+        present = folder if folder.is_dir() else folder.parent  # it is made with the first
+        name = QFileDialog.getExistingDirectory(self, "Record into", str(present))
         if name:
             self._live.choose_folder(name)
+            remember("recording", new_name(Path(name)))
             self._show_folder()
 
     def _save_note(self) -> None:

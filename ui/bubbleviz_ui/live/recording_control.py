@@ -13,6 +13,7 @@ from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.model.messages import MessageKind, UserMessage
+from bubbleviz_ui.shell.file_dialogs import remember
 
 OWN_FOLDER = Path.home() / "bubbleviz-recordings"
 """Where recordings go unless another folder is chosen."""
@@ -111,6 +112,7 @@ class Recording(QObject):
         elif status.messages:
             size = status.size_bytes / 1e6
             text = f"Recorded {status.path}: {count_of(status.messages, 'message')}, {size:.1f} MB"
+            remember("recording", Path(status.path))
             self._say("notice", text, Path(status.path))
         else:
             self._say("warning", "Nothing arrived while recording; no file was written")
@@ -124,9 +126,14 @@ def new_name(folder: Path) -> Path:
     return free_name(folder / time.strftime("bubbleviz-%Y%m%d-%H%M%S.mcap"))
 
 
-def _start(recorder: Recorder, path: Path) -> None:
+def make_room(path: Path) -> None:
+    """Make the folder of a recording, where that is `OWN_FOLDER`; no other is made unasked."""
     if path.parent == OWN_FOLDER:
         OWN_FOLDER.mkdir(exist_ok=True)
+
+
+def _start(recorder: Recorder, path: Path) -> None:
+    make_room(path)
     recorder.start(path)
 
 

@@ -11,6 +11,7 @@ from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.pose.pose_gizmo import Gizmo
 from bubbleviz_ui.pose.pose_panel import PosePanel
+from bubbleviz_ui.view3d.layers.object_layer import LOST
 
 if TYPE_CHECKING:
     from bubbleviz_ui.view3d.render_view import View
@@ -48,11 +49,18 @@ class PoseOverlay:
             self._panel.move_it.setChecked(False)
             layer.set_object(session.obj)
         if (session.start is not self._start and session.start is not None) or session.pose is None:
-            layer.put(session.start)
+            self._put_start(session.start)
         elif session.pose is not self._pose:
             layer.put_pose(session.pose, self._panel.stage.currentData())
         self._start, self._pose = session.start, session.pose
         self._view.refresh()
+
+    def _put_start(self, start: np.ndarray | None) -> None:
+        """Draw the object where it is to begin, or else above the membrane, as not found yet."""
+        if start is None and self._obj is not None:
+            self._scene.object.put(self._above(self._obj), LOST)
+        else:
+            self._scene.object.put(start)
 
     def _on_gizmo(self, on: bool) -> None:
         session = self._panel.session

@@ -103,12 +103,16 @@ def _folder(of: str, at_first: Path | None = None) -> str:
     return folder if folder and Path(folder).is_dir() else ""
 
 
+def remember(of: str, path: Path) -> None:
+    """Have the next dialog for a kind of file begin where this one is."""
+    _folders().setValue(of, str(path.absolute().parent))
+
+
 def _remembered(of: str, name: str) -> Path | None:
     if not name:
         return None
-    path = Path(name)
-    _folders().setValue(of, str(path.absolute().parent))
-    return path
+    remember(of, Path(name))
+    return Path(name)
 
 
 def _folders() -> QSettings:
