@@ -87,17 +87,17 @@ class Truth:
     def of(cls, contact: Contact, view: MembraneView) -> Truth:
         """What is true of a contact on the mesh of a view."""
         touching = touching_share(view.mesh, contact.contact_pressure_pa)
-        load = np.linalg.norm(contact.nodal_force_n, axis=1)
         moved = contact.displacement_3d_m
-        center, torque = np.full(3, np.nan), np.zeros(3)
-        if load.sum() > 0.0:
-            x = view.mesh.deformed(moved)
-            center = load @ x / load.sum()
-            torque = np.cross(x - center, contact.nodal_force_n).sum(axis=0)
-        areas = replace(view.mesh, nodes=view.mesh.deformed(moved)).areas
+        x = view.mesh.deformed(moved)
+        areas = replace(view.mesh, nodes=x).areas
+        load = np.linalg.norm(contact.nodal_force_n, axis=1)
         slip = np.full(len(load), np.nan)
         if isinstance(contact, FrictionContact):
-            slip = contact.slip_m
+            load, slip = contact.contact_pressure_pa * areas, contact.slip_m
+        center, torque = np.full(3, np.nan), np.zeros(3)
+        if load.sum() > 0.0:
+            center = load @ x / load.sum()
+            torque = np.cross(x - center, contact.nodal_force_n).sum(axis=0)
         half = 0.5 - 1e-9  # a place at exactly one half counts
         return cls(
             displacement_m=contact.displacement_m,
