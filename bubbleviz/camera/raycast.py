@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.membrane.mesh import cross, triangles_across
+from bubbleviz.membrane.mesh import cross, faces_from, triangles_across
 
 _WALK = 4
 """Triangles that a ray may walk over; it is cast again before more are needed."""
@@ -73,6 +73,15 @@ class _Facets(NamedTuple):
     facing: np.ndarray
     offset: np.ndarray
 
+    @classmethod
+    def of(cls, local: np.ndarray, normals: np.ndarray, triangles: np.ndarray) -> _Facets:
+        """Of triangles (m, 3) between nodes (n, 3) from the origin."""
+        # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
+        faces = faces_from(local, triangles)
+        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
+        facing = np.einsum("mkj,mj->mk", normals[triangles], facet)
+        return cls(faces, facing, np.einsum("mj,mj->m", local[triangles[:, 0]], facet))
+
 
 class RayCaster:
     """Casts one bundle of rays from one origin onto a mesh whose nodes may move.
@@ -112,7 +121,7 @@ class RayCaster:
         hit = np.flatnonzero(np.isfinite(found.distance))
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
-        return self._meet(self._facets(local, normals), ray, found.triangle[hit])
+        return self._meet(local, normals, ray, found.triangle[hit])
 
     @cached_property
     def _across(self) -> np.ndarray:
@@ -123,8 +132,8 @@ class RayCaster:
 
         A ray whose triangle is several further away ends on the plane of one close by.
         """
-        facets = self._facets(nodes - self.origin, normals)
-        found = self._meet(facets, hits.ray, hits.triangle)
+        local = nodes - self.origin
+        found = self._meet(local, normals, hits.ray, hits.triangle)
         for _ in range(_WALK):
             out = np.argmin(found.barycentric, axis=1)
             lowest = found.barycentric[np.arange(len(out)), out]
@@ -133,7 +142,7 @@ class RayCaster:
             leaving, following = leaving[following >= 0], following[following >= 0]
             if not len(leaving):
                 break
-            moved = self._meet(facets, hits.ray[leaving], following)
+            moved = self._meet(local, normals, hits.ray[leaving], following)
             found = found.with_others(leaving, moved)
         return found
 
@@ -144,19 +153,16 @@ class RayCaster:
         along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
         return facet / along[:, None]
 
-    def _facets(self, local: np.ndarray, normals: np.ndarray) -> _Facets:
-        corners = local[self.triangles]
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
-        faces = np.empty_like(corners)
-        faces[:, 0], faces[:, 1], faces[:, 2] = cross(b, c), cross(c, a), cross(a, b)
-        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
-        facing = np.einsum("mkj,mj->mk", normals[self.triangles], facet)
-        return _Facets(faces, facing, np.einsum("mj,mj->m", a, facet))
-
-    def _meet(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
-        volumes = (facets.faces[triangle] @ self.directions[ray][:, :, None])[:, :, 0]
+    def _meet(
+        self, local: np.ndarray, normals: np.ndarray, ray: np.ndarray, triangle: np.ndarray
+    ) -> Hits:
+        """Hits of rays (k,) on the planes of triangles (k,); nodes from the rays' origin."""
+        met = np.zeros(len(self.triangles), bool)
+        met[triangle] = True
+        facets = _Facets.of(local, normals, self.triangles[met])
+        number = (np.cumsum(met) - 1)[triangle]
+        volumes = (facets.faces[number] @ self.directions[ray][:, :, None])[:, :, 0]
         along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
         barycentric = volumes / along[:, None]
-        sensitivity = barycentric * facets.facing[triangle] / along[:, None]
-        return Hits(ray, triangle, barycentric, facets.offset[triangle] / along, sensitivity)
+        sensitivity = barycentric * facets.facing[number] / along[:, None]
+        return Hits(ray, triangle, barycentric, facets.offset[number] / along, sensitivity)

@@ -59,6 +59,23 @@ class MembraneMesh:
         return np.flatnonzero(~self.rim)
 
     @cached_property
+    def corners(self) -> np.ndarray:
+        """The triangles by corner, (3, m): what is asked of all corners is fast along rows."""
+        return np.ascontiguousarray(self.triangles.T)
+
+    @cached_property
+    def rings(self) -> np.ndarray:
+        """Each node and its neighbours, (d, n) int: a column a node, filled up with the node."""
+        count = len(self.nodes)
+        start, end = self.triangles.ravel(), np.roll(self.triangles, -1, axis=1).ravel()
+        pairs = np.unique(np.concatenate([start * count + end, end * count + start]))
+        node, neighbour = np.divmod(pairs, count)
+        place = 1 + np.arange(len(node)) - np.searchsorted(node, np.arange(count))[node]
+        rings = np.tile(np.arange(count), (1 + place.max(initial=0), 1))
+        rings[place, node] = neighbour
+        return rings
+
+    @cached_property
     def angles(self) -> np.ndarray:
         """Interior angles of every triangle, shape (m, 3), rad."""
         corners = self.nodes[self.triangles]
@@ -101,6 +118,14 @@ def triangles_across(triangles: np.ndarray) -> np.ndarray:
     found = order[there]
     across = np.where(key[found] == end * n + start, found // 3, -1)
     return across.reshape(-1, 3)
+
+
+def faces_from(local: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Cross products b×c, c×a and a×b of the corners of triangles (m, 3), (m, 3, 3)."""
+    second, third = (
+        local[triangles[:, turned]].reshape(-1, 3) for turned in ([1, 2, 0], [2, 0, 1])
+    )
+    return cross(second, third).reshape(-1, 3, 3)
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

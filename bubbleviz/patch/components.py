@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import connected_parts, neighbourhoods
+from bubbleviz.patch.mesh_region import connected_parts
 from bubbleviz.patch.patch_finder import area_above, area_and_interval
 from bubbleviz.result import Estimate, Patch
 
@@ -42,7 +42,7 @@ def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Co
     if not above.any():
         return ()
     inside = np.flatnonzero(above)
-    count, label = connected_parts(neighbourhoods(mesh), above)
+    count, label = connected_parts(mesh.rings, above)
     nodes = mesh.deformed(estimate.motion_m)
     parts = [_component(mesh, estimate, patch, nodes, inside[label == k]) for k in range(count)]
     return tuple(sorted(parts, key=lambda part: -part.area_m2))
@@ -84,7 +84,7 @@ def without_small(
 def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
     """Remove the bands of edges from a level where no patch is left."""
     near = level > -band
-    count, label = connected_parts(neighbourhoods(mesh), near)
+    count, label = connected_parts(mesh.rings, near)
     empty = np.bincount(label, level[near] > 0.0, minlength=count) == 0.0
     level[np.flatnonzero(near)[empty[label]]] = -band
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.membrane.mesh import MembraneMesh
 
@@ -20,79 +18,97 @@ class Region:
     index : (k,) int array
         Its nodes in the mesh.
     points : (k, 3) array
-    ring : (k, k) sparse array
-        Pattern of each node with its neighbours.
-    step : (k, k) sparse array
-        One step of a random walk to a neighbour.
-    triangles : (t, 3) int array
-        Those with all corners in the part, in its numbering.
+    rings : (d, k) int array
+        Each node and its neighbours in the part: a column a node, filled up with the node.
+    neighbours : (k,) int array
+        Number of those neighbours.
+    corners : (3, t) int array
+        Triangles with all corners in the part, in its numbering.
     open : (k,) bool array
         Nodes with neighbours outside the part, or on the rim.
     """
 
     index: np.ndarray
     points: np.ndarray
-    ring: sparse.csr_array
-    step: sparse.csr_array
-    triangles: np.ndarray
+    rings: np.ndarray
+    neighbours: np.ndarray
+    corners: np.ndarray
     open: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: MembraneMesh, mask: np.ndarray) -> Region:
+        """The part that a set of nodes (n,) bool is."""
+        index = np.flatnonzero(mask)
+        around = mesh.rings[:, index]
+        outside = ~mask[around]
+        number = np.cumsum(mask) - 1
+        rings = np.where(outside, np.arange(len(index)), number[around])
+        return cls(
+            index,
+            mesh.nodes[index],
+            rings,
+            np.count_nonzero(rings != rings[0], axis=0),
+            number[mesh.corners[:, mask[mesh.corners].all(axis=0)]],
+            outside.any(axis=0) | mesh.rim[index],
+        )
+
+    def differences(self, field: np.ndarray) -> np.ndarray:
+        """Sum of the differences of a node's neighbours from it, of fields (…, k)."""
+        sums: np.ndarray = field.take(self.rings, axis=-1).sum(axis=-2) - len(self.rings) * field
+        return sums
+
+    def totals(self, field: np.ndarray) -> np.ndarray:
+        """Sum over each node and its neighbours, of fields (…, k)."""
+        return self.differences(field) + (1 + self.neighbours) * field
 
     def maximum(self, field: np.ndarray) -> np.ndarray:
         """Largest value among a node and its neighbours."""
-        highest: np.ndarray = np.maximum.reduceat(field[self.ring.indices], self.ring.indptr[:-1])
+        highest: np.ndarray = field[self.rings].max(axis=0)
         return highest
 
     def touches(self, mask: np.ndarray) -> np.ndarray:
         """Nodes in or next to a set of nodes."""
-        return (self.ring @ mask.astype(float)) > 0.0
+        return grown(self.rings, mask)
 
     def any_in_part(self, mask: np.ndarray, flag: np.ndarray) -> np.ndarray:
         """Nodes of a set whose connected part holds a flagged node."""
-        count, part = connected_parts(self.ring, mask)
-        held = np.bincount(part, flag[mask], minlength=count) > 0
-        found = mask.copy()
-        found[mask] = held[part]
+        found, more = mask & flag, True
+        while more:
+            wider = mask & self.touches(found)
+            more, found = not np.array_equal(wider, found), wider
         return found
 
 
-def neighbourhoods(mesh: MembraneMesh) -> sparse.csr_array:
-    """Pattern (n, n) of ones for each node with itself and its neighbours."""
-    a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-    count = len(mesh.nodes)
-    pairs = sparse.csr_array((np.ones(len(a)), (a, b)), shape=(count, count))
-    pattern = sparse.csr_array(pairs + pairs.T + sparse.eye_array(count))
-    pattern.data[:] = 1.0
-    return pattern
+def grown(rings: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Nodes (n,) bool in or next to a set of nodes."""
+    wider = mask.copy()
+    wider[rings[:, mask]] = True
+    return wider
 
 
-def among(pattern: sparse.csr_array, mask: np.ndarray) -> sparse.csr_array:
-    """Pattern (k, k) of ones between the k nodes of a set, mask (n,) of the pattern's (n, n).
-
-    SciPy's own indexing takes several times as long on a mesh this small.
-    """
-    kept = mask[pattern.indices] & np.repeat(mask, np.diff(pattern.indptr))
-    before = np.append(0, np.cumsum(kept))
-    starts = np.append(0, before[pattern.indptr[1:][mask]])
-    indices = (np.cumsum(mask) - 1)[pattern.indices[kept]]
-    size = len(starts) - 1
-    return sparse.csr_array((np.ones(len(indices)), indices, starts), shape=(size, size))
-
-
-def connected_parts(ring: sparse.csr_array, mask: np.ndarray) -> tuple[int, np.ndarray]:
-    """Number of connected parts of a set of nodes, and the part of each of its nodes."""
-    return connected_components(among(ring, mask), connection="strong")  # it is symmetric
+def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarray]:
+    """Number of connected parts of a set of nodes (n,) bool, and the part of each of its nodes."""
+    nodes, lowest = np.flatnonzero(mask), np.arange(len(mask))
+    around = rings[:, nodes]
+    around = np.where(mask[around], around, nodes)
+    while True:  # each node learns of the lowest one in its part, by neighbours and by that one
+        lower = lowest[around].min(axis=0, initial=len(mask))
+        if np.array_equal(lower, lowest[nodes]):
+            break
+        lowest[nodes] = lower
+        lowest[nodes] = lowest[lower]
+    first, part = np.unique(lower, return_inverse=True)
+    return len(first), part
 
 
 def contour_points(region: Region, field: np.ndarray) -> np.ndarray:
     """Points on the zero contour of a nodal field: its cuts of the edges and half way between."""
-    inside = field > 0.0
-    count = inside[region.triangles].sum(axis=1)
-    cut = region.triangles[(count == 1) | (count == 2)]
+    inside = (field > 0.0)[region.corners]
+    count = inside.sum(axis=0)
+    cut = np.flatnonzero((count == 1) | (count == 2))
     # Turn each cut triangle so that its first corner is the one alone on its side.
-    side = inside[cut]
-    alone = np.argmax(side == (side.sum(axis=1) == 1)[:, None], axis=1)
-    rows = np.arange(len(cut))
-    a, b, c = (cut[rows, (alone + k) % 3] for k in range(3))
+    alone = np.argmax(inside[:, cut] == (count[cut] == 1), axis=0)
+    a, b, c = (region.corners[(alone + k) % 3, cut] for k in range(3))
     tb = field[a] / (field[a] - field[b])
     tc = field[a] / (field[a] - field[c])
     x = region.points

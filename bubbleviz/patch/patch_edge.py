@@ -17,11 +17,10 @@ from __future__ import annotations
 from math import ceil, log, sqrt
 
 import numpy as np
-from scipy import sparse
 from scipy.spatial import cKDTree
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import Region, among, contour_points, neighbourhoods
+from bubbleviz.patch.mesh_region import Region, contour_points, grown
 
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, in which missing gauge pressure could go unnoticed
@@ -41,19 +40,12 @@ class PatchEdge:
     Parameters
     ----------
     mesh : MembraneMesh
-
-    Attributes
-    ----------
-    ring : (n, n) sparse array
-        Pattern of each node with its neighbours.
     """
 
     def __init__(self, mesh: MembraneMesh) -> None:
         self.mesh = mesh
         a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
         self._edge = float(np.linalg.norm(mesh.nodes[a] - mesh.nodes[b], axis=1).mean())
-        self.ring = neighbourhoods(mesh)
-        self._degree = np.diff(self.ring.indptr) - 1
 
     def blur_m(self, resolution_m: float) -> float:
         """ℓ of an estimate of some resolution, m: below half an edge it is the mesh that blurs."""
@@ -109,13 +101,13 @@ class PatchEdge:
         """
         near = np.abs(distance) < blur
         deep = np.clip(distance / blur - 1.0, 0.0, 1.0)
-        columns = [near * beside, near * (before - distance), near, deep * p, deep]
-        sums = self._smooth(region, np.stack(columns, axis=1), _PROFILE * blur)
-        count = np.maximum(sums[:, 2], 1e-9)
-        height = np.maximum(sums[:, 0] / count, 1e-9)
-        shrunk = sums[:, 1] / count
+        fields = np.stack([near * beside, near * (before - distance), near, deep * p, deep])
+        heights, lost, count, loads, insides = self._smooth(region, fields, _PROFILE * blur)
+        count = np.maximum(count, 1e-9)
+        height = np.maximum(heights / count, 1e-9)
+        shrunk = lost / count
         # Where no interior is in sight, a step.
-        interior = (sums[:, 3] + 1e-6 * height) / (sums[:, 4] + 1e-6)
+        interior = (loads + 1e-6 * height) / (insides + 1e-6)
         ridge = np.maximum(1.0 - interior / height, 0.0)
         by_blur = np.clip(shrunk, -_ROUND * blur, _ROUND * blur)
         dilation: np.ndarray = blur * sqrt(2.0 * log(2.0)) * ridge - shrunk - by_blur
@@ -124,16 +116,19 @@ class PatchEdge:
     def _outside(self, region: Region, over: np.ndarray, blur: float) -> np.ndarray:
         """Nodes (k,) bool below the floor, but for holes too small to be seen."""
         low = over <= 0.0
-        seen = region.open | (self._distance(region, over, blur) < -_HOLE * blur)
+        outside = region.any_in_part(low, region.open)
+        if np.array_equal(outside, low):
+            return low
+        seen = outside | (self._distance(region, over, blur) < -_HOLE * blur)
         return region.any_in_part(low, seen)
 
     def _smooth(self, region: Region, field: np.ndarray, length: float) -> np.ndarray:
-        """Gaussian smoothing of standard deviation `length` by random walks on the mesh."""
+        """Gaussian smoothing of fields (…, k), standard deviation `length`, by random walks."""
         variance = 2.0 * (length / self._edge) ** 2
         steps = ceil(1.25 * variance)  # of at most 0.8 of a step: no mode turns negative
-        share = variance / steps
+        share = variance / steps / np.maximum(region.neighbours, 1)
         for _ in range(steps):
-            field = field + share * (region.step @ field - field)
+            field = field + share * region.differences(field)
         return field
 
     def _distance(self, region: Region, field: np.ndarray, blur: float) -> np.ndarray:
@@ -148,23 +143,8 @@ class PatchEdge:
     def _around(self, mask: np.ndarray, rings: int) -> Region:
         """The part of the mesh within some rings of a set of nodes."""
         for _ in range(rings):
-            mask = (self.ring @ mask.astype(float)) > 0.0
-        index = np.flatnonzero(mask)
-        ring = among(self.ring, mask)
-        neighbours = np.diff(ring.indptr) - 1
-        rows = np.repeat(np.arange(len(index)), neighbours + 1)
-        weight = np.where(rows == ring.indices, 0.0, 1.0 / np.maximum(neighbours, 1)[rows])
-        number = np.full(len(mask), -1)
-        number[index] = np.arange(len(index))
-        triangles = number[self.mesh.triangles[mask[self.mesh.triangles].all(axis=1)]]
-        return Region(
-            index=index,
-            points=self.mesh.nodes[index],
-            ring=ring,
-            step=sparse.csr_array((weight, ring.indices, ring.indptr), ring.shape),
-            triangles=triangles,
-            open=(neighbours < self._degree[index]) | self.mesh.rim[index],
-        )
+            mask = grown(self.mesh.rings, mask)
+        return Region.of(self.mesh, mask)
 
 
 def _beside(region: Region, p: np.ndarray, outside: np.ndarray) -> np.ndarray:
@@ -174,11 +154,13 @@ def _beside(region: Region, p: np.ndarray, outside: np.ndarray) -> np.ndarray:
     one is noise: a mean over all nodes around, weighted by how far inside they are, counts as one
     more.
     """
-    share = 1.0 - (region.ring @ outside.astype(float)) / np.diff(region.ring.indptr)
+    share = region.totals((~outside).astype(float)) / (region.neighbours + 1)
     weight = np.where(outside, 0.0, share**_INSIDE)
-    around = (region.ring @ (weight * p)) / np.maximum(region.ring @ weight, 1e-9)
-    inner = (~region.touches(outside)).astype(float)
-    return region.maximum((region.ring @ (inner * p) + around) / (region.ring @ inner + 1.0))
+    inner = ~region.touches(outside)
+    weighed, weights, inward, count = region.totals(
+        np.stack([weight * p, weight, inner * p, inner])
+    )
+    return region.maximum((inward + weighed / np.maximum(weights, 1e-9)) / (count + 1.0))
 
 
 def _contour(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 
 import numpy as np
 
@@ -55,7 +56,8 @@ class PatchFinder:
         parts in contact, so that what noise puts elsewhere does not pull it aside.
         """
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
-        gas = self._held + np.nan_to_num(estimate.gas_pressure_change_pa)
+        change = estimate.gas_pressure_change_pa
+        gas = self._held + (0.0 if isnan(change) else change)
         if kappa is None:
             threshold = 0.5 * gas
             resolution = estimate.resolution_m or self._resolution_m
@@ -97,7 +99,7 @@ class PatchFinder:
         part = np.full(len(pressure), -1)
         if not above.any():
             return np.zeros(len(pressure)), part
-        parts, part[above] = connected_parts(self._edge.ring, above)
+        parts, part[above] = connected_parts(self._mesh.rings, above)
         highest = np.zeros(parts)
         np.maximum.at(highest, part[above], pressure[above])
         touches = highest >= gas_pa
@@ -119,7 +121,7 @@ class PatchFinder:
         small = np.flatnonzero((contact > 0.0) & ~drawn[part])
         if len(small):
             edge = self._mesh.edge_length
-            beside = self._edge.ring[small].indices
+            beside = self._mesh.rings[:, small]
             level[beside] = np.where(level[beside] > 0.0, level[beside], -edge)
             inside = (contact[small] / gas_pa - 0.5) * edge
             level[small] = np.minimum(inside, self._edge.blur_m(resolution_m))
@@ -149,7 +151,7 @@ def areas_above(
     Exact for the piecewise linear field: of a triangle with one corner above the level, the part
     beyond the level line is the product of the two cut edge fractions.
     """
-    corners = field[mesh.triangles].T
+    corners = field[mesh.corners]
     reaching = corners.max(axis=0) > min(levels)
     low, middle, high = np.sort(corners[:, reaching], axis=0)
     facet_areas = mesh.facet_areas[reaching]
