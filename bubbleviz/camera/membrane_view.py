@@ -6,7 +6,7 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.raycast import Hits, RayCaster
-from bubbleviz.membrane.mesh import MembraneMesh, cross
+from bubbleviz.membrane.mesh import MembraneMesh, faces_from
 
 
 class MembraneView:
@@ -40,44 +40,64 @@ class MembraneView:
         """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level.
 
         Only the triangles that reach the level are drawn: a patch is pushed towards the camera, so
-        that no other part of the membrane stands before it.
+        that no other part of the membrane stands before it. Lens distortion is followed at the
+        nodes and is linear between them.
         """
-        mask = np.zeros(self.shape, bool)
-        triangles = self.mesh.triangles
-        reaching = triangles[np.any(field[triangles] > level, axis=1)]
-        if not len(reaching):
+        mask, mesh = np.zeros(self.shape, bool), self.mesh
+        reaching = mesh.corners[:, (field > level)[mesh.corners].any(axis=0)]
+        if not reaching.size:
             return mask
-        local = self.mesh.deformed(displacement_m) - self.camera.center
-        a, b, c = (local[reaching[:, k]] for k in range(3))
-        # times the ray: its barycentric coordinates up to a positive factor
-        faces = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
-        faces *= np.sign(np.einsum("mj,mj->m", a, faces[:, 0]))[:, None, None]
-        excess = np.einsum("mk,mkj->mj", field[reaching] - level, faces)
-        triangle, pixel = self._candidates(local, reaching)
-        rays = self.camera.directions[pixel].T
-        seen = np.einsum("pj,jp->p", excess[triangle], rays) > 0.0
-        for face in faces.transpose(1, 0, 2):
-            seen &= np.einsum("pj,jp->p", face[triangle], rays) >= 0.0
-        mask.ravel()[pixel[seen]] = True
+        nodes, corners = np.unique(reaching, return_inverse=True)
+        corners = corners.reshape(reaching.shape)
+        local = mesh.deformed(displacement_m)[nodes] - self.camera.center
+        seen = local @ self.camera.T_B_C[:3, :3]
+        places = np.ones((len(nodes), 3))
+        places[:, :2] = self.camera.intrinsics.project(seen)
+        # times (column, row, 1): a place's barycentric coordinates up to a positive factor
+        sides = faces_from(places, corners.T).transpose(1, 0, 2)
+        sides *= np.sign(np.einsum("mj,mj->m", places[corners[0]], sides[0]))[:, None]
+        # over the depth, what is linear on a triangle is so in the image
+        excess = ((field[nodes] - level) / seen[:, 2])[corners]
+        bounds = np.concatenate([sides, np.einsum("km,kmj->mj", excess, sides)[None]])
+        rows = places[corners, 1]
+        _fill(mask, bounds, np.ceil(rows.min(axis=0)), np.floor(rows.max(axis=0)))
         return mask
 
-    def _candidates(
-        self, local: np.ndarray, triangles: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle (k,) and flat pixel (k,) of all pixels in the boxes that triangles span.
 
-        `local` are node positions from the camera centre in the directions of B, m.
-        """
-        width, height = self.shape[1], self.shape[0]
-        nodes, corners = np.unique(triangles, return_inverse=True)
-        uv = self.camera.intrinsics.project(local[nodes] @ self.camera.T_B_C[:3, :3])
-        spans = uv[corners.reshape(-1, 3)]
-        low = np.clip(np.floor(spans.min(axis=1)).astype(int), 0, (width, height))
-        high = np.clip(np.ceil(spans.max(axis=1)).astype(int) + 1, 0, (width, height))
-        columns, rows = (high - low).T
-        count = columns * rows
-        triangle = np.repeat(np.arange(len(triangles)), count)
-        place = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
-        row, column = np.divmod(place, columns[triangle])
-        first = low[:, 1] * width + low[:, 0]
-        return triangle, first[triangle] + row * width + column
+def _fill(mask: np.ndarray, bounds: np.ndarray, first: np.ndarray, last: np.ndarray) -> None:
+    """Set the pixels of some convex areas, by the span of columns in each of their rows.
+
+    Parameters
+    ----------
+    mask : (H, W) bool array
+    bounds : (k, m, 3) array
+        An area is where all k products with (column, row, 1) are positive.
+    first, last : (m,) array
+        Its rows.
+    """
+    height, width = mask.shape
+    first, last = first.clip(0, height).astype(int), last.clip(-1, height - 1).astype(int)
+    count = np.maximum(last - first + 1, 0) * bounds.any(axis=(0, 2))
+    area = np.repeat(np.arange(len(count)), count)
+    row = np.arange(len(area)) + np.repeat(first - np.cumsum(count) + count, count)
+    slope, across, offset = bounds[:, area].transpose(2, 0, 1)
+    here = across * row + offset
+    with np.errstate(divide="ignore", invalid="ignore"):
+        end = -here / slope
+    # parallel to the row: all of it, or nothing
+    nothing = (slope == 0.0) & (here < 0.0)
+    left = np.where(slope > 0.0, end, np.where(nothing, width, -1.0)).max(axis=0)
+    right = np.where(slope < 0.0, end, width).min(axis=0)
+    left, right = np.ceil(left.clip(0, width)), np.floor(right.clip(-1, width - 1)) + 1
+    some = left < right
+    if not some.any():
+        return
+    row, left, right = row[some], left[some].astype(int), right[some].astype(int)
+    top, west = row.min(), left.min()
+    box = mask[top : row.max() + 1, west : right.max()]
+    wide = box.shape[1] + 1
+    starts, stops = (
+        np.bincount((row - top) * wide + column - west, minlength=len(box) * wide)
+        for column in (left, right)
+    )
+    box |= np.cumsum(starts - stops).reshape(-1, wide)[:, :-1] > 0
