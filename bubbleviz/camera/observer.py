@@ -24,6 +24,9 @@ _HUBER = 1.345
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
+_LOOKS = 16
+"""Pixels looked at for outliers of those that are worth one independent sample."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -32,16 +35,18 @@ class Measured:
     Attributes
     ----------
     residual_m : (k,) array
-        Measured minus reference range, m; 0 where there is no return.
-    precision : (k,) array
-        1/σ² at the noise of this frame, 1/m²; 0 where there is no return.
-    valid_pixels : int
-        Pixels that returned something.
+        Measured minus reference range, m; NaN where there is no return.
+    noise : float
+        Factor by which this frame is noisier than expected, at least 1.
+    total, moment : (B,) array
+        Sums over the pixels of each block: of 1/σ² at that noise, 1/m², and of that times the
+        residual, 1/m.
     """
 
     residual_m: np.ndarray
-    precision: np.ndarray
-    valid_pixels: int
+    noise: float
+    total: np.ndarray
+    moment: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -56,14 +61,11 @@ class Observation:
         1/σ² of each block's mean, 1/m²; 0 where no pixel is valid.
     trusted : float
         Share of the weight that robust weighting left: 1 where noise explains every pixel.
-    valid_pixels : int
-        Pixels that returned something.
     """
 
     residual_m: np.ndarray
     weight: np.ndarray
     trusted: float
-    valid_pixels: int
 
 
 @dataclass(frozen=True)
@@ -151,13 +153,14 @@ class RangeObserver:
             mesh.nodes, mesh.normals
         )
         bias, noise = np.zeros(len(hits.ray)), noise_relative * hits.range_m
-        used = np.ones(len(hits.ray), bool)
+        used, correlated = np.ones(len(hits.ray), bool), 1.0
         if pixels is not None:
             used, bias, noise = (
                 image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
             )
             # What facets get wrong is as alike from pixel to pixel as a depth camera's noise is.
-            noise = np.hypot(noise, facet_error(mesh)) * np.sqrt(pixels.correlated_pixels)
+            correlated = pixels.correlated_pixels
+            noise = np.hypot(noise, facet_error(mesh)) * np.sqrt(correlated)
         pixel = hits.ray[used]
         if not len(pixel):
             raise InputError(
@@ -181,6 +184,7 @@ class RangeObserver:
         self._facet_error_m = facet_error(mesh)
         self._squares = BlockSquares(blocks, self.columns)
         self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
+        self._spread = self._apart(max(1, int(np.sqrt(correlated / _LOOKS))))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = _scatter(gaussian)
@@ -205,6 +209,11 @@ class RangeObserver:
         whole = whole[:: max(1, len(whole) // rows)]
         return whole[:, None] + np.arange(self.block**2)
 
+    def _apart(self, step: int) -> np.ndarray:
+        """Positions of the pixels in every step-th row and column of the image."""
+        row, column = np.divmod(self.pixel, self.camera.intrinsics.width)
+        return np.flatnonzero((row % step == 0) & (column % step == 0))
+
     @property
     def blocks(self) -> int:
         """Number of blocks B."""
@@ -212,10 +221,12 @@ class RangeObserver:
 
     def pixel_residuals(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured minus reference range of the pixels in use, (k,), m; NaN: no return."""
-        ranges = depth_m.ravel()[self.pixel] * self._scale
+        ranges = depth_m.ravel().take(self.pixel)
+        ranges *= self._scale
         if self._line is not None:
             ranges = self._line.straighten(ranges)
-        return ranges - self._reference
+        ranges -= self._reference
+        return ranges
 
     def observe(self, depth_m: np.ndarray, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a z-depth image.
@@ -233,28 +244,46 @@ class RangeObserver:
     def measure(self, depth_m: np.ndarray) -> Measured:
         """Residuals of the pixels in use, and how far each is trusted before a model is known."""
         residual = self.pixel_residuals(depth_m)
-        valid = np.isfinite(residual)
-        precision = np.where(valid, self._precision, np.float32(0.0))
-        residual[~valid] = 0.0
-        precision /= np.float32(self._noise_scale(precision, residual) ** 2)
-        return Measured(residual, precision, int(np.count_nonzero(valid)))
+        noise = self._noise_scale(residual)
+        total, moment = self._sums(self._precision, residual)
+        return Measured(residual, noise, total / noise**2, moment / noise**2)
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of what was measured; `expected_m` as in `observe`."""
-        residual, precision = measured.residual_m, measured.precision
+        total, moment, share = measured.total, measured.moment, 1.0
         if expected_m is not None:
-            expected = expected_m.astype(np.float32)[self.block_of_pixel]
-            robust = _huber_weights((residual - expected) ** 2 * precision)
-        else:
-            robust = np.float32(1.0)
-        trusted = precision * robust
-        total = np.add.reduceat(trusted, self._starts).astype(float)
-        moment = np.add.reduceat(trusted * residual, self._starts).astype(float)
+            expected = expected_m.astype(np.float32)
+            squares = self._misses_squared(measured, expected, self._spread)
+            if np.count_nonzero(squares > _FAR**2) > _FAR_SHARE * np.count_nonzero(squares >= 0.0):
+                robust = _huber_weights(self._misses_squared(measured, expected, slice(None)))
+                robust *= self._precision / np.float32(measured.noise**2)
+                total, moment = self._sums(robust, measured.residual_m)
+                share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
-        share = float(np.sum(total) / max(np.sum(precision, dtype=float), 1e-300))
-        return Observation(mean, self._weight(total), share, measured.valid_pixels)
+        return Observation(mean, self._weight(total), share)
 
-    def _noise_scale(self, precision: np.ndarray, residual: np.ndarray) -> float:
+    def _misses_squared(
+        self, measured: Measured, expected_m: np.ndarray, pixels: np.ndarray | slice
+    ) -> np.ndarray:
+        """Squares in σ² of what a model (B,) leaves of some pixels; NaN where nothing returned."""
+        left = measured.residual_m[pixels] - expected_m[self.block_of_pixel[pixels]]
+        left *= left
+        left *= self._precision[pixels] / np.float32(measured.noise**2)
+        return left
+
+    def _sums(self, precision: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (B,) over each block of precisions (k,), and of those times residuals (k,).
+
+        Pixels without a return, NaN, count for nothing.
+        """
+        weighed, holes = precision * residual, np.flatnonzero(np.isnan(residual))
+        if holes.size:
+            precision = precision.copy()
+            precision[holes] = weighed[holes] = 0.0
+        total, moment = (np.add.reduceat(x, self._starts) for x in (precision, weighed))
+        return total.astype(float), moment.astype(float)
+
+    def _noise_scale(self, residual: np.ndarray) -> float:
         """Factor by which this frame is noisier than expected, at least 1.
 
         From the scatter of pixels about their block's median. Pixels that a filter has made
@@ -262,15 +291,15 @@ class RangeObserver:
         """
         if not len(self._sample):
             return 1.0
-        z = residual[self._sample] * np.sqrt(precision[self._sample])
-        whole = np.all(precision[self._sample] > 0.0, axis=1)
-        scatter = _scatter(z[whole]) if whole.any() else 0.0
+        z = residual[self._sample] * np.sqrt(self._precision[self._sample])
+        z = z[~np.isnan(z).any(axis=1)]
+        scatter = _scatter(z) if len(z) else 0.0
         return max(1.0, scatter / self._gaussian_scatter)
 
     def observe_everything(self) -> Observation:
         """The untouched membrane seen without noise by every pixel in use."""
         total = np.add.reduceat(self._precision, self._starts).astype(float)
-        return Observation(np.zeros_like(total), self._weight(total), 1.0, len(self.pixel))
+        return Observation(np.zeros_like(total), self._weight(total), 1.0)
 
     def _weight(self, precision: np.ndarray) -> np.ndarray:
         """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
@@ -311,12 +340,14 @@ class RangeObserver:
         """Model of every block's residual at a displacement (n,), (B,) in m; 0 where unknown."""
         model = np.zeros(self.blocks)
         model[linear.hits.ray] = linear.offset_m + self._along_rays(linear.hits, displacement_m)
-        return np.nan_to_num(model)
+        model[np.isnan(model)] = 0.0
+        return model
 
     def _along_rays(self, hits: Hits, displacement_m: np.ndarray) -> np.ndarray:
         """D u of Eq. 20, (k,)."""
-        at_nodes = displacement_m[self.mesh.triangles[hits.triangle]]
-        return np.einsum("ij,ij->i", hits.sensitivity, at_nodes)
+        at_nodes = displacement_m[self.mesh.corners[:, hits.triangle]]
+        along: np.ndarray = (hits.sensitivity.T * at_nodes).sum(axis=0)
+        return along
 
     def misfit(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
@@ -371,12 +402,10 @@ def _scatter(values: np.ndarray) -> float:
     return float(np.median(np.abs(values - np.median(values, axis=1, keepdims=True))))
 
 
-def _huber_weights(squares: np.ndarray) -> np.ndarray | np.float32:
-    """Weights of pixels by their squared residual in σ²; 1 for all that Gaussian noise explains."""
-    outlying = np.count_nonzero(squares > _FAR**2)
-    if outlying <= _FAR_SHARE * np.count_nonzero(squares):
-        return np.float32(1.0)
-    return np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squares, 1e-12))).astype(np.float32)
+def _huber_weights(squares: np.ndarray) -> np.ndarray:
+    """Weights of pixels by their squared residual in σ², NaN where that is."""
+    weights: np.ndarray = np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squares, 1e-12)))
+    return weights
 
 
 def facet_error(mesh: MembraneMesh) -> float:

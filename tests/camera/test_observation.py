@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -135,7 +137,6 @@ def test_blocks_see_a_deformation_through_noise_holes_and_bias(block):
     error = (seen.residual_m - at(observer, displacement))[used]
     # White noise averages out; what is left is the curvature of the range within a block.
     assert np.sqrt(np.mean(error**2)) < 1.5e-4 / block + 2e-5 * block**2
-    assert seen.valid_pixels == pytest.approx(0.81 * shape[0] * shape[1], rel=0.02)
 
 
 def test_outliers_count_little_once_the_model_is_known():
@@ -154,6 +155,24 @@ def test_outliers_count_little_once_the_model_is_known():
 
     assert bias(observer.observe(depth)) > 0.003
     assert bias(observer.observe(depth, truth)) < 0.0005
+
+
+def test_outliers_among_pixels_that_a_filter_made_alike_count_little_too():
+    """A fifth of the image, in squares, is off; few pixels are looked at to find that out."""
+    displacement = smooth_dent(0.008)
+    ranges = MembraneView(CAMERA, MESH).range_image(displacement)
+    noise = np.full(ranges.shape, 1e-4)
+    pixels = PixelModel(np.ones(ranges.shape, bool), 0.0 * noise, noise, correlated_pixels=144.0)
+    wild = np.kron(np.random.default_rng(4).random((22, 28)) < 0.2, np.ones((8, 8)))[:171, :224]
+    observer = RangeObserver(CAMERA, MESH, 0.01, pixels, block=4)
+    depth = CAMERA.depth_image(ranges + 0.02 * wild).astype(np.float32)
+    truth = at(observer, displacement)
+    plain, robust = observer.observe(depth), observer.observe(depth, truth)
+    assert robust.trusted < 0.9
+    seen = plain.weight > 0
+    wrong = plain.residual_m - truth > 0.01
+    assert np.median((robust.weight / plain.weight)[seen & wrong]) < 0.6
+    assert robust.weight[seen & ~wrong] == pytest.approx(plain.weight[seen & ~wrong], rel=0.05)
 
 
 def test_clean_pixels_keep_their_full_weight():
@@ -194,17 +213,35 @@ def test_noise_that_neighbours_share_clumps():
     assert found.deviations == pytest.approx(2.0, rel=0.25)  # the mean of four is no better
 
 
-def test_a_field_seen_by_the_camera_is_cast_on_the_deformed_membrane():
+@pytest.mark.parametrize(
+    ("model", "distortion", "off"),
+    [
+        ("none", (), 0.0),
+        ("inverse_brown_conrady", (-0.06, 0.06, 8e-4, 1e-3, -0.02), 2e-3),
+        ("plumb_bob", (-0.2, 0.06, 8e-4, 1e-3), 5e-3),
+    ],
+)
+def test_a_field_seen_by_the_camera_is_cast_on_the_deformed_membrane(model, distortion, off):
+    own = replace(CAMERA.intrinsics, distortion_model=model, distortion=distortion)
     displacement = smooth_dent(0.012)
     field = np.exp(-((MESH.nodes[:, 0] - 0.012) ** 2 + MESH.nodes[:, 1] ** 2) / 0.015**2)
-    view = MembraneView(CAMERA, MESH)
+    view = MembraneView(DepthCamera(own, CAMERA.T_B_C), MESH)
     hits = view.hits(displacement)
     whole = np.zeros(view.shape, bool)
     values = np.einsum("ij,ij->i", hits.barycentric, field[MESH.triangles[hits.triangle]])
     whole.ravel()[hits.ray[values > 0.4]] = True
     assert whole.sum() > 500
-    assert np.array_equal(view.above(displacement, field, 0.4), whole)
+    seen = view.above(displacement, field, 0.4)
+    assert np.count_nonzero(seen != whole) <= off * whole.sum()
     assert not view.above(displacement, field, 2.0).any()
+
+
+def test_a_field_that_reaches_beyond_the_image_is_drawn_up_to_its_border():
+    """Part of the membrane is outside the image of a camera that looks aside."""
+    own = replace(CAMERA.intrinsics, cx=CAMERA.intrinsics.cx + 90.0, cy=20.0)
+    view = MembraneView(DepthCamera(own, CAMERA.T_B_C), MESH)
+    rest = np.zeros(len(MESH.nodes))
+    assert np.array_equal(view.above(rest, rest + 1.0, 0.0), np.isfinite(view.range_image(rest)))
 
 
 def test_a_pixels_file_of_another_camera_is_refused(tmp_path):
