@@ -23,7 +23,9 @@ class Numbers:
     status : str
         Of the estimate; empty without one.
     gas_law_pa : float
-        p_v that the gas law (Eq. 6) gives for the estimated shape.
+        p_v that the gas law (Eq. 6) gives for the estimated shape; 0 without contact, whose shape
+        is no measured one: a measured p_v of a drift, or of a touch too faint to be found, inflates
+        it, and its volume would say a p_v of the other sign and a dozen times as large.
     gas_measured_pa : float
         Measured gas pressure less the reference pressure P0.
     residual_m, solve_ms, total_ms : float
@@ -72,9 +74,12 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
             exact = estimate.gas_law_pa
             known["residual_m"] = estimate.residual_rms_m
             known["force_half_width_n"] = estimate.force_half_width_n
-            known["gas_law_pa"] = (
-                gas.pressure_change(estimate.displacement_m) if exact is None else exact
-            )
+            if estimate.status == "no_contact":
+                known["gas_law_pa"] = 0.0
+            elif exact is None:
+                known["gas_law_pa"] = gas.pressure_change(estimate.displacement_m)
+            else:
+                known["gas_law_pa"] = exact
         if result.patch is not None:
             known |= patch_numbers(result.patch, trusted=estimate.trusted)
     return Numbers(**known)

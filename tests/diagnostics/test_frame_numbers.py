@@ -1,0 +1,37 @@
+"""The numbers of a frame that are plotted over time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from small_press import small_source, write_small_sensor
+
+from bubbleviz.diagnostics.frame_numbers import numbers_of
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
+
+
+@pytest.mark.parametrize("drift_pa", [0.0, 5.0])
+def test_gas_law_without_contact_is_no_change(tmp_path: Path, drift_pa: float) -> None:
+    """Boyle: nothing displaces gas; a measured drift does not turn up a dozenfold, negative."""
+    path = write_small_sensor(tmp_path / "small.toml")
+    frame, pipeline = small_source(path, heights=(0.06,))[0], Pipeline.of(load_sensor(path))
+    frame = replace(frame, gas_pressure_pa=pipeline.model.gas.P0 + drift_pa)
+    result = pipeline.process(frame, frozenset({"estimate", "patch"}))
+    numbers = numbers_of(result, pipeline.model.gas)
+    assert numbers.status == "no_contact"
+    assert numbers.gas_measured_pa == pytest.approx(drift_pa)
+    assert numbers.gas_law_pa == 0.0
+
+
+def test_gas_law_in_a_press_is_what_the_gas_does(tmp_path: Path) -> None:
+    path = write_small_sensor(tmp_path / "small.toml")
+    source, pipeline = small_source(path, heights=(0.06, 0.042)), Pipeline.of(load_sensor(path))
+    for index in range(2):
+        result = pipeline.process(source[index], frozenset({"estimate", "patch"}))
+    numbers = numbers_of(result, pipeline.model.gas)
+    assert numbers.status == "ok"
+    # a mesh of 200 nodes seen by 56×43 pixels misses some of the volume
+    assert 0.4 < numbers.gas_law_pa / numbers.gas_measured_pa < 1.2
