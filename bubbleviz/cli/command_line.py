@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -29,6 +30,8 @@ INSTALL = f"is not installed; run {how_to_install('window')}"
 
 # The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A command's own lines are all it writes: no news of Matplotlib's font cache and folders.
+logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 class OneLineErrors(click.Group):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -131,6 +132,21 @@ def test_poses_are_joined_by_frame(tmp_path: Path, press: Path, sensor: Path) ->
     before, posed = rows_of(out)
     assert (posed["pose_status"], posed["pose_z_m"], posed["pose_qw"]) == ("ok", "0.042", "1.0")
     assert (before["pose_status"], before["pose_z_m"]) == ("", "nan")
+
+
+def test_plots_leave_standard_error_empty(tmp_path: Path, press: Path, sensor: Path) -> None:
+    """Matplotlib, too, would say something: it cannot make its folder, and has no font cache."""
+    (tmp_path / "file").touch()
+    out = tmp_path / "plots.svg"
+    words = ("export", press, "--sensor", sensor, "--what", "plots", "--out", out)
+    done = subprocess.run(
+        [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", *words],
+        env={**os.environ, "MPLCONFIGDIR": str(tmp_path / "file" / "matplotlib")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == "" and out.exists()
 
 
 def test_plots_by_suffix(tmp_path: Path, folder: Path, press: Path, sensor: Path) -> None:
