@@ -98,12 +98,16 @@ class StuckPress:
         Of an equilibrium with the object.
     touching : (n,) bool array
         Nodes that touch it.
+
+    Attributes
+    ----------
+    touching : (n,) bool array
     """
 
     def __init__(
         self, rubber: RubberMembrane, gas: Gas, displacement_m: np.ndarray, touching: np.ndarray
     ) -> None:
-        self._rubber, self._gas, self._touching = rubber, gas, touching
+        self._rubber, self._gas, self.touching = rubber, gas, touching
         self._pressed = rubber.mesh.nodes + displacement_m
         self._rest_volume = rubber.volume(rubber.mesh.nodes)
 
@@ -115,10 +119,10 @@ class StuckPress:
         SolveError
             No equilibrium was found.
         """
-        stuck, x, before = self._touching.copy(), self._pressed, self._pressed
+        stuck, x, before = self.touching.copy(), self._pressed, self._pressed
         for motion in path:
             goal = self._goal(motion)
-            way = float(np.linalg.norm(goal - before, axis=1)[self._touching].max())
+            way = float(np.linalg.norm(goal - before, axis=1)[self.touching].max())
             steps = max(1, int(np.ceil(way / _LONGEST_M)))
             for step in range(1, steps + 1):
                 aim = before + step / steps * (goal - before)
@@ -132,7 +136,7 @@ class StuckPress:
 
     def _goal(self, motion: Motion) -> np.ndarray:
         """Where the nodes are that stick, (n, 3), m."""
-        center = self._pressed[self._touching].mean(axis=0)
+        center = self._pressed[self.touching].mean(axis=0)
         turn = Rotation.from_rotvec([0.0, 0.0, motion.twist_rad]).as_matrix()
         carried = (self._pressed - center) @ turn.T + center + np.asarray(motion.drag_m)
         lost = np.zeros(len(carried)) if motion.lost is None else motion.lost

@@ -1,0 +1,52 @@
+"""Slip is found soon after it begins, and not where everything sticks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bubbleviz.result import Slip
+from bubbleviz.study.shear.stuck_press import Motion
+from tests.shear.drag import Eyes, press
+
+STEP_M = 2.5e-4
+STICKING = 3
+
+
+def slips(name: str, depth_m: float, frames: int, sliding_beyond: float) -> list[Slip | None]:
+    """Of every frame of a drag; after some of them an outer ring of the contact stays behind."""
+    path, away = press(name, depth_m)
+    radius = sliding_beyond * away[path.touching].max()
+    motions = []
+    for k in range(frames):
+        drag = k * STEP_M
+        late = max(0, k - STICKING) / max(k, 1)
+        lost = np.where(away > radius, late, 0.0)
+        motions.append(Motion(np.array([drag, 0.3 * drag, 0.0]), 10.0 * drag, lost))
+    eyes, found = Eyes(1000), []
+    for seed, truth in enumerate(path.along(motions)):
+        frame = eyes.see(truth, seed)
+        found.append(eyes.pipeline.process(frame, frozenset({"slip"})).slip)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [("puck", 0.005), pytest.param("sphere", 0.008, marks=pytest.mark.long)],
+)
+def test_a_ring_that_stays_behind(name: str, depth: float) -> None:
+    found = slips(name, depth, STICKING + 3, 0.55)
+    assert found[0] is None  # nothing to compare with
+    sticking, sliding = found[1 : STICKING + 1], found[-1]
+    assert all(slip is not None and slip.share == 0.0 for slip in sticking)
+    assert sliding is not None
+    assert sliding.share > 3.0 * sliding.share_sigma > 0.0
+    slipped = np.linalg.norm(sliding.slip_m[sliding.slipping], axis=1)
+    assert slipped.max() == pytest.approx(2.0 * STEP_M * np.hypot(1.0, 0.3), rel=0.5)
+
+
+@pytest.mark.long
+def test_no_alarm_while_everything_sticks() -> None:
+    found = [slip for slip in slips("puck", 0.005, 10, 10.0) if slip is not None]
+    assert len(found) == 9
+    assert np.mean([slip.share > 0.0 for slip in found]) < 0.05

@@ -1,0 +1,160 @@
+"""Traction with friction against membranes that stick to known objects, on another, finer mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.errors import InputError
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Traction
+from bubbleviz.study.shear.stuck_press import StuckTruth
+from tests.shear.drag import Eyes, sensor, stuck
+
+CASES = [
+    ("puck", 0.004, 0.001, 8.0),
+    pytest.param("puck", 0.004, 0.004, 0.0, marks=pytest.mark.long),
+    pytest.param("sphere", 0.006, 0.0, 20.0, marks=pytest.mark.long),
+    pytest.param("sphere", 0.006, 0.002, 10.0, marks=pytest.mark.long),
+]
+
+
+def along_the_membrane(truth: StuckTruth, traction: Traction, rest: np.ndarray) -> np.ndarray:
+    """Error of the displacement along the surface at the estimator's nodes, (n, 3), m."""
+    mesh = truth.mesh
+    found = TriangleScene(mesh.nodes, mesh.triangles).closest(rest)
+    corners = truth.displacement_m[mesh.triangles[found.triangle]]
+    true = np.einsum("ij,ijk->ik", found.barycentric, corners)
+    error = traction.positions_m - rest - true
+    normal = truth.normals[mesh.triangles[found.triangle, 0]]
+    return error - np.einsum("ij,ij->i", error, normal)[:, None] * normal
+
+
+@pytest.mark.parametrize(("name", "depth", "drag", "twist"), CASES)
+def test_of_an_object_that_is_dragged_and_twisted(
+    name: str, depth: float, drag: float, twist: float
+) -> None:
+    truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
+    result = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"}))
+    traction = result.traction
+    assert traction is not None
+    assert traction.status == "ok", traction.reason
+    force, true = traction.force_n, truth.force_n
+    size = np.linalg.norm(true)
+    assert np.linalg.norm(force - true) < 0.03 * size
+    cosine = force @ true / (np.linalg.norm(force) * size)
+    assert np.degrees(np.arccos(min(1.0, cosine))) < 3.0
+    if twist:
+        about = truth.center_m
+        torque = traction.torque_about(about)[2]
+        assert torque == pytest.approx(truth.torque_nm(about)[2], rel=0.05)
+    error = along_the_membrane(truth, traction, eyes.pipeline.mesh.nodes)
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 5e-5
+    assert np.linalg.norm(traction.center_m - truth.center_m) < 1e-3
+
+
+def test_a_press_without_friction_has_no_shear() -> None:
+    """The shear that is found is the flow's noise, and known to be."""
+    truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
+    traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
+    assert traction is not None
+    shear = traction.tangential_force_n.sum(axis=0)
+    assert np.linalg.norm(shear) < 0.01 * np.linalg.norm(truth.force_n)
+
+
+def test_depth_is_solved_as_without_it() -> None:
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
+    frame = eyes.see(truth)
+    both = eyes.pipeline.process(frame, frozenset({"traction", "slip"}))
+    alone = Pipeline.of(sensor(600))
+    estimate = alone.process(frame, frozenset({"estimate"})).estimate
+    assert both.estimate is not None
+    assert estimate is not None
+    np.testing.assert_array_equal(both.estimate.contact_pressure_pa, estimate.contact_pressure_pa)
+    assert set(alone.counts) == {"estimate", "total"}
+    assert both.times_ms.keys() == {"estimate", "flow", "traction", "slip", "total"}
+
+
+def test_a_second_frame_goes_on_from_the_first_or_from_rest() -> None:
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
+    frame, wanted = eyes.see(truth), frozenset({"traction"})
+    first, second = (eyes.pipeline.process(frame, wanted).traction for _ in range(2))
+    eyes.pipeline.restart()
+    again = eyes.pipeline.process(frame, wanted).traction
+    assert first is not None
+    assert second is not None
+    assert again is not None
+    np.testing.assert_array_equal(again.nodal_force_n, first.nodal_force_n)
+    np.testing.assert_allclose(second.force_n, first.force_n, rtol=0.01, atol=0.01)
+
+
+def test_where_the_contact_has_no_texture_depth_is_left_alone() -> None:
+    truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
+    frame, wanted = eyes.see(truth), frozenset({"traction", "slip"})
+    flow = eyes.flows[0].flow
+    middle = np.divmod(flow.pixel, 400)[1] < 100  # far from the contact
+    eyes.flows[0] = eyes.flows[0]._replace(
+        flow=replace(
+            flow,
+            pixel=flow.pixel[middle],
+            moved_px=flow.moved_px[middle],
+            sigma_px=flow.sigma_px[middle],
+        )
+    )
+    bare = eyes.pipeline.process(frame, wanted)
+    eyes.pipeline.watch_texture(None)
+    blind = eyes.pipeline.process(frame, wanted)
+    for result, reason in ((bare, "no flow is seen where"), (blind, "no optical flow")):
+        traction, estimate = result.traction, result.estimate
+        assert traction is not None
+        assert estimate is not None
+        assert traction.status == "depth_alone"
+        assert reason in traction.reason
+        np.testing.assert_allclose(traction.force_n, estimate.force_n)
+        assert np.isnan(traction.force_sigma_n).all()
+        assert result.slip is None
+
+
+def test_nothing_touches() -> None:
+    eyes = Eyes()
+    traction = eyes.pipeline.process(eyes.rest(), frozenset({"traction"})).traction
+    assert traction is not None
+    assert traction.status == "no_contact"
+    assert not traction.nodal_force_n.any()
+    assert not traction.torque_nm.any()
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.6])
+def test_coulombs_bound_holds_where_it_is_asked_for(friction: float) -> None:
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes(friction=friction)
+    traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
+    assert traction is not None
+    assert traction.status == "ok", traction.reason
+    along = np.linalg.norm(traction.tangential_force_n, axis=1)
+    across = np.linalg.norm(traction.normal_force_n, axis=1)
+    # the cone is of the tangents where the membrane was last linearised
+    assert (along <= 1.1 * friction * across + 1e-4).all()
+
+
+def test_torque_and_its_sigma_about_any_point() -> None:
+    """Moved by a lever, as forces and their covariance are."""
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
+    traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
+    assert traction is not None
+    lever = np.array([0.0, 0.0, 0.1])
+    moved = traction.torque_about(traction.center_m - lever)
+    np.testing.assert_allclose(moved, traction.torque_nm + np.cross(lever, traction.force_n))
+    far = traction.torque_sigma_about(traction.center_m - 100.0 * lever)
+    sigma = traction.force_sigma_n
+    np.testing.assert_allclose(far[:2], 10.0 * sigma[1::-1], rtol=0.05)
+    assert far[2] == pytest.approx(traction.torque_sigma_nm[2])
+
+
+def test_the_linear_membrane_is_refused_in_one_sentence() -> None:
+    pipeline = Pipeline.of(sensor(200), options=EstimatorOptions("linear"))
+    with pytest.raises(InputError, match=r"shear takes the exact membrane; choose --solver rubber"):
+        pipeline.prepare(frozenset({"traction"}))
