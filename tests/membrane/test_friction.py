@@ -201,7 +201,8 @@ def test_a_sliding_plate_is_dragged_by_mu_times_its_load():
     assert_equilibrium(contact)
     pushed = -contact.nodal_force_n[:, 2]
     touching = pushed > 0.0
-    assert (contact.slip_m[touching] > 1e-4).all()
+    slip = contact.slip_m[touching]  # the plate moved by 1 mm since the contact before
+    assert np.median(slip) == pytest.approx(1e-3, rel=0.05) and slip.min() > 5e-4
     np.testing.assert_allclose(across(contact)[touching], friction * pushed[touching], rtol=1e-5)
     fx, fy, fz = force(contact)
     assert fx == pytest.approx(-friction * fz, rel=0.01)
