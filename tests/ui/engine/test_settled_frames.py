@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +15,7 @@ from window_driver import Driver
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.requests import OpenRequest, Request
+from bubbleviz_ui.engine.requests import Answer, OpenRequest, Request, Solved
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.model.demand import Demand
@@ -46,6 +47,30 @@ def test_opened_sought_and_stepped_to_a_frame_has_the_same_area(drive: Drive) ->
     assert stepped == pytest.approx(alone, rel=0.01)
     label = driver.window.status.labels["area"].text()
     assert label == f"patch {1e6 * stepped[1]:.0f} mm²"
+
+
+def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
+    """Also where closer looks, which are left out while playing, are due with it."""
+    driver = drive(frame=FRAME - 10)
+    driver.window.panels["pose"].show()
+    driver.window.panels["images"].show()
+    driver.state.choose(every_frame=True, pose_object="sphere", pose_track=True)
+    driver.settle()
+    found = Counter[int]()
+
+    def note(answer: Answer) -> None:
+        if isinstance(answer, Solved) and "pose" in answer.result.times_ms:
+            found[answer.result.frame.index] += 1
+
+    driver.window.controller.client.answered.connect(note)
+    driver.bot.mouseClick(driver.window.playback.play, Qt.MouseButton.LeftButton)
+    driver.wait(lambda: driver.state.frame >= FRAME)
+    driver.bot.mouseClick(driver.window.playback.play, Qt.MouseButton.LeftButton)
+    driver.settle()
+    assert driver.window.controller.client.demand.looks
+    assert not driver.window.controller.client.look_is_old
+    assert driver.window.controller.result.pose is not None
+    assert found[driver.state.frame] == 1
 
 
 def test_playback_that_pauses_settles_its_frame(drive: Drive) -> None:
