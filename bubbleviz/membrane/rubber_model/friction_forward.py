@@ -218,12 +218,17 @@ class FrictionForward:
             if missed.size < 1.0 or (missed.accepted and since > 1) or since > _PATIENCE:
                 break
             newton, data = self._linearised(solved)
-            step = newton.direct(data, solved.state.load[self.membrane.moving] > 0.0)
+            try:
+                step = newton.direct(data, solved.state.load[self.membrane.moving] > 0.0)
+            except RuntimeError:  # singular
+                break
             count += newton.factorisations
             ahead = self._looked_at(surface, self._after(solved, step))
-            if since:  # it goes round in circles
+            if since or not np.isfinite(ahead.missed.size):  # round in circles, or too far
                 shorter = (self._looked_at(surface, self._after(solved, step, s)) for s in _SHARES)
                 ahead = min([ahead, *shorter], key=lambda each: each.missed.size)
+            if not np.isfinite(ahead.missed.size):
+                break
             solved = ahead
         if count and best.missed.accepted:
             stable = newton.is_minimum()
@@ -240,7 +245,8 @@ class FrictionForward:
         turned = law.start[moving] + np.einsum("kij,kj->ki", law.stiffness[moving], step.motion)
         slips = held & grip.drag.any(axis=1, keepdims=True)
         aim = np.where(slips, step.load[:, None] * grip.drag + turned, 0.0)
-        aim = np.where(held & grip.stuck[:, None], -step.pull, aim)
+        across = step.load[:, None] * solved.planes.normal[moving] - step.pull
+        aim = np.where(held & grip.stuck[:, None], across, aim)
         pull[moving] += length * (aim - pull[moving])
         return replace(state, x=x, load=load, pull=pull)
 
@@ -255,9 +261,10 @@ class FrictionForward:
     def _looked_at(self, surface: ObjectSurface, state: _State) -> _Solved:
         planes = self._pressed.planes(surface, state.pose, state.x)
         law = Friction.at(state.away(), state.pull, state.load, planes, self.friction, self._weight)
-        missed = self._pressed.missed(state.x, state.load, planes, -law.pull)
-        off = np.linalg.norm(law.grip.back, axis=1).max()
-        missed = replace(missed, distance_m=max(missed.distance_m, float(off)))
+        off = float(np.abs(law.pull - state.pull).max())
+        missed = self._pressed.missed(state.x, state.load, planes, -law.pull, off)
+        away = float(np.linalg.norm(law.grip.back, axis=1).max())
+        missed = replace(missed, distance_m=max(missed.distance_m, away))
         return _Solved(state, planes, law, missed)
 
     def _linearised(self, solved: _Solved) -> tuple[ContactStep, np.ndarray]:

@@ -124,7 +124,12 @@ class RubberAndGas:
         return self.membrane.energy(x) + gas - float(rest)
 
     def missed(
-        self, x: np.ndarray, load: np.ndarray, planes: Planes, across: np.ndarray | None = None
+        self,
+        x: np.ndarray,
+        load: np.ndarray,
+        planes: Planes,
+        across: np.ndarray | None = None,
+        off_n: float = 0.0,
     ) -> Missed:
         """How far nodes at x (n, 3) are from equilibrium under contact forces.
 
@@ -136,6 +141,8 @@ class RubberAndGas:
         planes : Planes
         across : (n, 3) array, optional
             The forces across the normals, N.
+        off_n : float
+            By how much their law is missed, N.
         """
         pressure, _ = self.gas_at(x)
         if not np.isfinite(pressure):
@@ -149,7 +156,7 @@ class RubberAndGas:
         gap = planes.gap[moving]
         away = np.where(load[moving] > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
         scale = max(gas, float(load.max()))
-        return Missed(float(np.abs(left).max()) / scale, float(away.max()))
+        return Missed(max(float(np.abs(left).max()), off_n) / scale, float(away.max()))
 
     def contact(
         self,
