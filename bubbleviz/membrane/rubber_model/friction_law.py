@@ -16,6 +16,10 @@ import numpy as np
 from bubbleviz.membrane.rubber_model.object_surface import Planes
 from bubbleviz.membrane.rubber_model.sparse_factor import Grip
 
+_LEAST_SLIP = 1e-6
+"""Of |q + r s| over its bound, less 1: a node that only begins to slip does not turn aside, and a
+stiffer tangent is singular to rounding."""
+
 
 class Friction(NamedTuple):
     """Nodes that stick and slip at some place, near an equilibrium or in it.
@@ -78,9 +82,8 @@ class Friction(NamedTuple):
         pulled = np.where(slips[:, None], load[:, None] * drag, tried)
         # Slip turns the force: q = μ f_n s/|s|, of which |q + r s| − μ f_n = r |s|.
         turning = plane - way[:, :, None] * way[:, None, :]
-        turning *= np.where(slips, most * weight / np.where(slips, size - most, 1.0), 0.0)[
-            :, None, None
-        ]
+        beyond = np.maximum(size - most, _LEAST_SLIP * most)
+        turning *= np.where(slips, most * weight / np.where(slips, beyond, 1.0), 0.0)[:, None, None]
         bent = np.einsum("ki,kij->kj", pulled, planes.turn)
         return cls(
             pulled,
