@@ -107,6 +107,8 @@ def simulate(
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="RESULT.npz.")
 @click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="RESULT.csv.")
 @click.option("--zero-gas", is_flag=True, help="Zero the gas pressure on the first rest.")
+@click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
+@click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def estimate(
     recording: Path,
@@ -117,9 +119,13 @@ def estimate(
     out: Path,
     csv_file: Path | None,
     zero_gas: bool,
+    shear: bool,
+    friction: float | None,
     as_json: bool,
 ) -> None:
     """Contact pressure, patch and force of every frame of a recording."""
+    if friction is not None and not shear:
+        raise click.UsageError("--friction bounds shear; give --shear, too")
     from bubbleviz.commands.estimate import estimate_recording
 
     summary = estimate_recording(
@@ -131,6 +137,8 @@ def estimate(
         solver=solver,
         frames=frames,
         zero_gas=zero_gas,
+        shear=shear,
+        friction=friction,
     )
     report(summary, summary.warning, as_json=as_json)
 

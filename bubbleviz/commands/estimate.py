@@ -27,9 +27,11 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result, Status
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.shear.recorded_texture import watch_recorded_texture
 from bubbleviz.wording import count_of
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
+SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,11 @@ class EstimateSummary(Summary):
         |F| of the recording's wrench over the frames with a contact patch, its bias taken from the
         contact-free frames, N.
     median_residual_rms_m, max_kkt_residual : float or None
+    traction_status : dict or None
+        Number of frames by status of the traction; None where it was not asked for.
+    median_traction_force_n, median_traction_sigma_n : float or None
+        |force| with friction over the frames where that is known, and σ of its largest component,
+        N.
     warning : str or None
         What is missing, or does not fit together, but was solved all the same.
     """
@@ -78,6 +85,9 @@ class EstimateSummary(Summary):
     median_contact_measured_force_n: float | None
     median_residual_rms_m: float | None
     max_kkt_residual: float | None
+    traction_status: dict[str, int] | None
+    median_traction_force_n: float | None
+    median_traction_sigma_n: float | None
     warning: str | None
 
     def to_text(self) -> str:
@@ -94,6 +104,8 @@ class EstimateSummary(Summary):
                 f"        {self.median_contact_measured_force_n:.3g} N median in contact by the "
                 "wrench, less its contact-free bias"
             )
+        if self.traction_status is not None:
+            lines.append(self._of_shear())
         if self.median_total_ms is not None:
             lines += [
                 "time    depth image in → patch out, first frame left out: "
@@ -102,6 +114,15 @@ class EstimateSummary(Summary):
         if self.median_contact_total_ms is not None:
             lines.append(f"        {self.median_contact_total_ms:.1f} ms median in contact")
         return "\n".join(lines)
+
+    def _of_shear(self) -> str:
+        status = ", ".join(f"{n} {name}" for name, n in (self.traction_status or {}).items())
+        if self.median_traction_force_n is None:
+            return f"shear   {status}"
+        return (
+            f"shear   {self.median_traction_force_n:.3g} ± {self.median_traction_sigma_n:.2g} N "
+            f"median with friction: {status}; its direction has not been verified"
+        )
 
 
 def estimate_recording(
@@ -114,6 +135,8 @@ def estimate_recording(
     solver: str | None = None,
     frames: str | None = None,
     zero_gas: bool = False,
+    shear: bool = False,
+    friction: float | None = None,
 ) -> EstimateSummary:
     """Solve the frames of a recording and write RESULT.npz, and RESULT.csv where asked for.
 
@@ -129,6 +152,10 @@ def estimate_recording(
         As in `parse_frames`.
     zero_gas : bool
         Shift the measured gas pressure so that the recording's first rest is the sensor file's.
+    shear : bool
+        Traction with friction and slip, too, from the recording's colour images.
+    friction : float, optional
+        Coulomb's bound μ of the traction along the membrane over that across it.
 
     Raises
     ------
@@ -141,6 +168,8 @@ def estimate_recording(
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
+        if shear:
+            watch_recorded_texture(pipeline, source, friction)
         made_by = {
             "sensor_toml": sensor_to_toml(sensor),
             "version": bubbleviz.__version__,
@@ -155,7 +184,8 @@ def estimate_recording(
         warning = "; ".join(filter(None, (source.bag.note, gas)))
         if zero is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
-        rows = _solve(source, chosen, pipeline, options, out, csv, made_by, zero)
+        products = PRODUCTS | SHEAR if shear else PRODUCTS
+        rows = _solve(source, chosen, pipeline, products, options, out, csv, made_by, zero)
     return EstimateSummary(
         recording=str(recording),
         sensor=str(sensor_name),
@@ -264,6 +294,7 @@ def _solve(
     source: Recording,
     chosen: range,
     pipeline: Pipeline,
+    products: frozenset[Product],
     options: FrameOptions,
     out: Path,
     csv: Path | None,
@@ -275,9 +306,12 @@ def _solve(
         shape = source.size[::-1]
         archive = stack.enter_context(whole_file(out))
         table = stack.enter_context(whole_file(csv)) if csv else None
-        writer = stack.enter_context(ResultWriter(archive, pipeline.mesh, len(chosen), shape))
+        shear = "traction" in products
+        writer = stack.enter_context(
+            ResultWriter(archive, pipeline.mesh, len(chosen), shape, shear=shear)
+        )
         shown = tqdm(chosen, unit="frame", disable=None)  # only on a terminal
-        for result in solved(source, shown, pipeline, PRODUCTS, options, zero):
+        for result in solved(source, shown, pipeline, products, options, zero):
             writer.add(result)
         writer.finish(**made_by)
         if table:
@@ -329,6 +363,20 @@ def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
         ),
         "median_residual_rms_m": _over(np.median, [row["residual_rms_m"] for row in known]),
         "max_kkt_residual": _over(np.max, [row["kkt_residual"] for row in known]),
+        **_shear_statistics(rows),
+    }
+
+
+def _shear_statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The same of traction with friction."""
+    statuses = Counter(row["traction_status"] for row in rows if "traction_status" in row)
+    sheared = [row for row in rows if row.get("traction_status") == "ok"]
+    sizes = [float(np.linalg.norm(row["traction_force_n"])) for row in sheared]
+    sigmas = [float(row["traction_force_sigma_n"].max()) for row in sheared]
+    return {
+        "traction_status": dict(statuses) or None,
+        "median_traction_force_n": _over(np.median, sizes),
+        "median_traction_sigma_n": _over(np.median, sigmas),
     }
 
 

@@ -13,6 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from bubbleviz.files.shear_columns import SHEAR_COLUMNS, SHEAR_FIELDS, shear_fields, shear_row
 from bubbleviz.frames.measured_force import force_of, measured_force
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
@@ -70,7 +71,8 @@ _NO_NUMBER_WITHOUT_DATA = (
 def summary_row(result: Result) -> dict[str, Any]:
     """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell.
 
-    The measured force needs the other frames, see `add_measured_force`; `wrench_n` is for that.
+    With those of `SHEAR_COLUMNS` where traction was asked for. The measured force needs the other
+    frames, see `add_measured_force`; `wrench_n` is for that.
     """
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
@@ -98,7 +100,7 @@ def summary_row(result: Result) -> dict[str, Any]:
     if estimate.status in UNKNOWN:
         for key in _NO_NUMBER_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
-    return row
+    return row | shear_row(result)
 
 
 def add_measured_force(rows: list[dict[str, Any]]) -> None:
@@ -111,6 +113,8 @@ def add_measured_force(rows: list[dict[str, Any]]) -> None:
 
 def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
     """Fields of one frame by key of `NODAL_FIELDS`; NaN for what a frame without data cannot tell.
+
+    With those of `SHEAR_FIELDS` where traction was asked for.
 
     Parameters
     ----------
@@ -128,8 +132,8 @@ def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
         "patch_level": patch.level,
     }
     if estimate.status in UNKNOWN:
-        return {name: np.full_like(field, np.nan) for name, field in fields.items()}
-    return fields
+        fields = {name: np.full_like(field, np.nan) for name, field in fields.items()}
+    return fields | shear_fields(result)
 
 
 def result_arrays(results: Sequence[Result], mesh: MembraneMesh) -> dict[str, np.ndarray]:
@@ -146,13 +150,14 @@ def result_arrays(results: Sequence[Result], mesh: MembraneMesh) -> dict[str, np
     add_measured_force(rows)
     return {
         **_columns(rows),
-        **{name: np.array([each[name] for each in fields]) for name in NODAL_FIELDS},
+        **{name: np.array([each[name] for each in fields]) for name in fields[0]},
         **_surface(mesh),
     }
 
 
 def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
-    return {key: np.array([row[key] for row in rows]) for key in COLUMNS}
+    known = [key for key in (*COLUMNS, *SHEAR_COLUMNS) if key in rows[0]]
+    return {key: np.array([row[key] for row in rows]) for key in known}
 
 
 def _surface(mesh: MembraneMesh) -> dict[str, np.ndarray]:
@@ -180,17 +185,28 @@ class ResultWriter:
         F, how many frames will be added.
     shape : (int, int)
         H, W of the masks.
+    shear : bool, optional
+        Whether the results have traction.
     """
 
-    def __init__(self, path: Path, mesh: MembraneMesh, frames: int, shape: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        mesh: MembraneMesh,
+        frames: int,
+        shape: tuple[int, int],
+        *,
+        shear: bool = False,
+    ) -> None:
         self.rows: list[dict[str, Any]] = []
         self._mesh, self._frames, self._shape = mesh, frames, shape
+        self._fields = NODAL_FIELDS | (SHEAR_FIELDS if shear else {})
         self._stack = ExitStack()
         with ExitStack() as opening:
             archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
             self._archive = opening.enter_context(archive)
             self._spools = [
-                opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in NODAL_FIELDS
+                opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in self._fields
             ]
             # An archive has one member open at a time: the largest is the one not to spool.
             self._masks = opening.enter_context(
@@ -215,7 +231,7 @@ class ResultWriter:
         self.rows.append(row)
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
         fields = nodal_fields(result, self._mesh)
-        for spool, name in zip(self._spools, NODAL_FIELDS, strict=True):
+        for spool, name in zip(self._spools, self._fields, strict=True):
             spool.write(np.ascontiguousarray(fields[name], dtype="<f8").tobytes())
         return row
 
@@ -226,7 +242,7 @@ class ResultWriter:
         self._masks.close()
         add_measured_force(self.rows)
         nodal = (self._frames, len(self._mesh.nodes))
-        for (name, more), spool in zip(NODAL_FIELDS.items(), self._spools, strict=True):
+        for (name, more), spool in zip(self._fields.items(), self._spools, strict=True):
             spool.seek(0)
             with self._member(name, nodal + more, np.dtype("<f8")) as member:
                 shutil.copyfileobj(spool, member, 1 << 20)
@@ -262,12 +278,13 @@ def write_csv(rows: list[dict[str, Any]], path: Path, sensor: str) -> None:
 
 
 def csv_row(row: dict[str, Any], sensor: str) -> dict[str, Any]:
-    """Plain numbers and texts of a row by column of the CSV: those of `COLUMNS`, then the sensor.
+    """Plain numbers and texts of a row by column of the CSV: those of `COLUMNS`, the sensor last.
 
     `kappa` is None where the rule is automatic.
     """
     plain: dict[str, Any] = {}
-    for key, names in COLUMNS.items():
-        plain |= dict(zip(names or (key,), np.atleast_1d(row[key]).tolist(), strict=True))
+    for key, names in (COLUMNS | SHEAR_COLUMNS).items():
+        if key in row:
+            plain |= dict(zip(names or (key,), np.atleast_1d(row[key]).tolist(), strict=True))
     kappa = None if np.isnan(row["kappa"]) else plain["kappa"]
     return plain | {"kappa": kappa, "sensor": sensor}

@@ -54,6 +54,17 @@ def test_projecting_a_deprojected_pixel_returns_it(model, k, depth):
     assert back[..., 1] == pytest.approx(v, abs=1e-4)
 
 
+@pytest.mark.parametrize("model", ["none", "plumb_bob", "inverse_brown_conrady"])
+def test_the_derivative_of_the_projection_is_its_slope(model):
+    lens, step = camera(model, D405), 1e-7
+    points = np.random.default_rng(0).uniform([-0.05, -0.04, 0.06], [0.05, 0.04, 0.1], (40, 3))
+    pixels, slopes = lens.projection(points)
+    np.testing.assert_array_equal(pixels, lens.project(points))
+    for k, way in enumerate(step * np.eye(3)):
+        change = lens.project(points + way) - lens.project(points - way)
+        np.testing.assert_allclose(slopes[..., k], change / (2.0 * step), rtol=1e-4, atol=1e-2)
+
+
 def test_points_lie_at_their_depth_along_the_optical_axis():
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # optical axis along +x of B

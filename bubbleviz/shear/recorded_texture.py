@@ -1,0 +1,76 @@
+"""Optical flow of a recording's colour images, for the pipeline to make traction of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from bubbleviz.colour.optical_flow import FlowField, OpticalFlow
+
+
+class RecordedTexture:
+    """Flow of the frames of a recording from its contact-free colour images.
+
+    Parameters
+    ----------
+    recording : Recording
+    flow : OpticalFlow
+    lag_s : float
+        Of colour behind depth, s.
+    """
+
+    def __init__(self, recording: Recording, flow: OpticalFlow, lag_s: float) -> None:
+        self._recording, self._flow, self._lag_s = recording, flow, lag_s
+
+    def __call__(self, frame: Frame) -> FlowField | None:
+        """Flow of the colour image of a frame's moment; None where there is none."""
+        colour = self._recording.colour_at(frame.time_s + self._lag_s)
+        return None if colour is None else self._flow.measure(colour.grey())
+
+    @classmethod
+    def of(cls, recording: Recording) -> RecordedTexture:
+        """Learn reference, noise and lag from the images before the first contact.
+
+        Raises
+        ------
+        InputError
+            There are no colour images, too few before the first contact, or no lag can be told.
+        """
+        # OpenCV and the learning of rest: only where shear is asked for
+        from bubbleviz.calibration.rest.contact_free import LAG, find_contact_free
+        from bubbleviz.colour.optical_flow import OpticalFlow
+        from bubbleviz.colour.temporal_lag import temporal_lag
+
+        lag = temporal_lag(recording)
+        first = len(find_contact_free(recording).frames)
+        images = (recording[k].colour for k in range(first - LAG))
+        flow = OpticalFlow.of([image.grey() for image in images if image is not None])
+        return cls(recording, flow, lag.lag_s)
+
+
+def watch_recorded_texture(
+    pipeline: Pipeline, recording: Recording, friction: float | None = None
+) -> None:
+    """Have a pipeline make traction by the recording's own colour images.
+
+    Raises
+    ------
+    InputError
+        As of `RecordedTexture.of`, or the estimator is not of the exact membrane.
+    """
+    from bubbleviz.shear.traction_estimator import TractionOptions  # only for shear
+
+    if recording.colour is None:
+        raise InputError(f"{recording.path}: has no colour images; leave out --shear")
+    own, depth = recording.colour.camera, pipeline.camera
+    intrinsics = own.intrinsics or depth.intrinsics
+    camera = DepthCamera(intrinsics, depth.T_B_C @ own.T_D_C)
+    options = TractionOptions(friction)
+    pipeline.watch_texture(RecordedTexture.of(recording), camera, options)
+    pipeline.prepare(frozenset({"traction"}))

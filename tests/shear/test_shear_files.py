@@ -1,0 +1,80 @@
+"""What `estimate --shear` writes and says."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bubbleviz.cli.command_line import bubbleviz as main
+from bubbleviz.files.result_writer import ResultWriter, write_csv
+from tests.shear.drag import Eyes, stuck
+from tests.small_press import write_press, write_small_sensor
+
+PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a_color"
+
+
+def test_a_result_has_traction_and_slip(tmp_path: Path) -> None:
+    eyes, wanted = Eyes(), frozenset({"pixel_mask", "traction", "slip"})
+    truth = stuck("puck", 0.004, 0.001, 8.0)
+    results = [eyes.pipeline.process(eyes.rest(), wanted)]
+    results += [eyes.pipeline.process(eyes.see(truth, k), wanted) for k in range(2)]
+    path, mesh = tmp_path / "result.npz", eyes.pipeline.mesh
+    with ResultWriter(path, mesh, 3, (320, 400), shear=True) as writer:
+        for result in results:
+            writer.add(result)
+        writer.finish()
+    write_csv(writer.rows, tmp_path / "result.csv", "dome")
+    with np.load(path) as found:
+        n = len(mesh.nodes)
+        assert found["traction_pa"].shape == found["tangential_displacement_m"].shape == (3, n, 3)
+        assert found["traction_status"].tolist() == ["no_contact", "ok", "ok"]
+        assert not found["traction_pa"][0].any()
+        force, torque = found["traction_force_n"], found["traction_torque_nm"]
+        assert (found["traction_force_sigma_n"][1:] > 0.0).all()
+        assert (found["traction_torque_sigma_nm"][1:] > 0.0).all()
+        np.testing.assert_array_equal(np.isnan(found["slip"]), [True, True, False])
+    np.testing.assert_allclose(force[2], truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n))
+    with (tmp_path / "result.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[2]["traction_torque_z_nm"]) == torque[2, 2]
+    assert rows[1]["traction_status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--shear"], "has no colour images; leave out --shear"),
+        (["--friction", "0.5"], "--friction bounds shear; give --shear, too"),
+    ],
+)
+def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said: str) -> None:
+    sensor = write_small_sensor(tmp_path / "small.toml")
+    press = write_press(tmp_path / "press.mcap", sensor)
+    command = ["estimate", str(press), "--sensor", str(sensor), "--out", str(tmp_path / "r.npz")]
+    found = CliRunner().invoke(main, [*command, *options])
+    assert found.exit_code == 2
+    assert said in found.output
+    assert not (tmp_path / "r.npz").exists()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not PRESS.exists(), reason="the real press is not part of the repository")
+def test_the_real_press(tmp_path: Path) -> None:
+    """Friction makes the force a tenth larger; nothing touches before."""
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    command = ["estimate", str(PRESS), "--sensor", "punyo_oval_d405", "--shear", "--json"]
+    out = ["--out", str(tmp_path / "r.npz"), "--frames", "50:90:3"]
+    found = CliRunner().invoke(main, [*command, *out])
+    assert found.exit_code == 0, found.output
+    summary = json.loads(found.stdout)
+    assert set(summary["traction_status"]) == {"no_contact", "ok"}
+    with np.load(tmp_path / "r.npz") as result:
+        hold = result["frame"] >= 75
+        force = np.linalg.norm(result["traction_force_n"][hold], axis=1)
+        assert ((force > 2.85) & (force < 3.1)).all()
+        assert (result["flow_rms_px"][hold] < 0.4).all()
