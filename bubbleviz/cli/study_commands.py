@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def study() -> None:
-    """Measure error against run time, speed, stability, identification and pose."""
+    """Measure error against run time, speed, stability, identification, pose and shear."""
 
 
 _sensor = click.option(
@@ -121,6 +121,16 @@ def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -
     from bubbleviz.commands.study import study_pose
 
     _print(study_pose(sensor, out, quick=quick, seed=seed), as_json)
+
+
+@study.command()
+@_common
+@click.option("--seed", type=click.IntRange(0), default=7, help="Seed of the noise.")
+def shear(out: Path | None, as_json: bool, quick: bool, seed: int) -> None:
+    """Error of force, torque and displacement with friction over drag, twist and flow noise."""
+    from bubbleviz.commands.study import study_shear
+
+    _print(study_shear(out, quick=quick, seed=seed), as_json)
 
 
 def _print(found: Findings, as_json: bool) -> None:

@@ -39,6 +39,8 @@ from bubbleviz.study.pose.rubber_poses import RubberGrid, quick_rubber_grid, run
 from bubbleviz.study.pose.screw_motion import SEEDS, run_screws, screw_source
 from bubbleviz.study.presses import presses
 from bubbleviz.study.report_files import check_free
+from bubbleviz.study.shear import shear_report
+from bubbleviz.study.shear.shear_study import ShearGrid, quick_shear_grid, run_shear
 from bubbleviz.study.speed import speed_report
 from bubbleviz.study.speed.speed_study import (
     contact_runs,
@@ -217,6 +219,17 @@ def study_pose(sensor_name: str, out: Path | None, *, quick: bool, seed: int) ->
     found = pose_report.PoseReport(trials, rubber, screws)
     written = pose_report.write(found, out) if out is not None else []
     return Findings(pose_report.as_dict(found), pose_report.to_text(found), written)
+
+
+def study_shear(out: Path | None, *, quick: bool, seed: int) -> Findings:
+    """Error of traction with friction on objects that stick and move; as `study_accuracy`."""
+    grid = replace(quick_shear_grid() if quick else ShearGrid(), seed=seed)
+    if out is not None:
+        check_free(out_folder(out), shear_report.FILES)
+    with _progress(grid.presses, "path") as bar:
+        trials = run_shear(grid, lambda _: bar.update())
+    written = shear_report.write(trials, out) if out is not None else []
+    return Findings(shear_report.as_dict(trials), shear_report.to_text(trials), written)
 
 
 def study_identification(out: Path | None, *, quick: bool, seeds: int | None) -> Findings:

@@ -15,8 +15,8 @@ from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear.traction_estimator import TractionOptions
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.press_path import touching_height
 from bubbleviz.study import object_shapes
-from bubbleviz.study.presses import touching_height
 from bubbleviz.study.shear.flow_sighting import FlowSighting, sighting
 from bubbleviz.study.shear.stuck_press import Motion, StuckPress, StuckTruth
 

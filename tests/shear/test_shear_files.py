@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.cli.command_line import bubbleviz as main
+from bubbleviz.cli.command_line import main
 from bubbleviz.files.result_writer import ResultWriter, write_csv
 from tests.shear.drag import Eyes, stuck
 from tests.small_press import write_press, write_small_sensor

@@ -1,0 +1,254 @@
+"""Error of traction with friction on objects that stick to the membrane and are moved.
+
+The truth is the exact membrane on a finer mesh, with the forces that hold it to the object.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.colour.optical_flow import FlowField
+from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result, Traction
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.press_path import touching_height
+from bubbleviz.study.presses import made
+from bubbleviz.study.shear.flow_sighting import sighting
+from bubbleviz.study.shear.stuck_press import Motion, StuckPress, StuckTruth
+
+_DEPTH: frozenset[Product] = frozenset({"estimate"})
+_SHEAR: frozenset[Product] = frozenset({"slip"})
+_BESIDE_M = (0.005, -0.003)
+"""Of the objects from the axis, m; chosen."""
+_DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
+_HEADING = np.array([0.894, 0.447, 0.0])
+"""Way of the drags, off the mesh's axes; chosen."""
+
+
+@dataclass(frozen=True)
+class ShearGrid:
+    """What is tried.
+
+    Attributes
+    ----------
+    objects : tuple of (str, float)
+        Generator in `object_shapes`, and depth in m.
+    drags_m, twists_rad : tuple of float
+        Ends of steps of one drag, and of one twist after it, begun anew for each object.
+    flow_sigmas_px : tuple of float
+        Noise of the flow.
+    truth_nodes : int
+    seed : int
+    """
+
+    objects: tuple[tuple[str, float], ...] = (("puck", 0.005), ("sphere", 0.006))
+    drags_m: tuple[float, ...] = (0.0, 0.0005, 0.001, 0.0015, 0.002, 0.0025, 0.003, 0.0035, 0.004)
+    twists_rad: tuple[float, ...] = tuple(np.radians((0.0, 4.0, 8.0, 12.0, 16.0, 20.0)).tolist())
+    flow_sigmas_px: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+    truth_nodes: int = 3_000
+    seed: int = 7
+
+    @property
+    def paths(self) -> tuple[list[Motion], list[Motion]]:
+        """One that drags and one that twists."""
+        drags = [Motion(drag * _HEADING) for drag in self.drags_m]
+        return drags, [Motion(np.zeros(3), twist) for twist in self.twists_rad]
+
+    @property
+    def presses(self) -> int:
+        """Number of paths, each with its truths."""
+        return 2 * len(self.objects)
+
+
+def quick_shear_grid() -> ShearGrid:
+    """A minute's worth."""
+    return ShearGrid(
+        objects=(("puck", 0.005),),
+        drags_m=(0.0, 0.0005, 0.001),
+        twists_rad=(0.0, float(np.radians(5.0))),
+        flow_sigmas_px=(0.03,),
+        truth_nodes=2_000,
+    )
+
+
+@dataclass(frozen=True)
+class ShearTrial:
+    """One frame of one path.
+
+    Attributes
+    ----------
+    object_name : str
+    drag_m, twist_rad, flow_sigma_px : float
+    depth_status, status : str
+        Of the estimate by depth alone, and of the traction.
+    depth_force_error, force_error : float
+        Length of the difference of the force vectors over the true one's.
+    angle_rad : float
+        Between the forces.
+    torque_error : float
+        Of the torque's z about the true centre over the true one; NaN without a twist.
+    displacement_rms_m : float
+        Along the membrane, over the estimator's nodes.
+    sigmas : float
+        Length of the force's error over the length of its standard deviation.
+    slip : float
+        Share of the patch said to slip, which nothing does; NaN in a first frame.
+    estimate_ms, traction_ms : float
+        Processor time, ms.
+    """
+
+    object_name: str
+    drag_m: float
+    twist_rad: float
+    flow_sigma_px: float
+    depth_status: str
+    status: str
+    depth_force_error: float
+    force_error: float
+    angle_rad: float
+    torque_error: float
+    displacement_rms_m: float
+    sigmas: float
+    slip: float
+    estimate_ms: float
+    traction_ms: float
+
+
+def shear_sensor(nodes: int = 1_000) -> Sensor:
+    """A dome of rubber with a camera like a RealSense D405 in it."""
+    dome = Membrane(
+        shape="spherical_cap", rim_radius_m=0.045, height_m=0.020, nodes=nodes, prestretch=1.2
+    )
+    camera = Camera(
+        width=640,
+        height=480,
+        fx=430.0,
+        fy=430.0,
+        cx=319.5,
+        cy=239.5,
+        position_m=(0.0, 0.0, -0.060),
+        noise_relative=6e-4,
+    )
+    pneumatics = Pneumatics(gauge_pressure_pa=6000.0, chamber_volume_m3=3e-4)
+    return Sensor(name="shear dome", membrane=dome, pneumatics=pneumatics, camera=camera)
+
+
+def run_shear(grid: ShearGrid, done: Callable[[int], None]) -> list[ShearTrial]:
+    """Every frame of every path at every noise of the flow.
+
+    Parameters
+    ----------
+    grid : ShearGrid
+    done : callable
+        Called with the number of paths that are done.
+    """
+    trials: list[ShearTrial] = []
+    count = 0
+    for name, depth_m in grid.objects:
+        press = _pressed(name, depth_m, grid.truth_nodes)
+        for path in grid.paths:
+            truths = list(press.along(path))
+            for sigma in grid.flow_sigmas_px:
+                found = _trials(path, truths, sigma, grid.seed)
+                trials += [replace(trial, object_name=name) for trial in found]
+            count += 1
+            done(count)
+    return trials
+
+
+def _pressed(name: str, depth_m: float, nodes: int) -> StuckPress:
+    model = SensorModel.of(shear_sensor())
+    mesh = build_mesh(model.sensor, nodes)
+    rubber = build_rubber(model.sensor, mesh, model.tension_n_per_m)
+    gas = Gas.of(model.sensor.pneumatics, mesh)
+    obj, T_B_O = made(name), np.eye(4)
+    T_B_O[:2, 3] = _BESIDE_M
+    T_B_O[2, 3] = touching_height(obj, T_B_O, mesh) - depth_m
+    contact = RubberForward(rubber, gas).press(obj, T_B_O)
+    touching = contact.contact_pressure_pa > 0.0
+    return StuckPress(rubber, gas, contact.displacement_3d_m, touching)
+
+
+def _trials(
+    path: list[Motion], truths: list[StuckTruth], sigma_px: float, seed: int
+) -> Iterator[ShearTrial]:
+    """Frames of one path, each begun where the one before ended."""
+    model = SensorModel.of(shear_sensor())
+    both, alone = Pipeline(model), Pipeline(model)
+    flows: list[FlowField] = []
+    both.watch_texture(lambda frame: flows[frame.index])
+    for pipeline, products in ((both, _SHEAR), (alone, _DEPTH)):
+        pipeline.prepare(products)
+    for k, (motion, truth) in enumerate(zip(path, truths, strict=True)):
+        seen = sighting(model.camera, truth, _DEPTH_NOISE, sigma_px, seed + k)
+        flows.append(seen.flow)
+        frame = Frame(k, k / 30.0, seen.depth_m)
+        begun = time.process_time()
+        alone.process(frame, _DEPTH)
+        between = time.process_time()
+        result = both.process(frame, _SHEAR)
+        depth_ms, whole_ms = 1e3 * (between - begun), 1e3 * (time.process_time() - between)
+        trial = judged(result, truth, model.mesh)
+        yield replace(
+            trial,
+            drag_m=float(np.linalg.norm(motion.drag_m)),
+            twist_rad=motion.twist_rad,
+            flow_sigma_px=sigma_px,
+            torque_error=trial.torque_error if motion.twist_rad else np.nan,
+            estimate_ms=depth_ms,
+            traction_ms=max(0.0, whole_ms - depth_ms),
+        )
+
+
+def judged(result: Result, truth: StuckTruth, mesh: MembraneMesh) -> ShearTrial:
+    """Errors of a frame's traction and slip; what is not of the result is left open."""
+    estimate, traction = result.estimate, result.traction
+    if estimate is None or traction is None:
+        raise ValueError("the result lacks the estimate or the traction")
+    alone = np.full(3, np.nan) if estimate.force_n is None else estimate.force_n
+    true, size = truth.force_n, float(np.linalg.norm(truth.force_n))
+    difference = traction.force_n - true
+    length = float(np.linalg.norm(traction.force_n))
+    cosine = float(np.clip(traction.force_n @ true / (length * size), -1.0, 1.0))
+    twisted = truth.torque_nm(truth.center_m)[2]
+    found = traction.torque_about(truth.center_m)[2]
+    return ShearTrial(
+        object_name="",
+        drag_m=np.nan,
+        twist_rad=np.nan,
+        flow_sigma_px=np.nan,
+        depth_status=estimate.status,
+        status=traction.status,
+        depth_force_error=float(np.linalg.norm(alone - true)) / size,
+        force_error=float(np.linalg.norm(difference)) / size,
+        angle_rad=float(np.arccos(cosine)),
+        torque_error=abs(float(found / twisted) - 1.0),
+        displacement_rms_m=along_error_m(traction, truth, mesh),
+        sigmas=float(np.linalg.norm(difference) / np.linalg.norm(traction.force_sigma_n)),
+        slip=np.nan if result.slip is None else result.slip.share,
+        estimate_ms=np.nan,
+        traction_ms=np.nan,
+    )
+
+
+def along_error_m(traction: Traction, truth: StuckTruth, mesh: MembraneMesh) -> float:
+    """Root mean square error of the displacement along the membrane over a mesh's nodes, m."""
+    found = TriangleScene(truth.mesh.nodes, truth.mesh.triangles).closest(mesh.nodes)
+    corners = truth.mesh.triangles[found.triangle]
+    true = np.einsum("ij,ijk->ik", found.barycentric, truth.displacement_m[corners])
+    normals = np.einsum("ij,ijk->ik", found.barycentric, truth.normals[corners])
+    error = traction.positions_m - mesh.nodes - true
+    along = error - np.einsum("ij,ij->i", error, normals)[:, None] * normals
+    return float(np.sqrt(np.mean(np.sum(along**2, axis=1))))

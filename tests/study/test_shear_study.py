@@ -1,0 +1,55 @@
+"""The shear study tells what it measured, in files, too."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bubbleviz.cli.command_line import main
+from bubbleviz.study.shear.shear_report import targets
+from bubbleviz.study.shear.shear_study import ShearTrial
+
+
+def trial(**changed: object) -> ShearTrial:
+    """A good frame but for what is changed."""
+    values = dict.fromkeys(ShearTrial.__dataclass_fields__, 0.0)
+    words = {"object_name": "puck", "depth_status": "ok", "status": "ok", "flow_sigma_px": 0.03}
+    return ShearTrial(**(values | words | changed))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("bad", "missed"),
+    [
+        ({}, set()),
+        ({"status": "not_converged"}, {"share of frames solved"}),
+        ({"force_error": 0.04}, {"force error, %"}),
+        ({"angle_rad": 0.1, "torque_error": 0.06}, {"force angle, °", "torque error, %"}),
+        ({"slip": 0.2}, {"false slip, share of frames"}),
+        ({"force_error": 0.04, "flow_sigma_px": 0.3}, set()),
+        ({"torque_error": np.nan}, set()),
+    ],
+)
+def test_the_worst_frame_is_judged(bad: dict[str, object], missed: set[str]) -> None:
+    found = targets([trial(), trial(**bad), *[trial()] * 3])
+    assert {target.name for target in found if not target.met} == missed
+
+
+@pytest.mark.long
+def test_quick_study(tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    found = CliRunner().invoke(main, ["study", "shear", "--quick", "--json", "--out", str(out)])
+    assert found.exit_code == 0, found.output
+    numbers = json.loads(found.stdout)
+    met = {target["name"]: target["met"] for target in numbers["targets"]}
+    del met["traction, ms of processor"]  # of the machine
+    assert all(met.values())
+    with (out / "shear.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(numbers["trials"]) == 5
+    dragged = rows[2]
+    assert float(dragged["force_error"]) < 0.2 * float(dragged["depth_force_error"])
