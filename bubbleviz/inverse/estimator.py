@@ -296,7 +296,7 @@ class Estimator:
         moved = np.abs(displacement_m - model.linear_at_m) > self._near_m
         if not moved.any():
             return model
-        around = moved[self.mesh.triangles].any(axis=1)
+        around = moved[self.mesh.corners].any(axis=0)
         nodes = self.mesh.triangles[around]
         linear_at_m = model.linear_at_m.copy()
         linear_at_m[nodes] = displacement_m[nodes]
@@ -336,7 +336,8 @@ class Estimator:
     ) -> FrameProblem:
         a = self.scales.length_m
         Q, g = self._normal.assemble(observation, linear)
-        Q, g = Q * a**2, g * a
+        Q.data *= a**2
+        g *= a
         tau = self._tau * np.sqrt(Q.diagonal().sum() / self._weight)
         if gas is not None:
             tau = tau + self._gas_tau

@@ -10,7 +10,7 @@ units of the noise, so λ and τ are those of a posterior density.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
@@ -20,6 +20,12 @@ from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
+
+DENSE_LIMIT = 3_000
+"""Nodes up to which n² numbers are kept: L⁻¹ and the Hessian of Eq. 24, formed once."""
+
+_FEW = 50
+"""Rows of L⁻¹ that are read in the time of a solve with the factors of L."""
 
 
 class Equilibrium:
@@ -51,36 +57,65 @@ class Equilibrium:
         self.beta = gas.beta[free] * scales.length_m / scales.pressure_pa
         # SuperLU's symmetric mode: half the fill of its default for a positive definite matrix.
         factor = splu(self.L, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        self._solve = factor.solve
+        self._factor = factor
+        # L is symmetric, and of a vector SuperLU's transposed solve is the faster one.
+        self._solve = partial(factor.solve, trans="T")
         self.bulge = self._solve(self.A)
         """Displacement under unit pressure, L⁻¹A, (n,)."""
         self._gas_stiffness = 1.0 + self.beta @ self.bulge
+
+    @cached_property
+    def inverse(self) -> np.ndarray | None:
+        """L⁻¹, (n, n), with its rows together in memory; None beyond `DENSE_LIMIT`."""
+        n = len(self.A)
+        return self._factor.solve(np.eye(n)).T if n <= DENSE_LIMIT else None
 
     def displacement(
         self, pressure: np.ndarray, measured_gas: float | None = None
     ) -> tuple[np.ndarray, float]:
         """Displacement u and p_v under contact pressure p_c (Eq. 24: u = −M p_c)."""
-        u = -self._solve(self.A * pressure)
+        nodes, load = np.flatnonzero(pressure), self.A * pressure
+        rows = self._rows(nodes)
+        u = -(load[nodes] @ rows) if rows is not None else -self._solve(load)
         gas = measured_gas
         if gas is None:
             gas = -float(self.beta @ u) / self._gas_stiffness
         return u + gas * self.bulge, gas
 
-    def adjoint(self, force: np.ndarray, gas_measured: bool) -> np.ndarray:
-        """Mᵀ force: what a unit of p_c at each node does against `force` (n,)."""
+    def adjoint(
+        self, force: np.ndarray, gas_measured: bool, nodes: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Mᵀ force: what a unit of p_c at each node, or at some, does against `force` (n,)."""
         if not gas_measured:
             force = force - self.beta * (force @ self.bulge) / self._gas_stiffness
-        return self.A * self._solve(force)
+        if nodes is None:
+            return self.A * self._solve(force)
+        rows = self._rows(nodes)
+        pulled = rows @ force if rows is not None else self._solve(force)[nodes]
+        return self.A[nodes] * pulled
 
-    def gradient(self, problem: FrameProblem, pressure: np.ndarray) -> np.ndarray:
-        """Gradient of the objective with respect to p_c alone, (n,) (Eq. 24)."""
-        if not pressure.any():
-            return problem.at_zero + problem.tau
+    def gradient(
+        self, problem: FrameProblem, pressure: np.ndarray, nodes: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Gradient of the objective with respect to p_c alone, (n,) (Eq. 24).
+
+        Where `nodes` (k,) are given, it is 0 at the others, and found sooner.
+        """
         known = problem.measured_gas is not None
         # Under p_c alone, u = −M p_c whatever p_v was measured.
         change, _ = self.displacement(pressure, 0.0 if known else None)
-        data = problem.at_zero - self.adjoint(problem.Q @ change, known)
-        return data + problem.lambda_ * (self.L @ pressure) + problem.tau
+        some = slice(None) if nodes is None else nodes
+        gradient = np.zeros_like(pressure)
+        smoothing = (problem.lambda_ * (self.L @ pressure))[some]
+        data = self.adjoint(problem.Q @ change, known, nodes)
+        gradient[some] = problem.at_zero[some] - data + smoothing + problem.tau[some]
+        return gradient
+
+    def _rows(self, nodes: np.ndarray) -> np.ndarray | None:
+        """Rows (k, n) of L⁻¹ for a few nodes; None where solving is faster."""
+        if len(nodes) > _FEW or self.inverse is None:
+            return None
+        return self.inverse.take(nodes, axis=0)
 
     def gradient_at_zero(
         self, Q: sparse.csr_array, g: np.ndarray, measured_gas: float | None
@@ -92,7 +127,7 @@ class Equilibrium:
 
     def response(self, pressures: np.ndarray, gas_measured: bool = False) -> np.ndarray:
         """M P of Eq. 24 for contact pressures P in columns, (n, k): u = −M p_c."""
-        M = self._solve(self.A[:, None] * pressures)
+        M = self._factor.solve(self.A[:, None] * pressures)
         if not gas_measured:
             M -= np.outer(self.bulge, self.gas_response(M))
         return M

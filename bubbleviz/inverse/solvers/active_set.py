@@ -10,7 +10,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
+from bubbleviz.inverse.problem import (
+    DENSE_LIMIT,
+    Equilibrium,
+    FrameProblem,
+    Pressure,
+    natural_residual,
+)
 from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian
 from bubbleviz.inverse.solvers.pivoting import Quadratic, nonnegative_qp
 from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
@@ -23,8 +29,8 @@ _SUPPORT_CHANGE = 0.05
 _FIRST_NODES, _FIRST_SHARE = 100, 0.05
 """Nodes with which a frame without contact before it starts; on a fine mesh a share of all."""
 
-DENSE_LIMIT = 3_000
-"""Nodes up to which the whole Hessian is faster than landmarks."""
+_BETTER_SEEN = 0.95
+"""Quantile of the nodes by how well this frame sees them over the reference."""
 
 _SELECTIONS = 8
 """Corrections that selecting a support is worth; the next frame goes on from there."""
@@ -96,7 +102,7 @@ class ActiveSetSolver:
         for _ in range(self._corrections):
             pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
-            gradient = self._equilibrium.gradient(problem, pressure)
+            gradient = self._equilibrium.gradient(problem, pressure, work)
             residual = natural_residual(self._equilibrium.A, problem, pressure, gradient)
             if residual <= self._tolerance:
                 return Pressure(pressure, pivots, True, gradient)
@@ -119,7 +125,8 @@ class ActiveSetSolver:
             diagonal = problem.Q.diagonal()
             seen = (self._diagonal > 0.0) & (diagonal > 0.0)
             ratio = diagonal[seen] / self._diagonal[seen]
-            self._scale = float(np.percentile(ratio, 95.0)) if ratio.size else 1.0
+            place = int(_BETTER_SEEN * len(ratio))
+            self._scale = float(np.partition(ratio, place)[place]) if ratio.size else 1.0
             self._scaled_for = problem.Q
         return self._hessian.block(work, problem.measured_gas is not None, self._scale)
 
