@@ -14,6 +14,7 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.seen_colour import SeenColour, Texture
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
@@ -37,8 +38,9 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 Product = Literal[
-    "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "flow", "traction", "slip"
-]
+    "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "flow", "traction", "slip",
+    "texture",
+]  # fmt: skip
 
 FlowOf = Callable[[Frame], "FlowField | None"]
 """Optical flow of a frame's colour image from the contact-free one; None where there is none."""
@@ -333,6 +335,14 @@ class Pipeline:
         measured = self.model.range_image(result.frame.depth_m).ravel()[pixels]
         return replace(result, cloud_residual_m=measured - modelled)
 
+    def _texture_stage(self, result: Result, options: FrameOptions) -> Result:
+        estimate = _made(result.estimate)
+        if not estimate.trusted:
+            return result
+        nodes = self.mesh.deformed(estimate.motion_m)
+        texture = Texture.of(SeenColour.of(result.frame), nodes, self.camera)
+        return replace(result, texture=texture)
+
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
         mask = self.model.view.above(estimate.motion_m, patch.level, 0.0)
         return replace(patch, pixel_mask=mask)
@@ -372,6 +382,7 @@ _STAGES: dict[Product, _Stage] = {
     "slip": _Stage(("traction",), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),
     "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
+    "texture": _Stage(("estimate",), Pipeline._texture_stage),
 }
 """The stage of each product, in the order in which they run."""
 

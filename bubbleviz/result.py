@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from bubbleviz.colour.seen_colour import Texture
 from bubbleviz.frames.frame import Frame
 
 if TYPE_CHECKING:
@@ -366,6 +367,8 @@ class Result:
     traction : Traction or None
     slip : Slip or None
         None also where too little of the patch sticks to tell.
+    texture : Texture or None
+        None also where the estimate is not to be trusted.
     times_ms : dict
         Wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
     """
@@ -380,6 +383,7 @@ class Result:
     flow: FlowField | None = None
     traction: Traction | None = None
     slip: Slip | None = None
+    texture: Texture | None = None
     times_ms: dict[str, float] = field(default_factory=dict)
 
     @property

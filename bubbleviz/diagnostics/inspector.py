@@ -8,14 +8,17 @@ from typing import Literal
 
 import numpy as np
 
+from bubbleviz.colour.seen_colour import SeenColour
 from bubbleviz.diagnostics.frame_images import FrameImages
 from bubbleviz.diagnostics.kappa_curve import KappaCurve, kappa_curve
 from bubbleviz.patch.components import Component, components
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 
-Look = Literal["depth", "change", "residual", "noise", "used", "kappa_curve", "components"]
-"""An image (H, W) by its name, or the curve of areas over κ."""
+Look = Literal[
+    "depth", "change", "residual", "noise", "used", "colour", "kappa_curve", "components"
+]
+"""An image (H, W) or (H, W, 3) by its name, or the curve of areas over κ."""
 
 OUTERMOST = 0.5
 """Per cent of the pixels at either end that colours need not tell apart."""
@@ -26,6 +29,7 @@ NEEDS: dict[Look, frozenset[Product]] = {
     "residual": frozenset({"estimate"}),
     "noise": frozenset(),
     "used": frozenset(),
+    "colour": frozenset(),
     "kappa_curve": frozenset({"estimate"}),
     "components": frozenset({"estimate", "patch"}),
 }
@@ -43,6 +47,7 @@ class Inspection:
         bool.
     ends : dict
         Between them lie all but the outermost values of each image.
+    colour : SeenColour or None
     kappa_curve : KappaCurve or None
     components : tuple of Component
         Parts of the patch, those too, that are left out for their size.
@@ -50,6 +55,7 @@ class Inspection:
 
     images: dict[str, np.ndarray] = field(default_factory=dict)
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
+    colour: SeenColour | None = None
     kappa_curve: KappaCurve | None = None
     components: tuple[Component, ...] = ()
 
@@ -84,7 +90,7 @@ class Inspector:
             True pixels of the patch, in a simulation.
         """
         images: dict[str, np.ndarray] = {}
-        curve, parts = None, tuple[Component, ...]()
+        curve, parts, colour = None, tuple[Component, ...](), None
         for name in sorted(looks):
             self._pipeline.counts[f"look {name}"] += 1
             if name == "kappa_curve":
@@ -95,12 +101,15 @@ class Inspector:
             if name == "components":
                 parts = self._components(result, kappa)
                 continue
+            if name == "colour":
+                texture = result.texture  # has it decoded
+                colour = SeenColour.of(result.frame) if texture is None else texture.colour
+                continue
             image = self._image(name, result)
             if image is not None:
                 images[name] = image
-        return Inspection(
-            images, {name: _ends(image) for name, image in images.items()}, curve, parts
-        )
+        ends = {name: _ends(image) for name, image in images.items()}
+        return Inspection(images, ends, colour, curve, parts)
 
     def _components(self, result: Result, kappa: float | None) -> tuple[Component, ...]:
         if result.estimate is None:

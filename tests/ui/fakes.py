@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.membrane.reference_mesh import build_mesh
@@ -70,3 +72,32 @@ class GappySource(DentSource):
     def __init__(self, sensor: Sensor) -> None:
         super().__init__(sensor)
         self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
+
+
+class ColouredSource(DentSource):
+    """The dent with what an aligned colour camera sees: red on the left, green on the right.
+
+    Its first frame has no colour image, the last a damaged one; `decoded` counts what was read.
+    """
+
+    def __init__(self, sensor: Sensor) -> None:
+        super().__init__(sensor)
+        self.decoded = 0
+        height, width = self._camera.intrinsics.height, self._camera.intrinsics.width
+        rgb = np.zeros((height, width, 3), np.uint8)
+        rgb[:, : width // 2, 0] = rgb[:, width // 2 :, 1] = 220
+        self.rgb = rgb
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = super().__getitem__(index)
+        return replace(frame, find_colour=lambda: self._colour(index) if index else None)
+
+    def _colour(self, index: int) -> ColourImage:
+        def read() -> EncodedImage:
+            self.decoded += 1
+            if index == FRAMES - 1:
+                return EncodedImage("jpeg", b"no picture")
+            height, width = self.rgb.shape[:2]
+            return EncodedImage("rgb8", self.rgb.tobytes(), width, height, 3 * width)
+
+        return ColourImage(read, camera=ColourCamera(self._camera.intrinsics))

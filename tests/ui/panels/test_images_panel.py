@@ -25,7 +25,9 @@ def opened(driver: Driver, *images: str) -> ImagesPanel:
     driver.state.choose(images=frozenset(images))
     driver.window.panels["images"].show()
     driver.wait(lambda: bool(driver.window.images.cells))
-    driver.wait(lambda: set(driver.window.controller.inspection.images) >= set(images) - {"patch"})
+    driver.wait(
+        lambda: set(driver.window.controller.inspection.images) >= set(images) - {"patch", "colour"}
+    )
     QApplication.processEvents()
     driver.settle()
     return driver.window.images

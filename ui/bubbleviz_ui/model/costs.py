@@ -19,6 +19,7 @@ STAGES = {
     "pose": "Pose of the object (section VI of the paper)",
     "cloud": "Measured points",
     "residual": "Residual of the range",
+    "texture": "Colour image on the membrane",
     "total": "Depth image in → products out",
 }
 """What each stage of the pipeline computes."""

@@ -40,6 +40,12 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "membrane": LayerKind(
             "Membrane", "Deformed membrane, coloured by contact pressure p_c", ESTIMATE
         ),
+        "texture": LayerKind(
+            "Texture",
+            "Colour image on the deformed membrane; pressure shows where something touches",
+            ESTIMATE | {"texture"},
+            at_first=False,
+        ),
         "wireframe": LayerKind("Wireframe", "Edges of the membrane's mesh", ESTIMATE, False),
         "contour": LayerKind(
             "Patch contour", "Where the contact pressure crosses the κ threshold", PATCH

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -11,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from PySide6.QtGui import QColor
 
+from bubbleviz.colour.seen_colour import SeenColour
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.model.units import NOTHING, Unit, Units
 from bubbleviz_ui.panels.plot_frame import HEAD
@@ -19,9 +21,11 @@ from bubbleviz_ui.shell.theme import NODE
 from bubbleviz_ui.view3d.colour_maps import residual_colours
 from bubbleviz_ui.view3d.scale_ranges import rounded_up
 
-Kind = Literal["range", "around zero", "mask"]
-MAPS = {"range": "viridis", "mask": "CET-L1"}
+Kind = Literal["range", "around zero", "mask", "colour"]
+MAPS = {"range": "viridis", "mask": "CET-L1", "colour": "CET-L1"}
 """Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
+NARROW = 18
+"""Letters in a line of the narrowest cell."""
 BLOCKS = 5
 """Squares of colour that stand for the scale in the text above."""
 
@@ -43,6 +47,7 @@ PICTURES = MappingProxyType(
         "noise": Picture("Noise σ", "range", lambda u: u.fine_length),
         "used": Picture("Pixels used", "mask"),
         "patch": Picture("Contact patch", "mask"),
+        "colour": Picture("Colour", "colour"),
     }
 )
 """What the panel can show, by name."""
@@ -174,6 +179,29 @@ class ImageCell:
     def _write(self, text: str) -> None:
         self.text = text
         self.words.setText(text)
+
+
+class ColourCell(ImageCell):
+    """An image cell without a scale; says in words why there is no image."""
+
+    def take(self, seen: SeenColour | None) -> None:
+        """Show what the colour camera saw; None where nobody has looked yet."""
+        if seen is None or seen.rgb is None:
+            self.clear()
+            why = [NOTHING] if seen is None else textwrap.wrap(seen.reason, NARROW)
+            self._write("<br>".join([self.picture.title, *why]))
+            return
+        new = self.image is None or self.image.shape != seen.rgb.shape
+        self.image = seen.rgb
+        self.item.setImage(seen.rgb, autoLevels=False)
+        if new:
+            self.box.setRange(self.item.boundingRect(), padding=0.01)
+        self._write(self.picture.title)
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Take the theme's colour of text."""
+        self.words.setAttr("color", text.name())
+        self._write(self.text)
 
 
 def _digits(span: float) -> int:

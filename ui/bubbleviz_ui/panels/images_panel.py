@@ -15,7 +15,7 @@ from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import menu_button
-from bubbleviz_ui.panels.image_cell import PICTURES, ImageCell
+from bubbleviz_ui.panels.image_cell import PICTURES, ColourCell, ImageCell
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
@@ -86,8 +86,8 @@ class ImagesPanel(QWidget):
     def _on_hover(self, place: Probed | None) -> None:
         for label, line in zip(self.lines, words(place, self._state.units), strict=True):
             label.setText(line)
-        for cell in self.cells.values():
-            cell.mark(place)
+        for name, cell in self.cells.items():
+            cell.mark(place if self._has_pixels_of_depth(name) else None)
 
     def sizeHint(self) -> QSize:
         """Room for a row of images."""
@@ -107,7 +107,10 @@ class ImagesPanel(QWidget):
     # -- drawing ------------------------------------------------------------------------------
 
     def _make(self) -> list[Part]:
-        self.cells = {name: ImageCell(picture) for name, picture in PICTURES.items()}
+        self.cells = {
+            name: (ColourCell if picture.kind == "colour" else ImageCell)(picture)
+            for name, picture in PICTURES.items()
+        }
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         self._host.canvas.installEventFilter(self)
         self._arrange()
@@ -134,17 +137,28 @@ class ImagesPanel(QWidget):
             mask = result.patch.pixel_mask
             images |= {"patch": mask} if mask is not None else {}
         for name in self._state.choices.images:
+            cell = self.cells[name]
+            if isinstance(cell, ColourCell):
+                cell.take(inspection.colour)
+                continue
             ends = inspection.ends.get(name)
-            self.cells[name].draw(images.get(name), ends, self._state.units)
+            cell.draw(images.get(name), ends, self._state.units)
 
     def _on_mouse(self, place: QPointF) -> None:
         for name in self._state.choices.images:
             box = self.cells[name].box
-            if box.sceneBoundingRect().contains(place):
+            if box.sceneBoundingRect().contains(place) and self._has_pixels_of_depth(name):
                 at = box.mapSceneToView(place)
                 self._hover.at_pixel(math.floor(at.y()), math.floor(at.x()))
                 return
         self._hover.leave()
+
+    def _has_pixels_of_depth(self, name: str) -> bool:
+        """Whether a pixel of an image is the one of the depth image."""
+        opened, colour = self._controller.client.opened, self._controller.inspection.colour
+        if not isinstance(self.cells[name], ColourCell):
+            return True
+        return opened is not None and colour is not None and colour.aligned(opened.camera)
 
 
 def words(place: Probed | None, units: Units) -> tuple[str, str, str]:

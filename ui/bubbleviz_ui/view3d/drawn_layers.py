@@ -10,6 +10,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shear.texture_layer import TextureLayer
 from bubbleviz_ui.view3d.layers.axes_layer import AxesLayer
 from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
 from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer, ContourLayer
@@ -28,6 +29,7 @@ from bubbleviz_ui.view3d.scale_ranges import HeldRanges
 
 CLASSES: tuple[type[Layer], ...] = (
     MembraneLayer,
+    TextureLayer,
     WireframeLayer,
     ContourLayer,
     ComparedLayer,

@@ -1,0 +1,88 @@
+"""The colour image on the membrane, against rays of the cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
+from bubbleviz.colour.seen_colour import SeenColour, Texture
+from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.synthetic_source import default_press
+
+DEPTH = Intrinsics(64, 48, 50.0, 52.0, 30.0, 25.0, "inverse_brown_conrady", (-0.05, 0.06, 1e-3))
+T_B_C = np.array([[0.0, -1, 0, 0.01], [1, 0, 0, -0.02], [0, 0, 1, -0.1], [0, 0, 0, 1]])
+RGB = np.arange(48 * 64 * 3, dtype=np.uint32).reshape(48, 64, 3).astype(np.uint8)
+
+
+def colour_image(rgb=RGB, camera=None, data=None):
+    height, width = rgb.shape[:2]
+    encoded = EncodedImage("rgb8", rgb.tobytes(), width, height, 3 * width)
+    encoded = EncodedImage("jpeg", data) if data is not None else encoded
+    return ColourImage(lambda: encoded, camera=camera or ColourCamera(DEPTH))
+
+
+def test_a_point_has_the_place_of_the_pixel_whose_ray_it_is_on():
+    camera = DepthCamera(DEPTH, T_B_C)
+    pixels = np.array([0, 70, 1500, 3071])
+    points = camera.points(np.full((48, 64), 0.09, np.float32), pixels)
+    texture = Texture.of(SeenColour(RGB, ColourCamera(DEPTH)), points, camera)
+    rows, columns = np.divmod(pixels, 64)
+    np.testing.assert_allclose(texture.place[:, 0], (columns + 0.5) / 64, atol=1e-6)
+    np.testing.assert_allclose(texture.place[:, 1], (rows + 0.5) / 48, atol=1e-6)
+    assert texture.seen.all() and not texture.reason
+
+
+def test_another_camera_sees_it_from_where_that_is():
+    """Beside the depth camera by 15 mm and turned by 90° about its axis, a pinhole."""
+    own = Intrinsics(80, 60, 70.0, 70.0, 40.0, 30.0)
+    T_D_C = np.array([[0.0, -1, 0, 0.015], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    camera = DepthCamera(DEPTH, np.eye(4))
+    points = np.array([[0.02, 0.01, 0.1], [0.015, 0.0, 0.08], [0.5, 0, 0.1], [0, 0, -0.1]])
+    colour = SeenColour(np.zeros((60, 80, 3), np.uint8), ColourCamera(own, T_D_C))
+    texture = Texture.of(colour, points, camera)
+    # its x is the depth camera's y, its y is minus x
+    expected = [[(40 + 7 + 0.5) / 80, (30 - 3.5 + 0.5) / 60], [40.5 / 80, 30.5 / 60]]
+    np.testing.assert_allclose(texture.place[:2], expected, atol=1e-12)
+    assert texture.seen.tolist() == [True, True, False, False]
+    assert not colour.aligned(camera) and SeenColour(RGB, ColourCamera(DEPTH)).aligned(camera)
+
+
+@pytest.mark.parametrize(
+    ("find", "words"),
+    [
+        (None, "no colour images in this source"),
+        (lambda: None, "no colour image at this time"),
+        (partial(colour_image, data=b"nothing"), "the colour image cannot be decoded"),
+        (partial(colour_image, camera=ColourCamera()), "no camera info of the colour image"),
+    ],
+)
+def test_what_is_missing_is_said(find, words):
+    frame = default_press(load_sensor(SYNTHETIC_SENSOR))[0]
+    seen = SeenColour.of(replace(frame, find_colour=find))
+    texture = Texture.of(seen, np.zeros((3, 3)), DepthCamera(DEPTH, T_B_C))
+    assert texture.reason == words and not texture.seen.any()
+
+
+def test_the_pipeline_decodes_only_when_the_texture_is_asked_for():
+    press = default_press(load_sensor(SYNTHETIC_SENSOR))
+    pipeline, found = Pipeline.of(press.sensor), []
+
+    def find():
+        found.append(1)
+        return colour_image(camera=ColourCamera(pipeline.camera.intrinsics))
+
+    frame = replace(press[0], find_colour=find)
+    assert pipeline.process(frame, frozenset({"patch"})).texture is None and not found
+    result = pipeline.process(frame, frozenset({"texture"}))
+    assert len(found) == 1 and pipeline.counts["texture"] == 1
+    np.testing.assert_array_equal(result.texture.colour.rgb, RGB)
+    outside = np.any(np.abs(result.texture.place - 0.5) > 0.5, axis=1)
+    np.testing.assert_array_equal(result.texture.seen, ~outside)
