@@ -102,6 +102,21 @@ def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive: Dr
     assert_shown(driver, old)
 
 
+def test_no_older_picture_comes_back_where_qt_paints_the_window(drive: Drive) -> None:
+    """Qt's own last picture of the view is older than what was swapped since."""
+    driver = drive()
+    window, swapped = driver.window, list[int]()
+    driver.seek(3)
+    old = window.view.pixels()  # by Qt
+    driver.seek(12)
+    now = on_screen(driver)
+    assert share_that_differs(now, old) > 1e-3
+    window.view.frameSwapped.connect(lambda: swapped.append(1))
+    window.update()  # as after something above it has been closed
+    driver.wait(lambda: bool(swapped))
+    driver.wait(lambda: same(on_screen(driver), now))
+
+
 def test_what_covered_the_panels_leaves_nothing_behind(drive: Drive) -> None:
     driver = drive()
     driver.seek(3)

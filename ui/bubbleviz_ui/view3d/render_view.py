@@ -83,7 +83,7 @@ class View(QtInteractor):  # type: ignore[misc]
         self.busy_s = 0.0
         self._due = QTimer(self, singleShot=True)
         self._due.timeout.connect(self._draw)
-        self.frameSwapped.connect(self._on_screen)
+        self.frameSwapped.connect(self._on_swapped)
         # Plain: a gradient costs a quarter of an empty render.
         self.follow_theme(lambda colours: self.set_background(colours.view))
         self._tags = [
@@ -155,6 +155,7 @@ class View(QtInteractor):  # type: ignore[misc]
     def paintGL(self) -> None:
         """Render for Qt, which puts the window together: at first, after resizing, to grab it."""
         start = time.perf_counter()
+        self._ahead = False
         super().paintGL()
         self.busy_s += time.perf_counter() - start
 
@@ -170,6 +171,7 @@ class View(QtInteractor):  # type: ignore[misc]
         direct_swap.render(window)
         self._in_paint = False
         direct_swap.show(self, window)
+        self._ahead = True
         self.doneCurrent()
         self.busy_s += time.perf_counter() - start
         self._on_screen()
@@ -265,6 +267,14 @@ class View(QtInteractor):  # type: ignore[misc]
         self._unseen = True
 
     _unseen = False
+    _ahead = False
+    """What was swapped is newer than the picture that Qt has of the view."""
+
+    def _on_swapped(self) -> None:
+        """Draw anew where Qt has put the window together with its own older picture."""
+        if self._ahead:
+            self.refresh()
+        self._on_screen()
 
     def _on_screen(self) -> None:
         """Say so, unless Qt has put the window together for another reason."""
