@@ -105,12 +105,14 @@ def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench: Open) -
     live = open_bench()
     bar, seen, opened = live.window.live, list[str](), list[str]()
     note = lambda *_: seen.append(bar.state.text() + live.window.windowTitle())  # noqa: E731
-    for changed in (live.live_controller.changed, live.live_controller.looked):
-        changed.connect(note)
+    told = live.live_controller.changed, live.live_controller.looked
+    noted = [changed.connect(note) for changed in told]
     live.window.controller.opened.connect(lambda _: opened.append("opened"))
     live.window.view.rendering.connect(lambda: seen.append("drawn") if opened else None)
     live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
     live.wait(lambda: "simulated" in bar.state.text())
+    for changed, connection in zip(told, noted, strict=True):
+        changed.disconnect(connection)
     before = seen[: seen.index("drawn")]
     assert any(">&nbsp;connecting&nbsp;<" in text for text in before)
     assert not any(f";{word}&" in text for text in before for word in ("live", "simulated"))
