@@ -335,6 +335,7 @@ class MainWindow(QMainWindow):
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
         docks["plots"].open_high()
         docks["images"].open_high()
+        docks["calibration"].take_free_height()
         docks["images"].tab_of(docks["plots"], narrower_than=BESIDE_THE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)

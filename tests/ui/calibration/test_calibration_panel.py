@@ -616,6 +616,21 @@ def test_collected_frames_outlive_close_and_connecting_again(drive: Drive) -> No
     bench.driver.wait(lambda: panel.calibration.work.collected is None)
 
 
+def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive: Drive) -> None:
+    driver = drive(frame=3)
+    window = driver.window
+    for scene in ("press", "review"):
+        window.use_scene(load_scene(scene))
+        window.panels["calibration"].show()
+        window.gamma0.go_to(4)
+        driver.settle()
+        heights = {name: window.panels[name].height() for name in ("calibration", "kappa")}
+        assert heights["calibration"] > 2 * heights["kappa"]
+        levels = window.gamma0.rectification
+        for button in (levels.add, levels.vented):
+            assert button.visibleRegion().boundingRect() == button.rect()
+
+
 @pytest.mark.long
 def test_another_inflation_level_is_added_and_undone(bench: Bench, tmp_path: Path) -> None:
     bench.identify()

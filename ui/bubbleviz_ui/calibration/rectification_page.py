@@ -37,7 +37,8 @@ class RectificationPage(Page):
         self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
         self.numbers = Numbers()
         row = fill(QHBoxLayout(), self.add, self.drop)
-        fill(self.column, self.before, self.after, self.numbers, self.levels, row, self.vented, 1)
+        # what is to be done here first: a small screen shows no more without scrolling
+        fill(self.column, self.levels, row, self.vented, self.before, self.after, self.numbers, 1)
         self.add.clicked.connect(self._choose_level)
         self.vented.clicked.connect(self._choose_vented)
         self.drop.clicked.connect(

@@ -22,11 +22,15 @@ class Dock(QDockWidget):
 
     _neighbour: QDockWidget | None = None
     _narrower_than: int | None = None
-    _high = False
+    _high = _takes_all = False
 
     def open_high(self) -> None:
         """Open as high as the panel asks to be, where there is room; else it would be lowest."""
         self._high = True
+
+    def take_free_height(self) -> None:
+        """Take what others in its column do not need whenever it is opened."""
+        self._takes_all = True
 
     def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
         """Open as a tab of another dock, unless the user has moved it elsewhere.
@@ -54,6 +58,8 @@ class Dock(QDockWidget):
         if visible and self._high and isinstance(window, QMainWindow):
             self._high = False
             window.resizeDocks([self], [self.sizeHint().height()], Qt.Orientation.Vertical)
+        if visible and self._takes_all and isinstance(window, QMainWindow):
+            window.resizeDocks([self], [window.height()], Qt.Orientation.Vertical)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
