@@ -14,13 +14,13 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Topic
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
+    COMPRESSED_IMAGE,
     IMAGE,
     common_prefix,
     find_intrinsics,
     of_type,
 )
 
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC_TRANSFORMS = "/tf_static"
 """Topic of the poses of frames of reference that do not move."""

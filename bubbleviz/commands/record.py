@@ -92,7 +92,7 @@ def record_source(
     """
     stream = open_stream(source, sensor, any_size=True)
     recorder = Recorder()
-    stream.listen(recorder.push)
+    recorder.listen_to(stream)
     recorder.start(out)
     first: float | None = None
     try:

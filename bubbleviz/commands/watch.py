@@ -361,7 +361,7 @@ def _recorder(stack: ExitStack, stream: LiveStream, out: Path | None) -> Recorde
             raise InputError(status.problem)
 
     stack.callback(finish)
-    stream.listen(recorder.push)
+    recorder.listen_to(stream)
     return recorder
 
 

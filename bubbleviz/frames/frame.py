@@ -34,7 +34,7 @@ class Frame:
     arrival_ns : int
         When a live frame arrived here, ns since 1970; 0 for a recording's.
     find_colour : callable or None
-        Finds the colour image of this time, which is why nobody waits for it who needs none.
+        Finds the colour image of this time plus a lag in s: nothing is read for who needs none.
     """
 
     index: int
@@ -45,9 +45,13 @@ class Frame:
     wrench: np.ndarray | None = None
     stamp_ns: int = 0
     arrival_ns: int = 0
-    find_colour: Callable[[], ColourImage | None] | None = None
+    find_colour: Callable[[float], ColourImage | None] | None = None
 
     @property
     def colour(self) -> ColourImage | None:
         """What the colour camera saw at this time; None where it saw nothing, or there is none."""
-        return None if self.find_colour is None else self.find_colour()
+        return self.colour_after(0.0)
+
+    def colour_after(self, lag_s: float) -> ColourImage | None:
+        """The same a lag later, s, which is negative where colour leads depth (`TemporalLag`)."""
+        return None if self.find_colour is None else self.find_colour(lag_s)

@@ -156,11 +156,11 @@ class Recording:
     def colour_at(self, time_s: float) -> ColourImage | None:
         """Colour image nearest to a time of the frames, within half a period; None without one.
 
-        At `frame.time_s + lag.lag_s` it shows what the depth image of a frame does; see
+        That of what the depth image of a frame shows is `frame.colour_after(lag.lag_s)`; see
         `bubbleviz.colour.temporal_lag`.
         """
         index = int(np.abs(self.times_s - time_s).argmin())
-        return self._colour_near(index, round(1e9 * (time_s - self.times_s[index])))
+        return self._colour_near(index, time_s - float(self.times_s[index]))
 
     @property
     def has_wrench(self) -> bool:
@@ -190,13 +190,13 @@ class Recording:
                 for k in range(len(messages))
             )
 
-    def _colour_near(self, index: int, later_ns: int = 0) -> ColourImage | None:
-        """Colour image at the time of a frame or a little later."""
+    def _colour_near(self, index: int, lag_s: float) -> ColourImage | None:
+        """Colour image a lag after the time of a frame."""
         if self.colour is None:
             return None
-        key = int(self._keys[index]) + later_ns
-        log = int(self._images.log_ns[self._order[index]]) + later_ns
-        time_s = float(self.times_s[index]) + 1e-9 * later_ns
+        key = int(self._keys[index]) + round(1e9 * lag_s)
+        log = int(self._images.log_ns[self._order[index]]) + round(1e9 * lag_s)
+        time_s = float(self.times_s[index]) + lag_s
         with self._lock, damage(self.path, f"the colour image at {time_s:.3f} s"):
             return self.colour.nearest(key, log, self._half_period_ns, time_s)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.colour_image import ColourImage
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     IMAGE,
@@ -24,6 +26,8 @@ from bubbleviz.frames.message_decoding import (
     wrench_of,
 )
 from bubbleviz.frames.point_cloud import decode_cloud
+from bubbleviz.frames.time_series import NEAREST_NS
+from bubbleviz.live.colour_buffer import ColourBuffer
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
@@ -44,6 +48,7 @@ class _WrongSizeError(ValueError):
 class _Pending(NamedTuple):
     frame: Frame
     time_ns: int
+    half_period_ns: int
 
 
 class _Series:
@@ -101,10 +106,16 @@ class FrameAssembler:
         self._types: dict[str, str] = {}
         self._cameras: dict[str, Intrinsics] = {}
         self._series: dict[str, _Series] = {}
+        self._colour = ColourBuffer()
         self._clock = StampClock()
         self._first_ns: int | None = None
+        self._last_ns: int | None = None
         self._pending: _Pending | None = None
         self._round = 0
+
+    def follow_colour(self) -> None:
+        """Take colour images, too, from now on."""
+        self._names = replace(self._names, with_colour=True)
 
     def push(self, message: RawMessage) -> list[Frame]:
         """Take a message; the frames that are complete now, oldest first."""
@@ -122,7 +133,9 @@ class FrameAssembler:
         try:
             if not self._is_ours(message):
                 return []
-            if message.type == CAMERA_INFO:
+            if self._names.is_colour(message.topic, message.type):
+                self._take_colour(message)
+            elif message.type == CAMERA_INFO:
                 self._take_camera(message)
             elif message.type in _SERIES:
                 self._take_values(message)
@@ -166,6 +179,8 @@ class FrameAssembler:
             return False
         if not self._names.wants(topic, kind):
             return False
+        if self._names.is_colour(topic, kind):
+            return True
         if kind in DEPTH_TYPES:
             return self._may_be_depth(topic, kind)
         if kind in _SERIES:
@@ -192,6 +207,12 @@ class FrameAssembler:
         camera = decode_intrinsics(decode(message))
         if camera is not None:
             self._cameras[message.topic] = camera
+
+    def _take_colour(self, message: RawMessage) -> None:
+        named = message.topic == self._names.colour
+        if self._colour.add(message, self._depth, named=named) == "bad":
+            self.counters.bad_stamps += 1
+            self._note(message, _bad_stamp(message))
 
     def _take_values(self, message: RawMessage) -> None:
         values = _SERIES[message.type](decode(message))
@@ -236,7 +257,9 @@ class FrameAssembler:
             stamp_ns=message.stamp_ns,
             arrival_ns=message.arrival_ns,
         )
-        self._pending = _Pending(frame, time_ns)
+        step = NEAREST_NS if self._last_ns is None else time_ns - self._last_ns
+        self._last_ns = time_ns
+        self._pending = _Pending(frame, time_ns, min(max(step, 0), NEAREST_NS) // 2)
         return released + self._released(message.arrival_ns)
 
     def _decoded_depth(self, message: RawMessage) -> np.ndarray:
@@ -271,7 +294,10 @@ class FrameAssembler:
         pending = self._pending
         if pending is None:
             return []
-        if all(s.samples.covers(self._time_for(s, pending)) for s in self._series.values()):
+        series = self._series.values()
+        if self._colour.covers(pending.time_ns) and all(
+            each.samples.covers(self._time_for(each, pending)) for each in series
+        ):
             return self.flush()
         return self.flush(now_ns)
 
@@ -291,6 +317,18 @@ class FrameAssembler:
             pending.frame,
             gas_pressure_pa=None if pressure is None else float(pressure[0]),
             wrench=values.get(WRENCH),
+            find_colour=self._find_colour(pending),
+        )
+
+    def _find_colour(self, pending: _Pending) -> Callable[[float], ColourImage | None] | None:
+        if not self._colour.topic:
+            return None
+        return self._colour.around(
+            pending.time_ns,
+            pending.frame.time_s,
+            pending.half_period_ns,
+            self._depth,
+            self._cameras,
         )
 
     def _note(self, message: RawMessage, problem: str) -> None:

@@ -57,7 +57,7 @@ class LiveSession:
         self.recorder = Recorder(pre_roll_s)
         self.sensors = tuple(_open(place) for place in preset.sensors)
         for each in self.sensors:
-            each.stream.listen(self.recorder.push)
+            self.recorder.listen_to(each.stream)
 
     def __enter__(self) -> LiveSession:
         started: list[LiveSensor] = []

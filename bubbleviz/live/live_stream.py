@@ -81,6 +81,12 @@ class LiveStream:
 
         return forget
 
+    def follow_colour(self) -> None:
+        """Have frames with colour images, which the source does not send before."""
+        with self._lock:
+            self._assembler.follow_colour()
+        self.source.follow_colour()
+
     def take(self, timeout_s: float = 0.0) -> Frame | None:
         """The newest frame that was not taken yet, waiting for one; None when none came."""
         deadline = time.monotonic() + timeout_s

@@ -92,7 +92,7 @@ def test_the_lag_of_a_recording_is_told(tmp_path: Path) -> None:
     with Recording(path) as recording:
         found = temporal_lag(recording)
         assert found.lag_s == pytest.approx(-2.4 * PERIOD_S, abs=0.2 * PERIOD_S)
-        image = recording.colour_at(recording.times_s[40] + found.lag_s)
+        image = recording[40].colour_after(found.lag_s)
         assert image is not None
         assert image.stamp_ns == START + 38 * PERIOD
     facts = recording_info(path, lag=True)

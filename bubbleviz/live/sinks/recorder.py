@@ -12,6 +12,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.depth_topics import MARKERS, STRING
 from bubbleviz.frames.message_encoding import ros2_types, serialise
+from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.wording import count_of
 
@@ -66,7 +67,15 @@ class Recorder:
         self._before: deque[RawMessage] = deque()
         self._before_bytes = 0
         self._session: _Session | None = None
+        self._streams: list[LiveStream] = []
         self._lock = threading.Lock()
+
+    def listen_to(self, stream: LiveStream) -> None:
+        """Record every message of a stream; it sends colour images once recording starts."""
+        self._streams.append(stream)
+        stream.listen(self.push)
+        if self.recording:
+            stream.follow_colour()
 
     @property
     def recording(self) -> bool:
@@ -99,6 +108,8 @@ class Recorder:
             self._before.clear()
             self._before_bytes = 0
             self._session = session
+        for stream in self._streams:
+            stream.follow_colour()
 
     def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
         """Write a marker or note into the recording, at a time (ns since 1970), by default now."""

@@ -54,7 +54,12 @@ def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStr
     uri = parse_uri(text)
     options = uri.options
     names = TopicNames(
-        options.depth, options.info, options.pressure, options.wrench, options.prefix
+        options.depth,
+        options.info,
+        options.pressure,
+        options.wrench,
+        options.colour,
+        options.prefix,
     )
     source = _MAKERS[uri.scheme](uri, sensor, names)
     camera = sensor.camera

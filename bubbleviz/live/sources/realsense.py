@@ -86,6 +86,9 @@ class RealSenseLive:
             self._thread.stop()
         self._link = "ended"
 
+    def follow_colour(self) -> None:
+        """Nothing: depth alone is asked of the camera."""
+
     def link(self) -> Link:
         """`lost` while the camera is looked for."""
         return self._link

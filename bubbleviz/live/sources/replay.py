@@ -13,7 +13,7 @@ from bubbleviz.frames.bags.bag import typestore
 from bubbleviz.live.raw_message import RawMessage, stamp_of
 from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
 from bubbleviz.live.sources.paced_thread import PacedThread
-from bubbleviz.live.topic_names import is_used
+from bubbleviz.live.topic_names import TYPES, TopicNames
 
 
 class Replay:
@@ -41,11 +41,10 @@ class Replay:
         self._bag = Bag(path)
         self.name = self._bag.path.name
         self._speed, self._loop, self._realtime = speed, loop, realtime
+        self._names = TopicNames()
         self._thread: PacedThread | None = None
         self._streams: list[Messages] = [
-            self._bag.messages(topic)
-            for topic in self._bag.topics
-            if is_used(topic.name, topic.type)
+            self._bag.messages(topic) for topic in self._bag.topics if topic.type in TYPES
         ]
         if not any(len(stream) for stream in self._streams):
             self._bag.close()
@@ -60,6 +59,10 @@ class Replay:
         if self._thread is not None:
             self._thread.stop()
         self._bag.close()
+
+    def follow_colour(self) -> None:
+        """Play colour images, too."""
+        self._names = TopicNames(with_colour=True)
 
     def link(self) -> Link:
         """`ended` at the end of the recording."""
@@ -94,7 +97,9 @@ class Replay:
                     return
                 if pace.stopping:
                     return
-                deliver(self._message(self._streams[stream], k, played))
+                topic = self._streams[stream].topic
+                if self._names.with_colour or not self._names.is_colour(topic.name, topic.type):
+                    deliver(self._message(self._streams[stream], k, played))
             if not self._loop:
                 return
             played += 1

@@ -25,7 +25,7 @@ class SourceOptions(BaseModel):
 
     Attributes
     ----------
-    depth, info, pressure, wrench : str or None
+    depth, info, pressure, wrench, colour : str or None
         Topics; None for the first that fits.
     prefix : str
         What the sensor's topics begin with.
@@ -39,6 +39,7 @@ class SourceOptions(BaseModel):
     info: str | None = None
     pressure: str | None = None
     wrench: str | None = None
+    colour: str | None = None
     prefix: str = ""
     lag: float = Field(0.0, ge=-1.0, le=1.0)
 

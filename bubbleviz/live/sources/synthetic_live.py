@@ -59,6 +59,9 @@ class SyntheticLive:
         if self._thread is not None:
             self._thread.stop()
 
+    def follow_colour(self) -> None:
+        """Nothing: its frames have the colour images they have."""
+
     def link(self) -> Link:
         """`connecting` while simulating ahead."""
         if self._thread is None or (not self._topics and self._thread.running):

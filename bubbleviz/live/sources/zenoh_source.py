@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import zenoh
@@ -100,6 +101,10 @@ class ZenohSource:
             self._connector.stop(CLOSING_S)  # it may be waiting for a host that does not answer
         self._link = "ended"
 
+    def follow_colour(self) -> None:
+        """Subscribe to topics of colour images, too, at the next look."""
+        self._names = replace(self._names, with_colour=True)
+
     def link(self) -> Link:
         """`lost` while Zenoh tries to connect again."""
         return self._link
@@ -122,7 +127,7 @@ class ZenohSource:
     def _named(self) -> list[tuple[str, str]]:
         names = self._names
         roles = (
-            (names.depth, _depth_type(names.depth)),
+            (names.depth, _image_type(names.depth)),
             (names.info, CAMERA_INFO),
             (names.pressure, PRESSURE),
             (names.wrench, WRENCH),
@@ -199,12 +204,17 @@ class ZenohSource:
 
         Robots announce them for every camera, and compress only for who subscribes.
         """
+        if self._names.with_colour and self._names.colour is not None:
+            kind = _image_type(self._names.colour)
+            for layout in LAYOUTS:
+                self._subscribe(Announced(self._names.colour, kind, layout))
         with self._lock:
             announced = list(self._announced.values())
         there = {each.topic for each in announced}
         for each in announced:
-            spare = each.type == COMPRESSED_IMAGE and each.topic != self._names.depth
-            if spare and each.topic.removesuffix(f"/{COMPRESSED}") in there:
+            named = each.topic in (self._names.depth, self._names.colour)
+            spare = each.type == COMPRESSED_IMAGE and not named
+            if spare and each.topic.rpartition("/")[0] in there:
                 continue
             if self._names.wants(each.topic, each.type):
                 self._subscribe(each)
@@ -252,7 +262,7 @@ class ZenohSource:
             self._counts[publisher, topic] = sequence
 
 
-def _depth_type(topic: str | None) -> str:
-    """Type that a depth topic has by its name, for those that are not announced."""
-    compressed = topic is not None and topic.endswith(f"/{COMPRESSED}")
+def _image_type(topic: str | None) -> str:
+    """Type that a topic of images has by its name, for those that are not announced."""
+    compressed = topic is not None and topic.endswith((f"/{COMPRESSED}", "/compressed"))
     return COMPRESSED_IMAGE if compressed else IMAGE

@@ -1,0 +1,197 @@
+"""Live frames have colour images once somebody asks for them, and are not burdened before."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robot import HASH, open_session
+from wire import IMAGE, INFO, NOW, PERIOD, STORE, arrived, camera_info, cdr, depth, header
+from wire import image as wire_image
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.live.assembler import FrameAssembler
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.bench.live_soak import free_port
+
+COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
+
+
+def colour(stamp: int, k: int, topic: str = COLOUR, **changes: Any) -> RawMessage:
+    """A grey image all of whose pixels are k."""
+    fields = {
+        "header": header(stamp),
+        "height": 48,
+        "width": 64,
+        "encoding": "mono8",
+        "is_bigendian": 0,
+        "step": 64,
+        "data": np.full(48 * 64, k, np.uint8),
+    }
+    message = STORE.types[IMAGE](**{**fields, **changes})
+    return arrived(topic, IMAGE, cdr(message, IMAGE), stamp)
+
+
+def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
+    found = [frame for message in messages for frame in assembler.push(message)]
+    return found + assembler.flush()
+
+
+def level(frame: Frame, lag_s: float = 0.0) -> int | None:
+    image = frame.colour_after(lag_s)
+    return None if image is None else int(image.grey()[5, 5])
+
+
+def both(k: int, shift: int = 0) -> list[RawMessage]:
+    """Depth image k, then the colour image of that time, and one of another sensor."""
+    stamp = NOW + k * PERIOD
+    return [
+        depth(stamp, k, topic="/cam/depth/image"),
+        colour(stamp, 200, "/other/color/image_raw"),
+        colour(stamp + shift, k),
+    ]
+
+
+def test_nothing_is_taken_before_it_is_asked_for() -> None:
+    assembler = FrameAssembler()
+    found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
+    assert [frame.colour for frame in found] == [None] * 3
+    assert assembler.counters.undecodable == 0
+
+
+@pytest.mark.parametrize("shift", [0, PERIOD // 4, -PERIOD // 4])
+def test_a_frame_has_the_colour_of_its_time_and_before(shift: int) -> None:
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    found = frames_of(assembler, *(m for k in range(8) for m in both(k, shift)))
+    assert [level(frame) for frame in found[1:]] == list(range(1, 8))
+    assert [level(frame, -2.1e-9 * PERIOD) for frame in found[3:]] == list(range(1, 6))
+    image = found[4].colour
+    assert image is not None
+    assert image.time_s == pytest.approx(found[4].time_s + 1e-9 * shift)
+    assert assembler.counters.undecodable == 0
+
+
+def test_a_frame_without_colour_in_half_a_period_has_none() -> None:
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    messages = [m for k in range(6) for m in both(k) if k % 3 or m.topic != COLOUR]
+    found = frames_of(assembler, *messages)
+    assert [level(frame) for frame in found[2:]] == [2, None, 4, 5]
+
+
+def test_the_camera_is_told() -> None:
+    info = arrived("/cam/depth/camera_info", INFO, camera_info(NOW), NOW)
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    image = frames_of(assembler, info, *both(0), *both(1))[-1].colour
+    assert image is not None
+    assert image.camera.intrinsics is not None
+    assert "that of the depth camera" in image.camera.remark
+
+
+def test_garbage_is_said_when_it_is_asked_for() -> None:
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    messages = [*both(0), depth(NOW + PERIOD, 1, topic="/cam/depth/image")]
+    broken = arrived(COLOUR, IMAGE, b"\0\1\0\0garbage", NOW + PERIOD)
+    found = frames_of(assembler, *messages, broken)
+    image = found[-1].colour
+    assert image is not None
+    with pytest.raises(InputError, match="check what is published there"):
+        image.grey()
+
+
+def test_a_named_topic_of_another_namespace_counts() -> None:
+    assembler = FrameAssembler(TopicNames(colour="/other/color/image_raw"))
+    assembler.follow_colour()
+    found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
+    assert level(found[-1]) == 200
+
+
+def test_a_replay_plays_colour_when_asked(tmp_path: Path, small_sensor: Sensor) -> None:
+    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder.start(path)
+    for k in range(5):
+        for message in both(k):
+            recorder.push(message)
+    recorder.stop()
+    for asked in (False, True):
+        stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
+        heard: list[RawMessage] = []
+        stream.listen(heard.append)
+        if asked:
+            stream.follow_colour()
+        with stream:
+            while stream.take(5.0) is not None:
+                pass
+        assert any(message.topic == COLOUR for message in heard) is asked
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, before: bool) -> None:
+    first, path = Recorder(), tmp_path / "rec.mcap"
+    first.start(path)
+    for k in range(5):
+        for message in both(k):
+            first.push(message)
+    first.stop()
+    recorder, copy = Recorder(), tmp_path / "copy.mcap"
+    stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
+    if before:
+        recorder.start(copy)
+    recorder.listen_to(stream)
+    if not before:
+        recorder.start(copy)
+    with stream:
+        while stream.take(5.0) is not None:
+            pass
+    recorder.stop()
+    with Recording(copy) as recording:
+        assert [level(recording[k]) for k in range(5)] == list(range(5))
+
+
+def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
+    """Announced, but not subscribed to before; found also when it is asked for later."""
+    port, topics = free_port(), {"depth/image": 0, "color/image_raw": 1}
+    kind = f"sensor_msgs::msg::dds_::Image_/{HASH}"
+    heard: list[RawMessage] = []
+    with open_session(str(port)) as robot:
+        tokens = [
+            robot.liveliness().declare_token(
+                f"@ros2_lv/0/b3f7/0/1{number}/MP/%/%/camera/%cam%{name.replace('/', '%')}/{kind}/"
+                "::,5:,:,:,,"
+            )
+            for name, number in topics.items()
+        ]
+
+        def send() -> None:
+            stamp = time.time_ns()
+            for message in both(0):
+                name = message.topic.removeprefix("/cam/")
+                payload = colour(stamp, 7).payload if "color" in name else wire_image(stamp)
+                if name in topics:
+                    robot.put(f"0/cam/{name}/{kind}", payload)
+
+        with open_stream(f"zenoh:tcp/127.0.0.1:{port}", small_sensor) as stream:
+            stream.listen(heard.append)
+            while stream.counters().frames < 5:
+                send()
+                stream.take(0.02)
+            assert not any(message.topic == COLOUR for message in heard)
+            stream.follow_colour()
+            frame = None
+            while frame is None or frame.colour is None:
+                send()
+                frame = stream.take(0.02) or frame
+        assert level(frame) == 7
+        assert tokens
