@@ -14,6 +14,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.printed_speckle import Speckle
 from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
 
 
@@ -72,6 +73,7 @@ def simulate(
     friction: float = 0.0,
     drag_m: float = 0.0,
     twist_rad: float = 0.0,
+    texture: bool = False,
 ) -> Simulation:
     """Press a rigid object into a simulated sensor (Eq. 16, or the exact membrane).
 
@@ -103,6 +105,8 @@ def simulate(
     drag_m, twist_rad : float
         The object comes from above to the one pose given, is dragged along x of the bubble frame,
         m, and twisted about its own z axis, rad; 10 frames or more.
+    texture : bool
+        Print a speckle on the membrane, which `frame.colour` shows.
 
     Returns
     -------
@@ -140,5 +144,6 @@ def simulate(
             friction=friction,
             drag_m=drag_m,
             twist_rad=twist_rad,
+            texture=Speckle(seed=seed) if texture else None,
         )
     return Simulation(source)

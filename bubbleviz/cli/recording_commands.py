@@ -44,6 +44,7 @@ def info(recording: Path, lag: bool, as_json: bool) -> None:
 @click.option("--friction", metavar="MU", type=float, default=0.0, help="Coulomb's coefficient.")
 @click.option("--drag", metavar="MM", type=float, default=0.0, help="Then along x of B, mm.")
 @click.option("--twist", metavar="DEG", type=float, default=0.0, help="Then about its z axis, °.")
+@click.option("--texture", is_flag=True, help="Print a speckle on the membrane: colour images.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="REC.mcap.")
 @click.option("--truth", type=click.Path(path_type=Path), help="TRUTH.npz.")
 def simulate(
@@ -63,6 +64,7 @@ def simulate(
     friction: float,
     drag: float,
     twist: float,
+    texture: bool,
     out: Path,
     truth: Path | None,
 ) -> None:
@@ -74,6 +76,7 @@ def simulate(
         raise click.UsageError("give either --noise-sigma or --noise-relative")
     from bubbleviz.commands.simulate import simulated_press, write_simulation
     from bubbleviz.simulation.depth_noise import DepthNoise
+    from bubbleviz.simulation.printed_speckle import Speckle
 
     noise = DepthNoise(
         relative=noise_relative,
@@ -94,6 +97,7 @@ def simulate(
         friction=friction,
         drag_m=1e-3 * drag,
         twist_rad=radians(twist),
+        texture=Speckle(seed=seed) if texture else None,
     )
     write_simulation(source, out, truth)
 

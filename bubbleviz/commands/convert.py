@@ -34,7 +34,7 @@ class ConvertSummary(Summary):
     frames : int
     duration_s : float
     width, height : int
-    has_intrinsics, has_gas_pressure, has_wrench : bool
+    has_intrinsics, has_gas_pressure, has_wrench, has_colour : bool
     """
 
     out: str
@@ -45,6 +45,7 @@ class ConvertSummary(Summary):
     has_intrinsics: bool
     has_gas_pressure: bool
     has_wrench: bool
+    has_colour: bool
 
     def to_text(self) -> str:
         """Text for the terminal."""
@@ -52,6 +53,7 @@ class ConvertSummary(Summary):
             "intrinsics": self.has_intrinsics,
             "gas pressure": self.has_gas_pressure,
             "wrench": self.has_wrench,
+            "colour": self.has_colour,
         }
         return (
             f"wrote {self.out}: {count_of(self.frames, 'frame')} of {self.width}×{self.height} "
@@ -140,19 +142,20 @@ def _written(
     source: FrameSource, out: str | Path, progress: Progress, whole_millimetres: bool
 ) -> ConvertSummary:
     encoding: Encoding = "16UC1" if whole_millimetres else "32FC1"
-    pressure = wrench = False
+    pressure = wrench = colour = False
     with RecordingWriter(out, encoding=encoding) as writer:
         for index in range(len(source)):
             progress("converting", index / len(source))
             frame = source[index]
             pressure |= frame.gas_pressure_pa is not None
             wrench |= frame.wrench is not None
+            colour |= frame.colour is not None
             writer.write(frame)
     height, width = frame.depth_m.shape
     duration = float(source.times_s[-1])
     has_camera = frame.intrinsics is not None
     return ConvertSummary(
-        str(out), len(source), duration, width, height, has_camera, pressure, wrench
+        str(out), len(source), duration, width, height, has_camera, pressure, wrench, colour
     )
 
 

@@ -20,6 +20,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.press_path import press_path
+from bubbleviz.simulation.printed_speckle import Speckle
 from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
 
 
@@ -36,6 +37,7 @@ def simulated_press(
     friction: float = 0.0,
     drag_m: float = 0.0,
     twist_rad: float = 0.0,
+    texture: Speckle | None = None,
 ) -> SyntheticSource:
     """Source of the frames that the command line describes.
 
@@ -52,7 +54,7 @@ def simulated_press(
     rate_hz : float
         Where the CSV has no times.
     seed : int
-    model : {"rubber", "linear"}, optional
+    model, texture : optional
         As of `SyntheticSource`.
     friction : float
         As of `SyntheticSource`.
@@ -78,7 +80,16 @@ def simulated_press(
     if moved:
         raise InputError("drag and twist: give one pose to press to, not a path")
     return SyntheticSource(
-        sensor, obj, poses, noise, rate_hz, seed, times_s=times, model=model, friction=friction
+        sensor,
+        obj,
+        poses,
+        noise,
+        rate_hz,
+        seed,
+        times_s=times,
+        model=model,
+        friction=friction,
+        texture=texture,
     )
 
 

@@ -6,10 +6,13 @@ from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.colour.colour_image import COMPRESSED_ENCODINGS, ColourImage, EncodedImage
+from bubbleviz.colour.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.frames.bags.bag import typestore
-from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, PRESSURE, WRENCH
+from bubbleviz.frames.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
 from bubbleviz.frames.frame import Frame
 
 Encoding = Literal["32FC1", "16UC1"]
@@ -21,6 +24,12 @@ NAMES = {
     WRENCH: "wrench",
 }
 """Topic of each kind of message, behind the prefix."""
+COLOUR_NAMES = {
+    IMAGE: "color/image_raw",
+    COMPRESSED_IMAGE: "color/image_raw/compressed",
+    CAMERA_INFO: "color/camera_info",
+}
+"""The same of what the colour camera sees."""
 
 
 class Message(NamedTuple):
@@ -58,7 +67,9 @@ def serialise(message: Any, kind: str) -> bytes:
 
 
 class FrameMessages:
-    """Makes the messages of frames: depth and, where there are, camera info, pressure and wrench.
+    """Makes the messages of frames: depth and, where there are, camera info and other measurements.
+
+    Of the colour image the bytes are those that were recorded.
 
     Parameters
     ----------
@@ -67,7 +78,7 @@ class FrameMessages:
     prefix : str
         What the topic names begin with.
     frame_id : str
-        Name of the camera's frame in the headers.
+        Name of the depth camera's frame in the headers.
     """
 
     def __init__(
@@ -93,10 +104,28 @@ class FrameMessages:
             yield self._message(PRESSURE, value, stamp)
         if frame.wrench is not None:
             yield self._message(WRENCH, make_wrench(header, frame.wrench), stamp)
+        if (colour := frame.colour) is not None:
+            yield from self._colour(colour, stamp + round(1e9 * (colour.time_s - frame.time_s)))
         yield self._message(IMAGE, self._image(header, frame.depth_m), stamp)
 
-    def _message(self, kind: str, message: Any, stamp: int) -> Message:
-        return Message(f"{self._prefix}/{NAMES[kind]}", kind, serialise(message, kind), stamp)
+    def _colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
+        """Image, camera info, and the pose of the colour camera where it is not the depth's."""
+        camera, frame_id = colour.camera, self._frame_id
+        if not np.array_equal(camera.T_D_C, np.eye(4)):
+            frame_id = f"{frame_id}_color"
+            pose = _transforms(make_header(stamp, self._frame_id), frame_id, camera.T_D_C)
+            yield Message(STATIC_TRANSFORMS, TRANSFORMS, serialise(pose, TRANSFORMS), stamp)
+        header = make_header(stamp, frame_id)
+        if camera.intrinsics is not None:
+            info = _camera_info(header, camera.intrinsics)
+            yield self._message(CAMERA_INFO, info, stamp, COLOUR_NAMES)
+        image = _colour_image(header, colour.read())
+        yield self._message(image.__msgtype__, image, stamp, COLOUR_NAMES)
+
+    def _message(
+        self, kind: str, message: Any, stamp: int, names: dict[str, str] = NAMES
+    ) -> Message:
+        return Message(f"{self._prefix}/{names[kind]}", kind, serialise(message, kind), stamp)
 
     def _image(self, header: Any, depth_m: np.ndarray) -> Any:
         height, width = depth_m.shape
@@ -114,6 +143,33 @@ class FrameMessages:
             step=width * pixels.itemsize,
             data=pixels.view(np.uint8).reshape(-1),
         )
+
+
+def _colour_image(header: Any, encoded: EncodedImage) -> Any:
+    """`sensor_msgs/Image` or `sensor_msgs/CompressedImage` with the same bytes."""
+    kinds, data = ros2_types().types, np.frombuffer(encoded.data, np.uint8)
+    if encoded.encoding in COMPRESSED_ENCODINGS:
+        return kinds[COMPRESSED_IMAGE](header, encoded.encoding, data)
+    return kinds[IMAGE](
+        header=header,
+        height=encoded.height,
+        width=encoded.width,
+        encoding=encoded.encoding,
+        is_bigendian=0,
+        step=encoded.step,
+        data=data,
+    )
+
+
+def _transforms(header: Any, child: str, pose: np.ndarray) -> Any:
+    """`tf2_msgs/TFMessage` of one pose (4, 4) in the header's frame."""
+    kinds = ros2_types().types
+    transform = kinds["geometry_msgs/msg/Transform"](
+        kinds["geometry_msgs/msg/Vector3"](*pose[:3, 3].tolist()),
+        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
+    )
+    stamped = kinds["geometry_msgs/msg/TransformStamped"](header, child, transform)
+    return kinds[TRANSFORMS]([stamped])
 
 
 def _camera_info(header: Any, camera: Intrinsics) -> Any:

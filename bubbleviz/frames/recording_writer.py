@@ -21,7 +21,7 @@ class RecordingWriter:
 
     Use it as a context manager: the recording appears whole when the block ends, and not at all
     when it raises. Topics are made for what the frames have: depth and, where there are, camera
-    info, gas pressure and wrench.
+    info, gas pressure, wrench and colour images.
 
     Parameters
     ----------

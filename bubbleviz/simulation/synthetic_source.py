@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.gaps import usual_step
 from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import GapFinder
 from bubbleviz.membrane.gas import Gas
@@ -26,6 +28,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
 from bubbleviz.simulation.touching_share import touching_share
 
 Model = Literal["rubber", "linear"]
@@ -163,6 +166,8 @@ class SyntheticSource:
     friction : float, optional
         Coulomb's μ between object and membrane, which must be the exact one. Frames then follow
         from those before.
+    texture : Speckle, optional
+        Printed on the membrane; frames have its image, made when it is asked for.
 
     Attributes
     ----------
@@ -186,6 +191,7 @@ class SyntheticSource:
         sharp: bool = False,
         model: Model | None = None,
         friction: float = 0.0,
+        texture: Speckle | None = None,
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
@@ -217,6 +223,7 @@ class SyntheticSource:
         self._past: list[Contact] = []
         self._path: Iterator[Contact] | None = None
         self._view = MembraneView(self.camera, self.mesh)
+        self._printed = None if texture is None else PrintedMembrane(texture, self._view)
         self._solved = lru_cache(maxsize=300)(self._solve)
 
     def __len__(self) -> int:
@@ -234,6 +241,7 @@ class SyntheticSource:
             depth_m=depth.astype(np.float32),
             intrinsics=self.camera.intrinsics,
             gas_pressure_pa=self._gas.P0 + contact.gas_pressure_change_pa,
+            find_colour=None if self._printed is None else partial(self._find_colour, index),
         )
 
     def close(self) -> None:
@@ -250,6 +258,23 @@ class SyntheticSource:
     def truth(self, index: int) -> Truth:
         """What is true of frame `index`."""
         return Truth.of(self.contact(index), self._view)
+
+    def _find_colour(self, index: int, lag_s: float) -> ColourImage | None:
+        """Image of the frame nearest to a lag after another, within half a period."""
+        wanted_s = self.times_s[index] + lag_s
+        nearest = int(np.abs(self.times_s - wanted_s).argmin())
+        period_s = usual_step(np.diff(self.times_s)) or np.inf
+        if abs(self.times_s[nearest] - wanted_s) > 0.5 * period_s:
+            return None
+        camera = ColourCamera(self.camera.intrinsics)
+        time_s = float(self.times_s[nearest])
+        return ColourImage(partial(self._image, nearest), round(1e9 * time_s), time_s, camera)
+
+    def _image(self, index: int) -> EncodedImage:
+        assert self._printed is not None
+        grey = self._printed.image(self.contact(index).displacement_3d_m, index)
+        height, width = grey.shape
+        return EncodedImage("mono8", grey.tobytes(), width, height, width)
 
     def _solve(self, index: int) -> Contact:
         contact = self._pressed(index)

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from rosbags.typesys import get_types_from_msg
 
 from tests.frames.bagmaker import BagMaker
 
 COLOUR = "/cam/color/image_raw"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 def picture(k: int, height: int = 24, width: int = 32) -> np.ndarray:
@@ -35,10 +37,12 @@ def encoded(rgb: np.ndarray, kind: str) -> bytes:
     return file.getvalue()
 
 
-def add_compressed(bag: BagMaker, stamp: int, data: bytes, said: str, topic: str = COLOUR) -> None:
+def add_compressed(
+    bag: BagMaker, stamp: int, data: bytes, said: str, topic: str = COLOUR, header: Any = None
+) -> None:
     """A compressed image, `said` to be of a format."""
     fields: dict[str, Any] = {
-        "header": bag.header(stamp),
+        "header": header or bag.header(stamp),
         "format": said,
         "data": np.frombuffer(data, np.uint8),
     }
@@ -53,6 +57,9 @@ def add_pose(
     quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
 ) -> None:
     """A static transform, T_parent_child."""
+    if bag.ros1:  # rosbags' list lacks it
+        text = "geometry_msgs/TransformStamped[] transforms"
+        bag.store.register(get_types_from_msg(text, TRANSFORMS))
     types = bag.store.types
     transform = types["geometry_msgs/msg/Transform"](
         types["geometry_msgs/msg/Vector3"](*position_m),
@@ -61,4 +68,4 @@ def add_pose(
     header = bag.header(1)
     header.frame_id = parent
     stamped = types["geometry_msgs/msg/TransformStamped"](header, child, transform)
-    bag.add("/tf_static", "tf2_msgs/msg/TFMessage", 1, transforms=[stamped])
+    bag.add("/tf_static", TRANSFORMS, 1, transforms=[stamped])

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.frames.recording import Recording
-from tests.frames.bagmaker import BagMaker, fill
+from tests.colour.colour_bag import add_colour, add_compressed, add_pose, encoded, picture
+from tests.frames.bagmaker import PERIOD, START, BagMaker, fill
 from tests.frames.realsense_bag import CLOCK_MS, PERIOD_MS, depth_units, write_realsense_bag
 from tests.small_press import HEIGHTS, small_source, write_small_sensor
 
@@ -134,6 +136,36 @@ def test_a_bag_of_the_realsense_viewer(unit_m: float | None, option: str, tmp_pa
             np.testing.assert_allclose(frame.depth_m, expected, rtol=1e-6)
         lens = (30.0, 31.0, 15.25, 11.75, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.01))
         assert recording.intrinsics == Intrinsics(32, 24, *lens)
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "rgb8"])
+def test_colour_is_kept_as_it_was_recorded(kind: str, tmp_path: Path) -> None:
+    """The same bytes, camera and moments; every second frame has an image."""
+    bag = fill(BagMaker("bag lz4"))
+    turned = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_quat()
+    add_pose(bag, "camera", "colour", (0.01, 0.02, 0.03), tuple(turned))
+    for k in range(0, 6, 2):
+        stamp = START + k * PERIOD + 7_000_000
+        header = bag.header(stamp)
+        header.frame_id = "colour"
+        if kind == "jpeg":
+            data = encoded(picture(k), "jpeg")
+            add_compressed(bag, stamp, data, "rgb8; jpeg compressed bgr8", header=header)
+        else:
+            add_colour(bag, stamp, k, header=header)
+    path, out = bag.write(tmp_path), tmp_path / "out.mcap"
+    assert ", colour" in converted(path, out)
+    with Recording(path) as before, Recording(out) as after:
+        for k in range(6):
+            old, new = before[k].colour, after[k].colour
+            assert (old is None) == (new is None) == bool(k % 2)
+            if old is None or new is None:
+                continue
+            assert new.read() == old.read()
+            assert new.stamp_ns == old.stamp_ns
+            assert new.camera.intrinsics == old.camera.intrinsics
+            np.testing.assert_allclose(new.camera.T_D_C, old.camera.T_D_C, atol=1e-12)
+        assert before[0].colour.camera.T_D_C[2, 3] == pytest.approx(0.03)  # type: ignore[union-attr]
 
 
 def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:

@@ -1,0 +1,104 @@
+"""A speckle printed on the simulated membrane, as the camera inside sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.mesh import MembraneMesh
+
+_VOXELS, _VOXELS_PER_BLOT = 96, 4
+"""Side of the cube of noise that the speckle is cut from, again and again, and its fineness."""
+_DARK, _BRIGHT, _EDGE = 60.0, 190.0, 3.0  # grey levels of ink and paper, steepness between them
+_BACKGROUND = 100.0  # grey level where no membrane is seen
+_BLOT_PX = 8.0  # by default, pixels at the middle of the membrane; chosen: as the real sensor's
+_NOISE_STREAM = 3  # of the seed; those of `DepthNoise` come before
+
+
+@dataclass(frozen=True)
+class Speckle:
+    """How the membrane is printed and seen.
+
+    Attributes
+    ----------
+    blot_m : float or None
+        Size of a blot, m; by default 8 pixels wide in the image.
+    noise : float
+        σ of the grey levels (0 … 255).
+    shaded : bool
+        Brightest where the membrane faces the camera, with its light.
+    seed : int
+        Of print and noise.
+    """
+
+    blot_m: float | None = None
+    noise: float = 2.0
+    shaded: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.blot_m is not None and not 0.0 < self.blot_m < 0.1:
+            raise InputError(f"texture blot_m = {self.blot_m}: out of range; give metres")
+        if not 0.0 <= self.noise < 100.0:
+            raise InputError(f"texture noise = {self.noise}: give grey levels from 0 to 100")
+
+
+class PrintedMembrane:
+    """Renders the speckle, which is fixed to the material, on the deformed membrane.
+
+    Parameters
+    ----------
+    speckle : Speckle
+    view : MembraneView
+        Of the mesh at rest, which is printed on.
+    """
+
+    def __init__(self, speckle: Speckle, view: MembraneView) -> None:
+        self._speckle, self._view = speckle, view
+        middle_m = np.linalg.norm(view.mesh.nodes.mean(axis=0) - view.camera.center)
+        self._blot_m = speckle.blot_m or _BLOT_PX * middle_m / view.camera.intrinsics.fx
+
+    def image(self, displacement_m: np.ndarray, index: int) -> np.ndarray:
+        """Grey image (H, W), uint8, of a displacement as of `MembraneMesh.deformed`.
+
+        Parameters
+        ----------
+        displacement_m : (n,) or (n, 3) array
+        index : int
+            Of the frame, for its noise.
+        """
+        mesh = self._view.mesh
+        hits = self._view.hits(displacement_m)
+        corners = mesh.triangles[hits.triangle]
+        printed = np.einsum("kj,kjx->kx", hits.barycentric, mesh.nodes[corners])
+        grey = self.grey(printed)
+        if self._speckle.shaded:
+            now = MembraneMesh(mesh.deformed(displacement_m), mesh.triangles, mesh.rim)
+            normals = np.einsum("kj,kjx->kx", hits.barycentric, now.normals[corners])
+            rays = self._view.camera.directions[hits.ray]
+            facing = np.einsum("kx,kx->k", normals, rays) / np.linalg.norm(normals, axis=1)
+            grey *= 0.5 + 0.5 * np.clip(facing, 0.0, 1.0)
+        image = np.full(self._view.shape, _BACKGROUND)
+        image.ravel()[hits.ray] = grey
+        random = np.random.default_rng([self._speckle.seed, index, _NOISE_STREAM])
+        image += self._speckle.noise * random.standard_normal(image.shape)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    def grey(self, points_m: np.ndarray) -> np.ndarray:
+        """Grey level (k,) of material at places (k, 3) of the mesh at rest, in B, m."""
+        places = points_m.T * (_VOXELS_PER_BLOT / self._blot_m)
+        ink = map_coordinates(self._noise, places, order=1, mode="grid-wrap")
+        return _DARK + (_BRIGHT - _DARK) * (0.5 + 0.5 * np.tanh(_EDGE * ink))
+
+    @cached_property
+    def _noise(self) -> np.ndarray:
+        """Smooth noise in a cube that continues itself, of unit variance, float32."""
+        random = np.random.default_rng(self._speckle.seed)
+        white = random.standard_normal((_VOXELS,) * 3).astype(np.float32)
+        smooth = gaussian_filter(white, 0.4 * _VOXELS_PER_BLOT, mode="wrap")
+        return np.asarray(smooth / smooth.std())

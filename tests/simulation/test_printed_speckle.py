@@ -1,0 +1,117 @@
+"""The speckle moves with the material, so that optical flow of its images finds what moved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.errors import InputError
+from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.frames.recording import Recording
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from tests.small_press import write_small_sensor
+
+WIDTH, HEIGHT, REST = 320, 240, 8
+
+
+@pytest.fixture(scope="module")
+def view() -> MembraneView:
+    """The dome of the preset, seen by a camera with 320×240 pixels."""
+    sensor: Sensor = load_sensor("pico_flexx_75mm")
+    camera = Intrinsics(WIDTH, HEIGHT, 270.0, 270.0, 159.5, 119.5)
+    return MembraneView(DepthCamera(camera, sensor.camera.T_B_C), build_mesh(sensor))
+
+
+def dragged(view: MembraneView, far_m: float) -> np.ndarray:
+    """Displacement (n, 3) of a drag in x, a turn about z and a dent, around the apex."""
+    x, y, _ = view.mesh.nodes.T
+    near = np.exp(-(x**2 + (y - 0.005) ** 2) / (2.0 * 0.02**2))
+    turn = 0.5 * far_m / 0.02
+    return np.stack([far_m * near - turn * y * near, turn * x * near, -far_m * near], axis=1)
+
+
+def true_motion(view: MembraneView, moved_m: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    """Motion (k, 2) in the image of the material that pixels see at rest, pixels."""
+    hits = view.hits(np.zeros_like(moved_m), pixel)
+    assert len(hits.ray) == len(pixel)
+    nodes = view.mesh.nodes[view.mesh.triangles[hits.triangle]]
+    moves = moved_m[view.mesh.triangles[hits.triangle]]
+    rest, now = (
+        view.camera.intrinsics.project(
+            (np.einsum("kj,kjx->kx", hits.barycentric, places) - view.camera.center)
+            @ view.camera.T_B_C[:3, :3]
+        )
+        for places in (nodes, nodes + moves)
+    )
+    return np.asarray(now - rest)
+
+
+@pytest.mark.parametrize("far_m", [1e-3, 2.5e-3])
+def test_flow_finds_the_motion_of_the_material(view: MembraneView, far_m: float) -> None:
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    from bubbleviz.colour.optical_flow import OpticalFlow
+
+    printed, at_rest = PrintedMembrane(Speckle(seed=3), view), np.zeros_like(view.mesh.nodes)
+    seen = np.isfinite(view.range_image(at_rest))
+    flow = OpticalFlow.of([printed.image(at_rest, k) for k in range(REST)], "fine", seen)
+    moved_m = dragged(view, far_m)
+    field = flow.measure(printed.image(moved_m, 99))
+    truth = true_motion(view, moved_m, field.pixel)
+    far_px = np.linalg.norm(truth, axis=1)
+    assert 0.5 < far_px.max() / (1e3 * far_m) < 3.0
+    assert len(field.pixel) > 0.7 * seen.sum() / 64
+    errors = field.moved_px - truth
+    assert np.sqrt(np.mean(errors[far_px > 0.5] ** 2)) < 0.1
+    assert np.sqrt(np.mean((errors / field.sigma_px[:, None]) ** 2)) < 1.5
+
+
+def test_light_and_noise_are_as_asked(view: MembraneView) -> None:
+    at_rest = np.zeros_like(view.mesh.nodes)
+    middle = np.s_[110:130, 150:170]
+    plain = PrintedMembrane(Speckle(noise=0.0, shaded=False), view).image(at_rest, 0)
+    shaded = PrintedMembrane(Speckle(noise=0.0), view).image(at_rest, 0)
+    noisy = PrintedMembrane(Speckle(noise=4.0), view).image(at_rest, 0)
+    seen = np.isfinite(view.range_image(at_rest))
+    assert plain[seen].min() < 70 < 180 < plain[seen].max()
+    ratio = shaded[seen] / plain[seen]
+    assert ratio.max() <= 1.01
+    assert np.mean(shaded[middle] / plain[middle]) > np.mean(ratio)
+    assert np.std(noisy[seen].astype(float) - shaded[seen]) == pytest.approx(4.0, rel=0.05)
+    again = PrintedMembrane(Speckle(noise=4.0), view)
+    np.testing.assert_array_equal(again.image(at_rest, 0), noisy)
+    assert not np.array_equal(again.image(at_rest, 1), noisy)
+
+
+def test_a_simulated_recording_has_the_images(tmp_path: Path) -> None:
+    sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
+    poses = np.array([parse_pose(f"0.005 0 {z} 0 0 0 1") for z in (0.060, 0.044)])
+    source = SyntheticSource(sensor, load_object("cylinder"), poses, texture=Speckle())
+    write_simulation(source, tmp_path / "rec.mcap")
+    with Recording(tmp_path / "rec.mcap") as recording:
+        for k in range(2):
+            made, written = source[k].colour, recording[k].colour
+            assert made is not None
+            assert written is not None
+            np.testing.assert_array_equal(written.grey(), made.grey())
+            assert written.camera.intrinsics == source.camera.intrinsics
+            assert not written.camera.remark
+        before = recording[1].colour_after(-1.0 / 30.0)
+        assert before is not None
+        np.testing.assert_array_equal(before.grey(), source[0].colour.grey())  # type: ignore[union-attr]
+
+
+def test_what_cannot_be_printed_is_refused() -> None:
+    with pytest.raises(InputError, match="give metres"):
+        Speckle(blot_m=3.0)
+    with pytest.raises(InputError, match="grey levels"):
+        Speckle(noise=-1.0)
