@@ -60,7 +60,7 @@ class TractionReport:
         """A frame with friction; `nodes` (s,) are its support, `look` is at its shape."""
         vectors = self._membrane.volume_gradient(state.x)
         force = state.shear - state.pressure[:, None] * vectors
-        center = self._center(state.x, force)
+        center = _center(state.x, force, vectors)
         squares = np.einsum("ij,ij->i", look.flow_error, look.flow_error)
         wrench = self._wrench_columns(state, vectors, nodes, center)[:, solved.active]
         deviation = solve_triangular(solved.factor[0], wrench.T, lower=True, check_finite=False)
@@ -93,8 +93,9 @@ class TractionReport:
         flow_noise: float = np.nan,
         reason: str = "",
     ) -> Traction:
-        now = MembraneMesh(x, self._mesh.triangles, self._mesh.rim)
-        n, moved = now.normals, x - self._mesh.nodes
+        vectors = self._membrane.volume_gradient(x)
+        areas = np.linalg.norm(vectors, axis=1, keepdims=True)
+        n, moved = vectors / areas, x - self._mesh.nodes
         normal = np.einsum("ij,ij->i", force, n)[:, None] * n
         along = np.einsum("ij,ij->i", moved, n)[:, None] * n
         return Traction(
@@ -102,23 +103,16 @@ class TractionReport:
             force,
             normal,
             force - normal,
-            force / now.areas[:, None],
+            force / areas,
             x,
             moved - along,
-            self._center(x, force),
+            _center(x, force, vectors),
             wrench_covariance,
             displacement_sigma_m,
             flow_rms_px,
             flow_noise,
             reason,
         )
-
-    def _center(self, x: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Centre of the normal forces (3,), m; NaN where there are none."""
-        normals = MembraneMesh(x, self._mesh.triangles, self._mesh.rim).normals
-        load = np.maximum(-np.einsum("ij,ij->i", force, normals), 0.0)
-        total = float(load.sum())
-        return load @ x / total if total > 0.0 else np.full(3, np.nan)
 
     def _wrench_columns(
         self, state: TractionStart, vectors: np.ndarray, nodes: np.ndarray, center: np.ndarray
@@ -147,3 +141,11 @@ class TractionReport:
             )
             covariance += np.outer(off, off)
         return covariance
+
+
+def _center(x: np.ndarray, force: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Centre of the normal forces (3,), m, by current area vectors; NaN where there are none."""
+    pushing = np.einsum("ij,ij->i", force, vectors) / np.linalg.norm(vectors, axis=1)
+    load = np.maximum(-pushing, 0.0)
+    total = float(load.sum())
+    return load @ x / total if total > 0.0 else np.full(3, np.nan)
