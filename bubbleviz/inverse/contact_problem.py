@@ -20,6 +20,7 @@ from scipy import sparse
 from bubbleviz.inverse.likeliest_support import SupportProblem
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
+from bubbleviz.membrane.mesh_graph import adjacency, dense_part, grown
 
 _LEAST = 40
 """Nodes that the problem of a frame without contact before it starts with."""
@@ -41,17 +42,17 @@ class Prior:
         λ L of the H1 term, 1/Pa².
     threshold : (n,) array
         τ of the L1 term, 1/Pa.
-    neighbours : (n, n) sparse array
-        Nodes that share an edge.
+    rings : (d, n) int array
+        Each node and its neighbours, as of `MembraneMesh`.
     """
 
     smoothness: sparse.csr_array
     threshold: np.ndarray
-    neighbours: sparse.csr_array
+    rings: np.ndarray
 
     def around(self, nodes: np.ndarray) -> np.ndarray:
         """Nodes (n,) bool and those beside them."""
-        return nodes | (self.neighbours @ nodes.astype(float) > 0.0)
+        return grown(self.rings, nodes)
 
 
 @dataclass(frozen=True)
@@ -249,10 +250,10 @@ class ContactProblem:
         work = self._work[inner]
         problem = SupportProblem(
             part(self._hessian, inner),
-            prior.smoothness[work][:, work].toarray(),
+            dense_part(prior.smoothness, work),
             self._linear[inner],
-            prior.neighbours[work][:, work].toarray() > 0.0,
-            np.diff(prior.neighbours.indptr)[work],
+            adjacency(prior.rings, work),
+            np.count_nonzero(prior.rings[:, work] != work, axis=0),
         )
         chosen, pivots, solved = problem.likeliest(selection.support[work])
         support = np.zeros_like(selection.support)
@@ -319,8 +320,7 @@ class ContactProblem:
         J = self._ranges.jacobian @ self._rubber.responses(work)
         by_gas = self._ranges.bulge_weighed @ J
         J *= np.sqrt(self._ranges.weight)[:, None]
-        smooth = self._prior.smoothness[work][:, work]
-        self._hessian = J.T @ J + smooth.toarray()
+        self._hessian = J.T @ J + dense_part(self._prior.smoothness, work)
         self._hessian -= self._ranges.gas_variance * np.outer(by_gas, by_gas)
         before = self._before[work]
         gradient = self._gradient(self._before)[work]

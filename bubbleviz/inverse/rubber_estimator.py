@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.camera.observer import Misfit, RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
@@ -38,6 +37,7 @@ from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh_graph import connected_parts
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
@@ -222,9 +222,6 @@ class RubberEstimator:
         laplacian = cotangent_laplacian(mesh).tocsr()
         held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
         self.smoothness = (smoothness * (held @ laplacian @ held)).tocsr()
-        self.neighbours = abs(laplacian)
-        self.neighbours.setdiag(0.0)
-        self.neighbours.eliminate_zeros()
         self.resolution_m = resolution_m(
             smoothness, self.membrane.mean_tension, float(weight.sum() / mesh.facet_areas.sum())
         )
@@ -351,7 +348,7 @@ class RubberEstimator:
         rounds: int,
     ) -> ContactPressure:
         tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
-        prior = Prior(self.smoothness, tau, self.neighbours)
+        prior = Prior(self.smoothness, tau, self.mesh.rings)
         relaxing = rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
         problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
         selection = Selection(state.support)
@@ -369,13 +366,10 @@ class RubberEstimator:
 
     def _parts_with(self, some: np.ndarray, support: np.ndarray) -> np.ndarray:
         """Connected parts of a support that have one of `some` nodes (n,) bool."""
-        nodes = np.flatnonzero(support)
-        if not len(nodes):
-            return support
-        count, part = connected_components(self.neighbours[nodes][:, nodes], directed=False)
-        chosen = np.bincount(part, some[nodes], minlength=count) > 0.0
-        kept = np.zeros_like(support)
-        kept[nodes] = chosen[part]
+        count, part = connected_parts(self.mesh.rings, support)
+        chosen = np.bincount(part, some[support], minlength=count) > 0.0
+        kept = support.copy()
+        kept[support] = chosen[part]
         return kept
 
     def _step(

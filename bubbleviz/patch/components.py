@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import connected_parts
+from bubbleviz.membrane.mesh_graph import connected_parts
 from bubbleviz.patch.patch_finder import area_above, area_and_interval
 from bubbleviz.result import Estimate, Patch
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh_graph import grown
 
 
 @dataclass(frozen=True)
@@ -77,28 +78,6 @@ class Region:
             wider = mask & self.touches(found)
             more, found = not np.array_equal(wider, found), wider
         return found
-
-
-def grown(rings: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Nodes (n,) bool in or next to a set of nodes."""
-    wider = mask.copy()
-    wider[rings[:, mask]] = True
-    return wider
-
-
-def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarray]:
-    """Number of connected parts of a set of nodes (n,) bool, and the part of each of its nodes."""
-    nodes, lowest = np.flatnonzero(mask), np.arange(len(mask))
-    around = rings[:, nodes]
-    around = np.where(mask[around], around, nodes)
-    while True:  # each node learns of the lowest one in its part, by neighbours and by that one
-        lower = lowest[around].min(axis=0, initial=len(mask))
-        if np.array_equal(lower, lowest[nodes]):
-            break
-        lowest[nodes] = lower
-        lowest[nodes] = lowest[lower]
-    first, part = np.unique(lower, return_inverse=True)
-    return len(first), part
 
 
 def contour_points(region: Region, field: np.ndarray) -> np.ndarray:

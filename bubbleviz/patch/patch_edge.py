@@ -20,7 +20,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import Region, contour_points, grown
+from bubbleviz.membrane.mesh_graph import grown
+from bubbleviz.patch.mesh_region import Region, contour_points
 
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, in which missing gauge pressure could go unnoticed

@@ -8,7 +8,7 @@ from math import isnan
 import numpy as np
 
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import connected_parts
+from bubbleviz.membrane.mesh_graph import connected_parts
 from bubbleviz.patch.patch_edge import PatchEdge
 from bubbleviz.result import Estimate, Patch
 

@@ -11,6 +11,7 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.observer import Measured
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.rubber_estimator import RubberEstimator, RubberStart
+from bubbleviz.membrane.mesh_graph import dense_part, grown
 from bubbleviz.result import Estimate, Traction
 from bubbleviz.shear.flow_observer import FlowObserver, MeasuredFlow
 from bubbleviz.shear.traction_problem import SolvedTraction, TractionProblem, Unknowns
@@ -161,11 +162,8 @@ class TractionEstimator:
         support = nothing if there is None else there.support
         if start is not None:
             before = start.pressure > 0.0
-            if estimate.trusted:
-                support = support | before
-            else:
-                support = before | (self._estimator.neighbours @ before.astype(float) > 0.0)
-            support = support & ~self.mesh.rim
+            near = support | before if estimate.trusted else grown(self.mesh.rings, before)
+            support = near & ~self.mesh.rim
             pressure = np.where(support, start.pressure, 0.0)
             shear = np.where(support[:, None], start.shear, 0.0)
             return replace(start, pressure=pressure, shear=shear), support
@@ -255,7 +253,7 @@ class TractionEstimator:
             np.hstack(columns),
             rubber.motion(-left),
             look.measurements(state),
-            estimator.smoothness[nodes][:, nodes].toarray(),
+            dense_part(estimator.smoothness, nodes),
             Unknowns(state.pressure[nodes], shear.ravel(), 0.0 if gas is None else state.gas - gas),
             None if gas is None else estimator.gas_sigma(gas),
         )

@@ -90,7 +90,7 @@ def test_a_rim_node_never_touches():
     beside = laplacian[[rim]].toarray()[0] > 0.0
     free = sparse.diags_array(np.where(dome.rim, 0.0, 1.0))
     smoothness = (1e-7 * free @ cotangent_laplacian(dome) @ free).tocsr()
-    prior = Prior(smoothness, np.zeros(len(dome.nodes)), laplacian)
+    prior = Prior(smoothness, np.zeros(len(dome.nodes)), dome.rings)
     jacobian = sparse.csr_array(sparse.eye_array(dome.nodes.size))
     seen = -500.0 * rubber.responses(np.flatnonzero(beside)).sum(axis=1)
     ranges = Ranges(jacobian, seen, np.full(len(seen), 1e8))

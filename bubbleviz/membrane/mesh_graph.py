@@ -1,0 +1,57 @@
+"""Sets of nodes on the graph of a mesh's edges, given as `MembraneMesh.rings`."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+
+def grown(rings: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Nodes (n,) bool in or next to a set of nodes."""
+    wider = mask.copy()
+    wider[rings[:, mask]] = True
+    return wider
+
+
+def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarray]:
+    """Number of connected parts of a set of nodes (n,) bool, and the part of each of its nodes."""
+    nodes, lowest = np.flatnonzero(mask), np.arange(len(mask))
+    around = rings[:, nodes]
+    around = np.where(mask[around], around, nodes)
+    while True:  # each node learns of the lowest one in its part, by neighbours and by that one
+        lower = lowest[around].min(axis=0, initial=len(mask))
+        if np.array_equal(lower, lowest[nodes]):
+            break
+        lowest[nodes] = lower
+        lowest[nodes] = lowest[lower]
+    first, part = np.unique(lower, return_inverse=True)
+    return len(first), part
+
+
+def adjacency(rings: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Which of some nodes (k,) share an edge, (k, k) bool."""
+    number = np.full(rings.shape[1], -1)
+    number[nodes] = np.arange(len(nodes))
+    there = number[rings[:, nodes]]
+    adjacent = np.zeros((len(nodes), len(nodes)), bool)
+    adjacent[there[there >= 0], np.nonzero(there >= 0)[1]] = True
+    np.fill_diagonal(adjacent, False)
+    return adjacent
+
+
+def dense_part(matrix: sparse.csr_array, nodes: np.ndarray) -> np.ndarray:
+    """Rows and columns `nodes` (k,) of a sparse matrix, (k, k).
+
+    SciPy's own indexing takes several times as long on matrices this small.
+    """
+    number = np.full(matrix.shape[1], -1)
+    number[nodes] = np.arange(len(nodes))
+    starts = matrix.indptr[nodes]
+    count = matrix.indptr[nodes + 1] - starts
+    row = np.repeat(np.arange(len(nodes)), count)
+    entry = np.arange(len(row)) + np.repeat(starts - np.cumsum(count) + count, count)
+    column = number[matrix.indices[entry]]
+    inside = column >= 0
+    part = np.zeros((len(nodes), len(nodes)))
+    part[row[inside], column[inside]] = matrix.data[entry[inside]]
+    return part
