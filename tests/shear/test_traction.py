@@ -139,6 +139,7 @@ def test_coulombs_bound_holds_where_it_is_asked_for(friction: float) -> None:
     across = np.linalg.norm(traction.normal_force_n, axis=1)
     # the cone is of the tangents where the membrane was last linearised
     assert (along <= 1.1 * friction * across + 1e-4).all()
+    assert along.sum() > 0.1 * across.sum()
 
 
 def test_torque_and_its_sigma_about_any_point() -> None:
