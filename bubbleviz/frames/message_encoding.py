@@ -105,10 +105,10 @@ class FrameMessages:
         if frame.wrench is not None:
             yield self._message(WRENCH, make_wrench(header, frame.wrench), stamp)
         if (colour := frame.colour) is not None:
-            yield from self._colour(colour, stamp + round(1e9 * (colour.time_s - frame.time_s)))
+            yield from self.of_colour(colour, stamp + round(1e9 * (colour.time_s - frame.time_s)))
         yield self._message(IMAGE, self._image(header, frame.depth_m), stamp)
 
-    def _colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
+    def of_colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
         """Image, camera info, and the pose of the colour camera where it is not the depth's."""
         camera, frame_id = colour.camera, self._frame_id
         if not np.array_equal(camera.T_D_C, np.eye(4)):

@@ -195,3 +195,72 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
                 frame = stream.take(0.02) or frame
         assert level(frame) == 7
         assert tokens
+
+
+@pytest.fixture(scope="module")
+def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Depth and colour of two sensors, recorded by the SDK from its own software device."""
+    rs = pytest.importorskip("pyrealsense2")
+    path = tmp_path_factory.mktemp("realsense") / "camera.db3"
+    device = rs.software_device()
+    streams = {
+        "Depth": (rs.stream.depth, rs.format.z16, 2),
+        "Color": (rs.stream.color, rs.format.rgb8, 3),
+    }
+    profiles = {}
+    for uid, (name, (kind, form, size)) in enumerate(streams.items()):
+        lens, stream = rs.intrinsics(), rs.video_stream()
+        lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = 64, 48, 60 + uid, 61, 31, 23
+        stream.type, stream.index, stream.uid, stream.fmt = kind, 0, uid, form
+        stream.width, stream.height, stream.fps, stream.bpp = 64, 48, 30, size
+        stream.intrinsics = lens
+        sensor = device.add_sensor(name)
+        profiles[name] = sensor, sensor.add_video_stream(stream), size
+        if name == "Depth":
+            sensor.add_read_only_option(rs.option.depth_units, 1e-4)
+    recorder, queue = rs.recorder(str(path), device), rs.frame_queue(50)
+    recorded = recorder.query_sensors()
+    for sensor in recorded:
+        sensor.open(sensor.get_stream_profiles()[0])
+        sensor.start(queue)
+    for k in range(8):
+        for name, (sensor, profile, size) in profiles.items():
+            frame = rs.software_video_frame()
+            depth_px, colour_px = np.full((48, 64), 1000 + k, np.uint16), np.zeros((48, 64, 3))
+            colour_px[:] = 10 * k, 20 * k, 30 * k
+            frame.pixels = depth_px if name == "Depth" else colour_px.astype(np.uint8)
+            frame.stride, frame.bpp, frame.depth_units = 64 * size, size, 1e-4
+            frame.timestamp, frame.domain = 1e6 + 1e3 * k / 30.0, rs.timestamp_domain.system_time
+            frame.frame_number, frame.profile = k, profile.as_video_stream_profile()
+            sensor.on_video_frame(frame)
+            assert queue.try_wait_for_frame(5000)[0]
+    for sensor in recorded:
+        sensor.stop()
+        sensor.close()
+    del recorded, recorder
+    return path
+
+
+def test_colour_of_a_realsense_camera_when_asked(
+    realsense_file: Path, small_sensor: Sensor
+) -> None:
+    for asked in (False, True):
+        stream = open_stream(f"realsense:{realsense_file}", small_sensor)
+        heard: list[RawMessage] = []
+        stream.listen(heard.append)
+        if asked:
+            stream.follow_colour()
+        frames = []
+        with stream:
+            while (frame := stream.take(5.0)) is not None:
+                frames.append(frame)
+        assert any("color" in message.topic for message in heard) is asked
+        assert stream.counters().undecodable == 0
+        last = frames[-1]
+        k = round(1e4 * float(last.depth_m[5, 5])) - 1000
+        if asked:
+            image = last.colour
+            assert image is not None
+            assert image.rgb()[5, 5].tolist() == [10 * k, 20 * k, 30 * k]
+            assert image.camera.intrinsics is not None
+            assert image.camera.intrinsics.fx == 61

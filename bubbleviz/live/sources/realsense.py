@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import queue
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_encoding import FrameMessages, ros2_types
+from bubbleviz.frames.message_encoding import FrameMessages, Message, ros2_types
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
 from bubbleviz.live.sources.paced_thread import PacedThread
@@ -32,10 +35,13 @@ _MODELS: dict[str, DistortionModel] = {
     "brown_conrady": "plumb_bob",
     "inverse_brown_conrady": "inverse_brown_conrady",
 }
+_ENCODINGS = {name: name for name in ("rgb8", "bgr8", "rgba8", "bgra8")} | {"y8": "mono8"}
 
 
 class RealSenseLive:
-    """Depth of a RealSense camera through the SDK; a camera unplugged is looked for again.
+    """Depth, and colour when asked for, of a RealSense camera through the SDK.
+
+    A camera unplugged is looked for again.
 
     Parameters
     ----------
@@ -70,6 +76,7 @@ class RealSenseLive:
         self._sdk, self._serial, self._file = sdk, serial, file
         self._size, self._rate, self._loop = size, rate, loop
         self._messages = FrameMessages("32FC1", prefix)
+        self._with_colour = False
         self._link: Link = "connecting"
         self._topics: tuple[OfferedTopic, ...] = ()
         self._thread: PacedThread | None = None
@@ -87,7 +94,8 @@ class RealSenseLive:
         self._link = "ended"
 
     def follow_colour(self) -> None:
-        """Nothing: depth alone is asked of the camera."""
+        """Stream colour, too, from when the camera is opened next."""
+        self._with_colour = True
 
     def link(self) -> Link:
         """`lost` while the camera is looked for."""
@@ -130,20 +138,25 @@ class RealSenseLive:
         ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
         device = self._device()
         sensor = device.first_depth_sensor()
-        profile = self._profile(sensor)
-        camera = _intrinsics(profile.as_video_stream_profile().intrinsics)
+        depth = self._depth_profile(sensor)
+        colour = _Colour.of(self._profiles(device, "color"), depth) if self._with_colour else None
+        camera = _intrinsics(depth.as_video_stream_profile().intrinsics)
         unit = float(sensor.get_depth_scale())
-        sender = _Sender(deliver, self._messages, unit, camera, played)
+        sender = _Sender(deliver, self._messages, unit, camera, played, colour)
+        opened: list[tuple[Any, list[Any]]] = [(sensor, [depth])]
+        if colour is not None and colour.sensor.is_depth_sensor():
+            opened[0][1].append(colour.profile)
+        elif colour is not None:
+            opened.append((colour.sensor, [colour.profile]))
         # without the SDK's pipeline, which leaves out frames of a recording that come late
-        sensor.open(profile)
-        try:
-            sensor.start(self._receiver(pictures, pace))
-            try:
-                self._send(pace, device, pictures, sender)
-            finally:
-                sensor.stop()
-        finally:
-            sensor.close()
+        with ExitStack() as stack:
+            for each, profiles in opened:
+                each.open(profiles)
+                stack.callback(each.close)
+            for each, _ in opened:
+                each.start(self._receiver(pictures, pace))
+                stack.callback(each.stop)
+            self._send(pace, device, pictures, sender)
 
     def _send(
         self, pace: PacedThread, device: Any, pictures: queue.Queue[_Picture], sender: _Sender
@@ -165,14 +178,15 @@ class RealSenseLive:
         """Callback for the SDK's thread; playback of a recording is paced by it."""
 
         def receive(frame: Any) -> None:
-            depth = frame.as_depth_frame()
-            if not depth:
+            seen = frame.as_video_frame()
+            if not seen:
                 return
             picture = _Picture(
-                np.asanyarray(depth.get_data()).copy(),
-                int(depth.get_frame_number()),
-                max(round(float(depth.get_timestamp()) * 1e6), 1),
+                np.asanyarray(seen.get_data()).copy(),
+                int(seen.get_frame_number()),
+                max(round(float(seen.get_timestamp()) * 1e6), 1),
                 time.time_ns(),
+                seen.get_profile().stream_type() == self._sdk.stream.color,
             )
             while not pace.stopping:
                 try:
@@ -196,21 +210,29 @@ class RealSenseLive:
                 return device
         raise RuntimeError("the camera is not plugged in")
 
-    def _profile(self, sensor: Any) -> Any:
+    def _depth_profile(self, sensor: Any) -> Any:
         """Stream profile: depth as requested, or as recorded."""
-        offered = [
-            profile
-            for profile in sensor.get_stream_profiles()
-            if profile.stream_type() == self._sdk.stream.depth
-            and profile.format() == self._sdk.format.z16
-        ]
-        for profile in offered:
-            video = profile.as_video_stream_profile()
-            size = (video.width(), video.height())
-            if self._file is not None or (size == self._size and profile.fps() == self._rate):
+        for profile in self._fitting(sensor, "depth"):
+            if profile.format() == self._sdk.format.z16:
                 return profile
         width, height = self._size
         raise RuntimeError(f"the camera has no depth of {width}×{height} at {self._rate} Hz")
+
+    def _profiles(self, device: Any, stream: str) -> Iterator[tuple[Any, Any]]:
+        """Sensors of a device with their profiles of a stream."""
+        for sensor in device.query_sensors():
+            for profile in self._fitting(sensor, stream):
+                yield sensor, profile
+
+    def _fitting(self, sensor: Any, stream: str) -> Iterator[Any]:
+        """Profiles of a stream as requested, or as recorded."""
+        for profile in sensor.get_stream_profiles():
+            if profile.stream_type() != getattr(self._sdk.stream, stream):
+                continue
+            video = profile.as_video_stream_profile()
+            size = (video.width(), video.height())
+            if self._file is not None or (size == self._size and profile.fps() == self._rate):
+                yield profile
 
     def _is_gone(self, device: Any) -> bool:
         if self._file is None:
@@ -223,6 +245,39 @@ class _Picture(NamedTuple):
     number: int
     stamp_ns: int
     arrival_ns: int
+    colour: bool
+
+
+class _Colour(NamedTuple):
+    """The stream of colour images."""
+
+    sensor: Any
+    profile: Any
+    encoding: str
+    camera: ColourCamera
+
+    @classmethod
+    def of(cls, offered: Iterator[tuple[Any, Any]], depth: Any) -> _Colour | None:
+        """The first in an encoding that is known; None without one."""
+        for sensor, profile in offered:
+            encoding = _ENCODINGS.get(str(profile.format()).rsplit(".", 1)[-1])
+            if encoding is not None:
+                lens = _intrinsics(profile.as_video_stream_profile().intrinsics)
+                camera = ColourCamera(lens, _pose(profile, depth))
+                return cls(sensor, profile, encoding, camera)
+        return None
+
+
+def _pose(profile: Any, base: Any) -> np.ndarray:
+    """Pose (4, 4) of a stream's camera in another's; that of the other where it is not known."""
+    pose = np.eye(4)
+    try:
+        found = profile.get_extrinsics_to(base)
+    except RuntimeError:
+        return pose
+    pose[:3, :3] = np.reshape(found.rotation, (3, 3)).T  # columns first
+    pose[:3, 3] = found.translation
+    return pose
 
 
 class _Sender:
@@ -235,7 +290,9 @@ class _Sender:
         unit: float,
         camera: Intrinsics,
         played: int,
+        colour: _Colour | None,
     ) -> None:
+        self._colour, self._topics = colour, dict[OfferedTopic, None]()
         self._deliver, self._messages, self._unit, self._camera = deliver, messages, unit, camera
         self._played = played
         self._last: _Picture | None = None
@@ -249,22 +306,35 @@ class _Sender:
 
     def missed(self, picture: _Picture) -> int:
         """Pictures the camera counted between the last one and this."""
+        if picture.colour:
+            return 0
         last, self._last = self._last, picture
         return 0 if last is None else max(picture.number - last.number - 1, 0)
 
     def send(self, picture: _Picture) -> tuple[OfferedTopic, ...]:
         """Deliver a picture's messages; their topics."""
-        depth_m = picture.raw.astype(np.float32) * np.float32(self._unit)
-        depth_m[picture.raw == 0] = np.nan
-        frame = Frame(picture.number, 0.0, depth_m, self._camera, stamp_ns=picture.stamp_ns)
         arrival = picture.arrival_ns if self._began is None else time.time_ns()
-        topics = []
-        for topic, kind, payload, stamp in self._messages.of(frame):
+        for topic, kind, payload, stamp in self._messages_of(picture):
             self._deliver(
                 RawMessage(topic, kind, payload, stamp, arrival, picture.number, self._played)
             )
-            topics.append(OfferedTopic(topic, kind))
-        return tuple(topics)
+            self._topics[OfferedTopic(topic, kind)] = None
+        return tuple(self._topics)
+
+    def _messages_of(self, picture: _Picture) -> Iterator[Message]:
+        raw = picture.raw
+        if picture.colour:
+            if self._colour is not None:
+                height, width = raw.shape[:2]
+                encoding, step = self._colour.encoding, raw.strides[0]
+                encoded = EncodedImage(encoding, raw.tobytes(), width, height, step)
+                image = ColourImage(lambda: encoded, camera=self._colour.camera)
+                yield from self._messages.of_colour(image, picture.stamp_ns)
+            return
+        depth_m = raw.astype(np.float32) * np.float32(self._unit)
+        depth_m[raw == 0] = np.nan
+        frame = Frame(picture.number, 0.0, depth_m, self._camera, stamp_ns=picture.stamp_ns)
+        yield from self._messages.of(frame)
 
 
 def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSenseLive:
