@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ T_B_C = np.array([[0.0, -1, 0, 0.01], [1, 0, 0, -0.02], [0, 0, 1, -0.1], [0, 0, 
 RGB = np.arange(48 * 64 * 3, dtype=np.uint32).reshape(48, 64, 3).astype(np.uint8)
 
 
-def colour_image(rgb=RGB, camera=None, data=None):
+def colour_image(lag_s=0.0, rgb=RGB, camera=None, data=None):
     height, width = rgb.shape[:2]
     encoded = EncodedImage("rgb8", rgb.tobytes(), width, height, 3 * width)
     encoded = EncodedImage("jpeg", data) if data is not None else encoded
@@ -59,8 +60,8 @@ def test_another_camera_sees_it_from_where_that_is():
     [
         (None, "no colour images in this source"),
         (lambda lag_s: None, "no colour image at this time"),
-        (lambda lag_s: colour_image(data=b"nothing"), "the colour image cannot be decoded"),
-        (lambda lag_s: colour_image(camera=ColourCamera()), "no camera info of the colour image"),
+        (partial(colour_image, data=b"nothing"), "the colour image cannot be decoded"),
+        (partial(colour_image, camera=ColourCamera()), "no camera info of the colour image"),
     ],
 )
 def test_what_is_missing_is_said(find, words):

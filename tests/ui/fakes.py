@@ -90,7 +90,7 @@ class ColouredSource(DentSource):
 
     def __getitem__(self, index: int) -> Frame:
         frame = super().__getitem__(index)
-        return replace(frame, find_colour=lambda lag_s: self._colour(index) if index else None)
+        return replace(frame, find_colour=lambda _: self._colour(index) if index else None)
 
     def _colour(self, index: int) -> ColourImage:
         def read() -> EncodedImage:
