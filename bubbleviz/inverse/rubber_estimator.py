@@ -191,11 +191,10 @@ class RubberEstimator:
         self.observer, self.membrane, self.gas = observer, membrane, gas
         self.options = options or EstimatorOptions()
         self.solver_name = RUBBER
-        self.variants = tuple(variants)
         rest = self.mesh.nodes
         self.scales = Scales.of(self.mesh, membrane.mean_tension)
         self.held_pressure_pa = membrane.gauge_pressure_pa
-        self.equilibrium = RubberEquilibrium(membrane, gas)
+        self.equilibrium = RubberEquilibrium(membrane, gas, variants)
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, _LONGEST * edge
@@ -439,12 +438,8 @@ class RubberEstimator:
         push = self.membrane.volume_gradient(state.x)[nodes]
         variance = np.einsum("ik,ij,jk->k", push, contact.covariance, push)
         C = rubber.responses(nodes)
-        inside = self.equilibrium.inside(state.x, state.pressure, state.gas)
-        usual = self.membrane.residual(state.x, inside)
-        for variant in self.variants:
-            gauge = variant.gauge_pressure_pa - self.membrane.gauge_pressure_pa
-            change = variant.residual(state.x, inside + gauge) - usual
-            moved = ranges.jacobian @ rubber.motion(change).ravel()
+        for motion in rubber.by_material.T:
+            moved = ranges.jacobian @ motion
             pull = C.T @ (ranges.jacobian.T @ ranges.weighed(moved))
             variance += (push.T @ (contact.covariance @ pull)) ** 2
         return np.sqrt(variance)

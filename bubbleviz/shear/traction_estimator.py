@@ -94,7 +94,7 @@ class TractionEstimator:
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, edge
-        self._report = TractionReport(self.mesh, estimator.membrane, estimator.variants)
+        self._report = TractionReport(self.mesh, estimator.membrane)
 
     def estimate(
         self,
