@@ -205,6 +205,13 @@ class Traction:
         return pressure
 
     @property
+    def parts_pa(self) -> tuple[np.ndarray, np.ndarray]:
+        """Traction along and across the current normals, (n, 3) each, Pa."""
+        force = np.linalg.norm(self.nodal_force_n, axis=1)
+        per_area = np.linalg.norm(self.traction_pa, axis=1) / np.where(force > 0.0, force, 1.0)
+        return per_area[:, None] * self.normal_force_n, per_area[:, None] * self.tangential_force_n
+
+    @property
     def force_n(self) -> np.ndarray:
         """Force of the object on the membrane in B, (3,), N."""
         total: np.ndarray = self.nodal_force_n.sum(axis=0)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from bubbleviz.diagnostics.shear_numbers import ShearNumbers
 from bubbleviz.frames.measured_force import force_of
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.result import Patch, Result
+from bubbleviz.result import HALF_95, Patch, Result
 
 NOTHING = float("nan")
 
@@ -38,6 +39,12 @@ class Numbers:
         Force of the recording's wrench, as recorded.
     center_m : (float, float, float)
         Centre of pressure in B.
+    shear_normal_n, shear_tangential_n : float
+        Force with friction, across and along the membrane; NaN where it is not known.
+    shear_tangential_half_n : float
+        Half of the 95 % interval of the latter.
+    slip_share : float
+        Of the patch.
     latency_ms : float
         Depth image received → products in the window; NaN for frames not shown live.
     """
@@ -54,7 +61,12 @@ class Numbers:
     area_m2: float = NOTHING
     center_m: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
     has_patch: bool = False
+    has_shear: bool = False
     latency_ms: float = NOTHING
+    shear_normal_n: float = NOTHING
+    shear_tangential_n: float = NOTHING
+    shear_tangential_half_n: float = NOTHING
+    slip_share: float = NOTHING
 
 
 def numbers_of(result: Result, gas: Gas) -> Numbers:
@@ -82,6 +94,15 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
                 known["gas_law_pa"] = exact
         if result.patch is not None:
             known |= patch_numbers(result.patch, trusted=estimate.trusted)
+    if result.traction is not None:
+        shear = ShearNumbers.of(result.traction, result.slip)
+        known |= {
+            "has_shear": True,
+            "shear_normal_n": shear.normal_n[0],
+            "shear_tangential_n": shear.tangential_n[0],
+            "shear_tangential_half_n": HALF_95 * shear.tangential_n[1],
+            "slip_share": shear.slip_share[0],
+        }
     return Numbers(**known)
 
 

@@ -48,6 +48,8 @@ class Inspection:
     ends : dict
         Between them lie all but the outermost values of each image.
     colour : SeenColour or None
+    reference : str
+        What shear is measured against, in words; empty where nobody asked for it.
     kappa_curve : KappaCurve or None
     components : tuple of Component
         Parts of the patch, those too, that are left out for their size.
@@ -56,6 +58,7 @@ class Inspection:
     images: dict[str, np.ndarray] = field(default_factory=dict)
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     colour: SeenColour | None = None
+    reference: str = ""
     kappa_curve: KappaCurve | None = None
     components: tuple[Component, ...] = ()
 
@@ -109,7 +112,7 @@ class Inspector:
             if image is not None:
                 images[name] = image
         ends = {name: _ends(image) for name, image in images.items()}
-        return Inspection(images, ends, colour, curve, parts)
+        return Inspection(images, ends, colour, kappa_curve=curve, components=parts)
 
     def _components(self, result: Result, kappa: float | None) -> tuple[Component, ...]:
         if result.estimate is None:

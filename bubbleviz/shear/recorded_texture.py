@@ -11,7 +11,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.pipeline import Pipeline
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.optical_flow import FlowField, OpticalFlow
+    from bubbleviz.colour.optical_flow import FlowField, FlowPreset, OpticalFlow
 
 
 class RecordedTexture:
@@ -23,10 +23,15 @@ class RecordedTexture:
     flow : OpticalFlow
     lag_s : float
         Of colour behind depth, s.
+    remark : str
+        What it was learned from, in one clause, or why it is of no use.
     """
 
-    def __init__(self, recording: Recording, flow: OpticalFlow, lag_s: float) -> None:
+    def __init__(
+        self, recording: Recording, flow: OpticalFlow, lag_s: float, remark: str = ""
+    ) -> None:
         self._recording, self._flow, self._lag_s = recording, flow, lag_s
+        self.remark = remark
 
     def __call__(self, frame: Frame) -> FlowField | None:
         """Flow of the colour image of a frame's moment; None where there is none."""
@@ -34,7 +39,7 @@ class RecordedTexture:
         return None if colour is None else self._flow.measure(colour.grey())
 
     @classmethod
-    def of(cls, recording: Recording) -> RecordedTexture:
+    def of(cls, recording: Recording, preset: FlowPreset = "balanced") -> RecordedTexture:
         """Learn reference, noise and lag from the images before the first contact.
 
         Raises
@@ -49,15 +54,20 @@ class RecordedTexture:
 
         lag = temporal_lag(recording)
         first = len(find_contact_free(recording).frames)
-        images = (recording[k].colour for k in range(first - LAG))
-        flow = OpticalFlow.of([image.grey() for image in images if image is not None])
-        return cls(recording, flow, lag.lag_s)
+        found = {k: recording[k].colour for k in range(first - LAG)}
+        seen = {k: image for k, image in found.items() if image is not None}
+        flow = OpticalFlow.of([image.grey() for image in seen.values()], preset)
+        remark = flow.problem or f"contact-free frames {min(seen)}–{max(seen)}; {lag.to_text()}"
+        return cls(recording, flow, lag.lag_s, remark)
 
 
 def watch_recorded_texture(
-    pipeline: Pipeline, recording: Recording, friction: float | None = None
-) -> None:
-    """Have a pipeline make traction by the recording's own colour images.
+    pipeline: Pipeline,
+    recording: Recording,
+    friction: float | None = None,
+    preset: FlowPreset = "balanced",
+) -> str:
+    """Have a pipeline make traction by the recording's own colour images; tells which, in words.
 
     Raises
     ------
@@ -72,5 +82,7 @@ def watch_recorded_texture(
     intrinsics = own.intrinsics or depth.intrinsics
     camera = DepthCamera(intrinsics, depth.T_B_C @ own.T_D_C)
     options = TractionOptions(friction)
-    pipeline.watch_texture(RecordedTexture.of(recording), camera, options)
+    texture = RecordedTexture.of(recording, preset)
+    pipeline.watch_texture(texture, camera, options)
     pipeline.prepare(frozenset({"traction"}))
+    return texture.remark

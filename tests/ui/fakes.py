@@ -101,3 +101,38 @@ class ColouredSource(DentSource):
             return EncodedImage("rgb8", self.rgb.tobytes(), width, height, 3 * width)
 
         return ColourImage(read, camera=ColourCamera(self._camera.intrinsics))
+
+
+class SpeckledSource(DentSource):
+    """A membrane with a printed texture that nothing touches, in twenty frames."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        super().__init__(sensor)
+        self.times_s = np.arange(20) / 30.0
+        self.decoded = 0
+        height, width = self._camera.intrinsics.height, self._camera.intrinsics.width
+        coarse = np.random.default_rng(3).integers(40, 210, (height // 3 + 1, width // 3 + 1))
+        self._speckles = np.kron(coarse, np.ones((3, 3)))[:height, :width]
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = super().__getitem__(0)
+        noise = np.random.default_rng(index)
+        depth = frame.depth_m * (1.0 + 1e-3 * noise.standard_normal(frame.depth_m.shape))
+        grey = (self._speckles + noise.normal(0.0, 2.0, self._speckles.shape)).astype(np.uint8)
+
+        def read() -> EncodedImage:
+            self.decoded += 1
+            height, width = grey.shape
+            return EncodedImage("mono8", grey.tobytes(), width, height, width)
+
+        colour = ColourImage(read, camera=ColourCamera(self._camera.intrinsics))
+        return replace(
+            frame,
+            index=index,
+            time_s=float(self.times_s[index]),
+            depth_m=depth.astype(np.float32),
+            find_colour=lambda _: colour,
+        )

@@ -63,6 +63,7 @@ from bubbleviz_ui.sensor.sensor_panel import SensorPanel
 from bubbleviz_ui.sensor.sensor_text import title_text
 from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.session_files.session_saver import SessionSaver
+from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.dock import Dock, scrolled
@@ -149,6 +150,7 @@ class MainWindow(QMainWindow):
         )
         self.pose = PosePanel(state, PoseSession(controller, self.settings))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
+        self.shear = ShearPanel(state, controller)
         self.pair = SensorPair(controller, self.scene, self.view)
         self.live_controller = LiveController(controller, self.pair, self.view, self.settings)
         self.live = LiveBar(self.live_controller, state.units)
@@ -314,6 +316,7 @@ class MainWindow(QMainWindow):
             "tools": scrolled(self.tools),
             "sensor": scrolled(self.sensor),
             "pose": scrolled(self.pose),
+            "shear": scrolled(self.shear),
             "calibration": self.gamma0,
             "plots": self.plots,
             "images": self.images,

@@ -27,6 +27,7 @@ RUNS = {
     "dual_nut": {"estimate", "patch"},
     "residual": {"estimate", "patch", "cloud", "residual"},
     "review": {"estimate", "patch"},
+    "shear": {"estimate", "patch", "texture"},  # of the linear membrane no traction is made
 }
 """Stages each scene runs."""
 

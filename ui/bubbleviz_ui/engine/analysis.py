@@ -91,7 +91,8 @@ class Analysis(QObject):
     def _ask_rest(self) -> None:
         self.progressed.emit(self._count - len(self._frames), self._count)
         if self._frames:
-            options = FrameOptions(*self._state.choices.rule)
-            demand = Demand(self._products, options=options)
+            choices = self._state.choices
+            options = FrameOptions(*choices.rule)
+            demand = Demand(self._products, options=options, shear=Demand.of(choices).shear)
             request = AnalyseRequest(self._session, demand, self._frames, self._kept_only)
             self._ask(request)

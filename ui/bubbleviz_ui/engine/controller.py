@@ -18,6 +18,7 @@ from bubbleviz_ui.engine.requests import (
     Analysed,
     AnalyseRequest,
     Answer,
+    CollectRequest,
     Compared,
     ComparedOptions,
     CompareRequest,
@@ -145,6 +146,12 @@ class Controller(QObject):
         """Measure two settings, or none, on the frame at the cursor, in spare time."""
         session, stands = self.client.session, not self._goes_on
         self._ask(CompareRequest(session, self.state.frame, settings, stands))
+
+    def collect(self) -> None:
+        """Find the contact-free colour images anew."""
+        if self.state.facts is not None:
+            client, demand = self.client, Demand.of(self.state.choices)
+            self._ask(CollectRequest(client.session, demand, self.state.frame))
 
     def settle(self) -> None:
         """Have the frame that is shown settled now; it is once one has stayed at it, too."""

@@ -6,6 +6,7 @@ from threading import Condition
 
 from bubbleviz_ui.engine.requests import (
     AnalyseRequest,
+    CollectRequest,
     CompareRequest,
     FollowRequest,
     FrameRequest,
@@ -23,6 +24,7 @@ class RequestSlots:
     ORDER: tuple[type[Request], ...] = (
         OpenRequest,
         FollowRequest,
+        CollectRequest,
         PatchRequest,
         FrameRequest,
         NewestRequest,

@@ -82,6 +82,11 @@ class SettleRequest(FrameRequest):
 
 
 @dataclass(frozen=True)
+class CollectRequest(FrameRequest):
+    """Make products of a frame, with the contact-free colour images found anew."""
+
+
+@dataclass(frozen=True)
 class FollowRequest:
     """Look for another object from now on, or for none.
 

@@ -24,6 +24,7 @@ from bubbleviz_ui.engine.requests import (
     Analysed,
     AnalyseRequest,
     Answer,
+    CollectRequest,
     Compared,
     CompareRequest,
     Failed,
@@ -44,6 +45,7 @@ from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.shear.shear_reference import ShearReference
 
 WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""
@@ -62,6 +64,7 @@ class Session:
     pipeline: Pipeline
     inspector: Inspector
     side_by_side: SideBySide
+    shear: ShearReference
     kept: KeptEstimates = field(default_factory=KeptEstimates)
 
 
@@ -113,6 +116,8 @@ class Server:
 
     def _solve(self, session: Session, request: FrameRequest) -> Solved:
         frame = session.source[request.index]
+        if isinstance(request, CollectRequest):
+            session.shear.forget()
         return self._solved(session, request, frame)
 
     def _newest(self, session: Session, request: NewestRequest) -> Solved | Waited:
@@ -125,7 +130,8 @@ class Server:
         self, session: Session, request: FrameRequest | NewestRequest, frame: Frame
     ) -> Solved:
         settled = isinstance(request, SettleRequest)
-        result = _process(session.source, session.pipeline, frame, request.demand, settled=settled)
+        of = session.source, session.pipeline, session.shear
+        result = _process(*of, frame, request.demand, settled=settled)
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.demand)
@@ -190,8 +196,10 @@ class Server:
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if isinstance(source, LiveFrames):
                 source.zero.refer_to(pipeline.model.gas.P0)
-            pipeline.prepare(request.demand.products)  # apart: says nothing about a frame
-            result = _process(source, pipeline, frame, request.demand)
+            shear = ShearReference()
+            products = shear.products(source, pipeline, frame.index, request.demand)
+            pipeline.prepare(products)  # apart: says nothing about a frame
+            result = _process(source, pipeline, shear, frame, request.demand)
         except BaseException:
             source.close()
             if request.cancelled.is_set():
@@ -203,7 +211,7 @@ class Server:
         self.close()
         settings = SideBySide(sensor, pipeline.camera.intrinsics)
         inspector = Inspector(pipeline)
-        session = Session(request.session, source, pipeline, inspector, settings)
+        session = Session(request.session, source, pipeline, inspector, settings, shear)
         self.session = session
         grows = isinstance(source, LiveFrames)
         remarks = [str(getattr(source, "remark", ""))]  # recordings have one
@@ -237,7 +245,7 @@ def _numbers(session: Session, request: AnalyseRequest, index: int) -> Numbers |
     if request.kept_only:
         return None
     try:
-        result = _process(session.source, pipeline, session.source[index], demand)
+        result = _process(session.source, pipeline, session.shear, session.source[index], demand)
     except InputError:
         return Numbers()  # it says so when somebody looks at it
     return _kept_numbers(session, result)
@@ -259,12 +267,14 @@ def _look(session: Session, result: Result, demand: Demand) -> Inspection:
     if "kappa_curve" in demand.looks:
         truth = truth_of(session.source, result.frame.index)
     mask = truth.patch_mask if truth is not None else None
-    return session.inspector.look(result, demand.looks, demand.options.kappa, mask)
+    found = session.inspector.look(result, demand.looks, demand.options.kappa, mask)
+    return replace(found, reference=session.shear.words)
 
 
 def _process(
     source: FrameSource,
     pipeline: Pipeline,
+    shear: ShearReference,
     frame: Frame,
     demand: Demand,
     *,
@@ -275,9 +285,12 @@ def _process(
         return Result(frame)
     if isinstance(source, LiveFrames):
         frame = zeroed(frame, source.zero, pipeline)
+    products = shear.products(source, pipeline, frame.index, demand)
     if settled:
         pipeline.settle(frame)
-    return pipeline.process(frame, demand.products, demand.options)
+    result = pipeline.process(frame, products, demand.options)
+    shear.collect(pipeline, result)
+    return result
 
 
 def _in_words(error: Exception) -> str:

@@ -136,6 +136,10 @@ class Choices:
         Follow the object that is chosen in every frame.
     pose_stage : int
         Stage whose pose the object is drawn at; 2 for both.
+    flow_preset : {"fast", "balanced", "fine"}
+        Of the optical flow that shear is measured by.
+    friction : float or None
+        Coulomb's bound μ of the tangential over the normal traction; None for no bound.
     compared : (Setting, Setting)
         What is measured side by side.
     picture_size : (int, int)
@@ -181,6 +185,8 @@ class Choices:
     )
     pose_track: bool = False
     pose_stage: int = 2
+    flow_preset: Literal["fast", "balanced", "fine"] = _setting("balanced", "flow preset")
+    friction: float | None = _setting(None, "friction bound μ")
     compared: tuple[Setting, Setting] = _setting(
         (Setting(), Setting(solver="linear")), "compared settings"
     )

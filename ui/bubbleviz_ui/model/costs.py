@@ -19,6 +19,9 @@ STAGES = {
     "pose": "Pose of the object (section VI of the paper)",
     "cloud": "Measured points",
     "residual": "Residual of the range",
+    "flow": "Optical flow of the colour image",
+    "traction": "Traction with friction",
+    "slip": "Slip",
     "texture": "Colour image on the membrane",
     "total": "Depth image in → products out",
 }

@@ -12,6 +12,7 @@ from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, Products
 
 if TYPE_CHECKING:
+    from bubbleviz.colour.optical_flow import FlowPreset
     from bubbleviz.diagnostics.inspector import Look
     from bubbleviz_ui.model.choices import Choices, Rule
 
@@ -28,6 +29,8 @@ PLOTS: Mapping[str, Products] = MappingProxyType(
         "solve": PATCH,
         "latency": NOTHING,
         "kappa": ESTIMATE,
+        "shear": frozenset({"traction"}),
+        "slip": frozenset({"slip"}),
     }
 )
 """Products by the name of a plot."""
@@ -36,6 +39,14 @@ CLOUD_COLOURS: Mapping[str, Products] = MappingProxyType(
     {"residual": ESTIMATE | {"residual"}, "patch": PATCH | {"pixel_mask"}, "plain": NOTHING}
 )
 """Products a colouring of the cloud needs on top of the cloud itself."""
+
+
+@dataclass(frozen=True)
+class ShearOptions:
+    """How traction with friction is made: preset of the optical flow, and the bound μ or none."""
+
+    flow: FlowPreset = "balanced"
+    friction: float | None = None
 
 
 @dataclass(frozen=True)
@@ -49,17 +60,21 @@ class Demand:
         Closer looks at the frame.
     options : FrameOptions
         What makes its patch and its cloud.
+    shear : ShearOptions
+        What makes its traction.
     """
 
     products: Products
     looks: frozenset[Look] = frozenset()
     options: FrameOptions = field(default_factory=FrameOptions)
+    shear: ShearOptions = field(default_factory=ShearOptions)
 
     @classmethod
     def of(cls, choices: Choices) -> Demand:
         """What the visible things need."""
         options = FrameOptions(*choices.rule, choices.cloud_points)
-        return cls(products(choices), looks(choices), options)
+        shear = ShearOptions(choices.flow_preset, choices.friction)
+        return cls(products(choices), looks(choices), options, shear)
 
     @property
     def rule(self) -> Rule:
@@ -68,7 +83,8 @@ class Demand:
 
     def covers(self, other: Demand) -> bool:
         """Whether all that another asks for is asked for here."""
-        return other.products <= self.products and other.looks <= self.looks
+        same = other.shear == self.shear or not other.products & {"traction", "slip"}
+        return same and other.products <= self.products and other.looks <= self.looks
 
 
 def products(choices: Choices) -> Products:

@@ -12,6 +12,7 @@ from bubbleviz.frames.measured_force import measured_force
 from bubbleviz.pipeline import Product
 from bubbleviz.result import TRUSTED
 
+SHEAR = ("shear_normal_n", "shear_tangential_n", "shear_tangential_half_n", "slip_share")
 QUANTITIES = (
     "force_n",
     "force_half_width_n",
@@ -25,6 +26,7 @@ QUANTITIES = (
     "solve_ms",
     "total_ms",
     "latency_ms",
+    *SHEAR,
 )
 """Names of the arrays, with their units."""
 
@@ -32,7 +34,7 @@ MEASURED_FORCE = "measured_force_n"
 OF_PATCH = ("area_m2", "center_x_m", "center_y_m", "center_z_m")
 UNKNOWN, FREE, CONTACT, UNTRUSTED = -1, 0, 1, 2
 """What is known about contact in a frame; `UNTRUSTED`: the estimate is not to be trusted."""
-_FRAME, _ESTIMATE, _PATCH = 1, 2, 4
+_FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
 
 
 class History:
@@ -81,6 +83,9 @@ class History:
             self._put(frame, known, ("gas_law_pa", "residual_m", "solve_ms"))
             self._has[frame] |= _ESTIMATE
             self._untouched[frame] = known.status == "no_contact"
+        if known.has_shear:
+            self._put(frame, known, SHEAR)
+            self._has[frame] |= _SHEAR
         if known.has_patch and patch:
             self._put(frame, known, ("force_n", "force_half_width_n", "area_m2"))
             for name, value in zip(OF_PATCH[1:], known.center_m, strict=True):
@@ -94,7 +99,7 @@ class History:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
         self._forgotten |= (self._has & _PATCH) > 0
-        self._has &= np.uint8(_FRAME | _ESTIMATE)
+        self._has &= np.uint8(_FRAME | _ESTIMATE | _SHEAR)
 
     @property
     def forgotten(self) -> np.ndarray:
@@ -132,6 +137,8 @@ class History:
             wanted |= _ESTIMATE
         if "patch" in products:
             wanted |= _PATCH
+        if products & {"traction", "slip"}:
+            wanted |= _SHEAR
         return np.flatnonzero((self._has & wanted) != wanted)
 
     def _put(self, frame: int, known: Numbers, names: tuple[str, ...]) -> None:

@@ -72,6 +72,12 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             ESTIMATE,
             at_first=False,
         ),
+        "traction": LayerKind(
+            "Traction",
+            "Contact traction at each node: across the membrane orange, along it blue",
+            ESTIMATE | {"traction"},
+            at_first=False,
+        ),
         "object": LayerKind("Object", "The object that is looked for, at its pose"),
         "fit": LayerKind(
             "Fit", "Contact points by distance from the object, and what is not determined"
@@ -122,6 +128,7 @@ PANELS: Mapping[str, PanelKind] = MappingProxyType(
         "tools": PanelKind("3-D tools", tab_of="layers"),
         "sensor": PanelKind("Sensor", tab_of="layers"),
         "pose": PanelKind("Pose", "pose", tab_of="kappa"),
+        "shear": PanelKind("Shear", "shear", frozenset({"traction", "slip"}), tab_of="kappa"),
         "calibration": PanelKind("Calibration", tab_of="layers"),
         "plots": PanelKind("Plots", "plots", side="bottom"),
         "images": PanelKind("Images", "images", side="left"),

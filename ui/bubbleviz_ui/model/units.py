@@ -125,6 +125,8 @@ class Units:
     duration: Unit
     time = Unit("s", 1.0, 3)
     tension = Unit("N/m", 1.0, 2)
+    torque = Unit("N·mm", 1e3, 1)
+    angle = Unit("°", 1.0, 0)
     share = Unit("%", 100.0, 1)
     range_share = Share("% of the range", 100.0, 3)
     rate = Unit("Hz", 1.0, 1)

@@ -85,6 +85,15 @@ TRACES = MappingProxyType(
             {"solve_ms": BLUE, "total_ms": ORANGE},
             ("solver", "total"),
         ),
+        "shear": Trace(
+            "Force with friction",
+            lambda u: u.force,
+            {"shear_normal_n": ORANGE, "shear_tangential_n": BLUE},
+            ("normal", "tangential"),
+            {"shear_tangential_n": "shear_tangential_half_n"},
+            short="Shear",
+        ),
+        "slip": Trace("Slipping share", lambda u: u.share, {"slip_share": BLUE}),
         "latency": Trace("Latency", lambda u: u.duration, {"latency_ms": BLUE}),
     }
 )

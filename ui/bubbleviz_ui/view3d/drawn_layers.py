@@ -11,6 +11,7 @@ from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shear.texture_layer import TextureLayer
+from bubbleviz_ui.shear.traction_layer import TractionLayer
 from bubbleviz_ui.view3d.layers.axes_layer import AxesLayer
 from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
 from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer, ContourLayer
@@ -39,6 +40,7 @@ CLASSES: tuple[type[Layer], ...] = (
     FrustumLayer,
     RimLayer,
     VectorsLayer,
+    TractionLayer,
     ObjectLayer,
     FitLayer,
     AxesLayer,

@@ -1,0 +1,90 @@
+"""The few numbers of a contact with friction, each with its standard deviation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.result import Slip, Traction
+
+Measure = tuple[float, float]
+"""Value and its standard deviation; NaN where it is not known."""
+UNKNOWN: Measure = (np.nan, np.nan)
+TOLD = 2.0
+"""Standard deviations that a tangential force must have for its direction to be told."""
+
+
+@dataclass(frozen=True)
+class ShearNumbers:
+    """Force of the object on the membrane, along and across the contact's mean normal.
+
+    Attributes
+    ----------
+    force_n, normal_n, tangential_n : Measure
+        Lengths, N; the mean normal is that of the normal forces, into the sensor.
+    direction_deg : Measure
+        Of the tangential force, seen along z of the bubble frame: from x towards y, degrees.
+    torque_nm : Measure
+        About the mean normal through the contact's centre, right-handed, N·m.
+    displacement_m : Measure
+        Largest displacement along the membrane of the nodes that are touched, m.
+    slip_share : Measure
+        Share of the patch that moved against the rest of it, 0 to 1.
+    """
+
+    force_n: Measure = UNKNOWN
+    normal_n: Measure = UNKNOWN
+    tangential_n: Measure = UNKNOWN
+    direction_deg: Measure = UNKNOWN
+    torque_nm: Measure = UNKNOWN
+    displacement_m: Measure = UNKNOWN
+    slip_share: Measure = UNKNOWN
+
+    @classmethod
+    def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
+        """Numbers of a frame; by depth alone nothing is known of what is tangential."""
+        along = traction.normal_force_n.sum(axis=0)
+        size, force = float(np.linalg.norm(along)), traction.force_n
+        if traction.status == "no_contact":
+            return cls(force_n=(0.0, np.nan))
+        if traction.status not in ("ok", "depth_alone") or not size > 0.0:
+            return cls()
+        n, covariance = along / size, traction.wrench_covariance
+        total = _along(force, _unit(force), covariance[:3, :3])
+        normal = _along(force, n, covariance[:3, :3])
+        if traction.status == "depth_alone":
+            return cls(total, normal)
+        across = force - normal[0] * n
+        tangential = _along(force, _unit(across), covariance[:3, :3])
+        touched = traction.nodal_force_n.any(axis=1)
+        moved = np.linalg.norm(traction.tangential_displacement_m[touched], axis=1)
+        return cls(
+            total,
+            normal,
+            tangential,
+            _direction(across, covariance[:3, :3]),
+            _along(traction.torque_nm, n, covariance[3:, 3:]),
+            (float(moved.max()), traction.displacement_sigma_m),
+            UNKNOWN if slip is None else (slip.share, slip.share_sigma),
+        )
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / max(float(np.linalg.norm(vector)), np.finfo(float).tiny)
+
+
+def _along(vector: np.ndarray, axis: np.ndarray, covariance: np.ndarray) -> Measure:
+    """Component along a unit vector (3,)."""
+    return float(vector @ axis), float(np.sqrt(axis @ covariance @ axis))
+
+
+def _direction(across: np.ndarray, covariance: np.ndarray) -> Measure:
+    """Angle of a vector (3,) in the x-y plane, degrees; unknown where it may be any."""
+    x, y = across[:2]
+    squared = x * x + y * y
+    sideways = np.array([-y, x]) / max(squared, np.finfo(float).tiny)
+    sigma = float(np.sqrt(sideways @ covariance[:2, :2] @ sideways))
+    if not sigma < 1.0 / TOLD:
+        return UNKNOWN
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(sigma))

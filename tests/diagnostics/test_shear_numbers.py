@@ -1,0 +1,75 @@
+"""Numbers of a contact with friction, against forces put together by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bubbleviz.diagnostics.shear_numbers import ShearNumbers
+from bubbleviz.result import Slip, Traction
+
+NODES = 5
+
+
+def traction(status="ok", across=(0.6, 0.8, 0.0), sigma=0.05):
+    """Three nodes pressed down with 1 N each, dragged with 1 N in all, of five."""
+    normal, along = np.zeros((NODES, 3)), np.zeros((NODES, 3))
+    normal[:3, 2] = -1.0
+    along[:3] = np.array(across) / 3.0
+    moved = np.zeros((NODES, 3))
+    moved[1] = (3e-4, 4e-4, 0.0)
+    moved[4] = 1e-2  # touches nothing
+    positions = np.array([[0.01, 0, 0], [-0.01, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    force = normal + along
+    return Traction(
+        status, force, normal, along, 1e4 * force, positions, moved, np.zeros(3),
+        np.diag([sigma**2] * 3 + [1e-8] * 3), 2e-5,
+    )  # fmt: skip
+
+
+def test_force_and_direction_are_those_put_in():
+    found = ShearNumbers.of(traction())
+    assert found.force_n == pytest.approx((math.sqrt(10.0), 0.05))
+    assert found.normal_n == pytest.approx((3.0, 0.05))
+    assert found.tangential_n == pytest.approx((1.0, 0.05))
+    assert found.direction_deg == pytest.approx(
+        (math.degrees(math.atan2(0.8, 0.6)), math.degrees(0.05))
+    )
+    assert found.displacement_m == pytest.approx((5e-4, 2e-5))
+    assert np.isnan(found.slip_share).all()
+
+
+def test_torque_is_about_the_normal_into_the_sensor():
+    twisted = traction(across=(0.0, 0.0, 0.0))
+    twisted.nodal_force_n[0, 1] = 0.5  # at x = 10 mm
+    twisted.nodal_force_n[1, 1] = -0.5
+    # right-handed about +z by 10 N·mm, so about −z by minus that
+    assert ShearNumbers.of(twisted).torque_nm == pytest.approx((-0.01, 1e-4))
+
+
+def test_no_direction_is_told_where_it_may_be_any():
+    found = ShearNumbers.of(traction(across=(0.06, 0.08, 0.0)))
+    assert np.isnan(found.direction_deg).all() and found.tangential_n[0] == pytest.approx(0.1)
+
+
+def test_by_depth_alone_nothing_tangential_is_told():
+    found = ShearNumbers.of(traction("depth_alone"))
+    assert found.normal_n[0] == pytest.approx(3.0)
+    for measure in (found.tangential_n, found.direction_deg, found.torque_nm):
+        assert np.isnan(measure).all()
+    assert np.isnan(ShearNumbers.of(traction("not_converged")).force_n).all()
+    assert ShearNumbers.of(traction("no_contact")).force_n[0] == 0.0
+
+
+def test_slip_is_a_share_with_its_deviation():
+    slip = Slip(np.zeros(NODES, bool), np.zeros((NODES, 3)), 0.25, 0.05, 1e-4)
+    assert ShearNumbers.of(traction(), slip).slip_share == (0.25, 0.05)
+
+
+def test_the_parts_of_a_traction_add_up_to_it():
+    whole = traction()
+    normal, along = whole.parts_pa
+    np.testing.assert_allclose(normal + along, whole.traction_pa)
+    np.testing.assert_allclose(along[:3], np.tile([2000.0, 8000.0 / 3.0, 0.0], (3, 1)))

@@ -1,0 +1,179 @@
+"""Shear in the window: what it is measured against, its numbers, and nothing of it while hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fakes import SpeckledSource
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QGuiApplication
+from pytestqt.qtbot import QtBot
+from window_driver import Driver, drawn_points
+
+from bubbleviz.result import Result, Slip, Traction
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.demand import Demand, products
+from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shear.shear_reference import COLLECTED, NO_RUBBER
+from bubbleviz_ui.shear.shear_text import copied_shear, shear_words
+
+Drive = Callable[..., Driver]
+NOTHING = Choices(layers=frozenset(), panels=frozenset())
+
+
+@pytest.fixture
+def rubber(sensor: Sensor) -> Sensor:
+    """The small sensor with its prestretch, so that its membrane is known exactly."""
+    known = sensor.membrane.model_copy(update={"prestretch": 1.2})
+    return sensor.model_copy(update={"membrane": known})
+
+
+def opened(drive: Drive, sensor: Sensor) -> tuple[Driver, SpeckledSource]:
+    source = SpeckledSource(sensor)
+    return drive(open_source=lambda _: source, sensor=sensor), source
+
+
+def shown(driver: Driver) -> None:
+    driver.window.panels["shear"].show()
+    driver.wait(lambda: "shear" in driver.state.choices.panels)
+    driver.wait(lambda: bool(driver.window.controller.inspection.reference))
+
+
+def test_traction_is_asked_for_by_what_shows_it() -> None:
+    layers = replace(NOTHING, layers=frozenset({"traction"}))
+    assert "traction" in products(layers) and "slip" not in products(layers)
+    assert products(replace(NOTHING, panels=frozenset({"shear"}))) == {"traction", "slip"}
+    plots = replace(NOTHING, panels=frozenset({"plots"}), plots=frozenset({"slip"}))
+    assert products(plots) == {"slip"}
+    assert not products(Choices()) & {"flow", "traction", "slip", "texture"}
+
+
+def test_another_bound_is_another_demand_only_while_shear_is_seen() -> None:
+    for panels, same in ((frozenset({"shear"}), False), (frozenset({"status"}), True)):
+        one = Demand.of(replace(NOTHING, panels=panels))
+        other = Demand.of(replace(NOTHING, panels=panels, friction=0.5))
+        assert one.covers(other) is same
+
+
+def test_hidden_nothing_of_it_runs(drive: Drive, rubber: Sensor) -> None:
+    driver, source = opened(drive, rubber)
+    driver.seek(3)
+    counts = driver.pipeline.counts
+    assert source.decoded == 0
+    assert not {"flow", "traction", "slip", "texture"} & set(counts)
+    shown(driver)
+    assert counts["traction"] > 0 and source.decoded > 0
+    driver.window.panels["shear"].hide()
+    driver.wait(lambda: "shear" not in driver.state.choices.panels)
+    driver.seek(4)
+    before = counts["traction"], counts["flow"], counts["slip"], source.decoded
+    driver.seek(5)
+    assert (counts["traction"], counts["flow"], counts["slip"], source.decoded) == before
+
+
+def test_frames_that_pass_without_contact_are_the_reference(drive: Drive, rubber: Sensor) -> None:
+    pytest.importorskip("cv2")
+    driver, _ = opened(drive, rubber)
+    shown(driver)
+    panel, controller = driver.window.shear, driver.window.controller
+    driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
+    for k in range(1, COLLECTED):
+        driver.seek(k)
+    driver.wait(lambda: f"{COLLECTED} images without contact" in panel.reference.text())
+    driver.seek(COLLECTED)
+    flow = controller.result.flow
+    assert len(flow.pixel) > 20
+    assert np.sqrt(np.mean(flow.moved_px**2)) < 0.1  # nothing moved
+    driver.wait(lambda: panel.values["force"].text() == "0.00 N")
+    assert panel.state.text() == "nothing touches the membrane"
+    assert panel.values["direction"].text() == "–"
+    driver.bot.mouseClick(panel.collect, Qt.MouseButton.LeftButton)
+    driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
+
+
+def test_without_the_exact_membrane_the_panel_says_what_to_do(drive: Drive, sensor: Sensor) -> None:
+    driver, _ = opened(drive, sensor)
+    shown(driver)
+    driver.wait(lambda: driver.window.shear.reference.text() == NO_RUBBER)
+    driver.seek(2)
+    assert driver.window.controller.result.estimate is not None
+    assert driver.pipeline.counts["traction"] == 0 and not driver.window.shear.copy.isEnabled()
+
+
+def test_the_bound_is_off_until_it_is_ticked_and_can_be_undone(
+    drive: Drive, sensor: Sensor, qtbot: QtBot
+) -> None:
+    driver, _ = opened(drive, sensor)
+    panel, window = driver.window.shear, driver.window
+    assert driver.state.choices.friction is None and not panel.friction.isEnabled()
+    panel.bounded.click()
+    panel.friction.setValue(0.8)
+    assert driver.state.choices.friction == 0.8
+    panel.flow.setCurrentIndex(panel.flow.findData("fine"))
+    assert driver.state.choices.flow_preset == "fine"
+    for _ in range(3):
+        window.undo_stack.undo()
+    assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "balanced"
+
+
+def dragged(driver: Driver, status: str = "ok") -> Result:
+    """The result that is shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
+    result = driver.window.controller.result
+    mesh = driver.pipeline.mesh
+    top = np.argsort(np.linalg.norm(mesh.nodes[:, :2], axis=1))[:3]
+    normal, along = np.zeros(mesh.nodes.shape), np.zeros(mesh.nodes.shape)
+    normal[top, 2], along[top, 0] = -1.0, 0.5
+    force = normal + along
+    covariance = np.diag([0.01] * 3 + [1e-8] * 3)
+    traction = Traction(
+        status, force, normal, along, 1e3 * force, mesh.nodes, 1e-3 * along, mesh.nodes[top[0]],
+        covariance, 1e-5, reason="" if status == "ok" else "no texture",
+    )  # fmt: skip
+    slip = Slip(np.zeros(len(force), bool), np.zeros(force.shape), 0.4, 0.1, 1e-4)
+    return replace(result, traction=traction, slip=slip)
+
+
+def test_arrows_stand_where_traction_is_on_one_scale(drive: Drive, sensor: Sensor) -> None:
+    driver, _ = opened(drive, sensor)
+    choices = replace(driver.state.choices, layers=frozenset({"membrane", "traction"}))
+    layer = driver.window.scene.layers["traction"]
+    ways = []
+    driver.window.scene.show(dragged(driver), choices)
+    for actor in layer.actors:
+        points = np.asarray(actor.mapper.dataset.points)
+        assert len(points) == 3 * 5 and actor.GetVisibility()
+        ways.append(np.linalg.norm(points[1] - points[0]))
+    assert ways[0] == pytest.approx(2.0 * ways[1])
+    driver.window.scene.show(dragged(driver, "depth_alone"), choices)
+    assert len(drawn_points(layer)) == 15
+    assert np.ptp(np.asarray(layer.actors[1].mapper.dataset.points)) == 0.0
+    driver.window.scene.show(replace(dragged(driver), traction=None), choices)
+    assert not any(actor.GetVisibility() for actor in layer.actors)
+
+
+def test_numbers_have_their_sigma_and_their_doubts(drive: Drive, sensor: Sensor) -> None:
+    driver, _ = opened(drive, sensor)
+    words = shear_words(dragged(driver), Units())
+    assert words["normal"] == "3.00 ± 0.10 N" and words["tangential"] == "1.50 ± 0.10 N"
+    assert words["direction"] == "0 ± 4 °, not verified on real sensors"
+    assert words["slip"] == "40.0 ± 10.0 %"
+    alone = shear_words(dragged(driver, "depth_alone"), Units())
+    assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "– N"
+    text = copied_shear(dragged(driver), Units())
+    assert "Normal (± σ): 3.00 ± 0.10 N" in text.splitlines()
+
+
+def test_the_scene_opens_panel_and_layers(drive: Drive, rubber: Sensor) -> None:
+    driver, _ = opened(drive, rubber)
+    driver.window.use_scene(load_scene("shear"))
+    driver.wait(lambda: driver.window.controller.result.traction is not None)
+    assert {"traction", "texture"} <= driver.state.choices.layers
+    assert driver.window.shear.isVisible()
+    driver.wait(lambda: driver.window.shear.copy.isEnabled())
+    driver.bot.mouseClick(driver.window.shear.copy, Qt.MouseButton.LeftButton)
+    assert QGuiApplication.clipboard().text().startswith("frame 0, 0.000 s\nstatus: ")
