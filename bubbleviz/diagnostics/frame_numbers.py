@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.diagnostics.shear_numbers import ShearNumbers
 from bubbleviz.frames.measured_force import force_of
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.result import HALF_95, Patch, Result
+from bubbleviz.result import Patch, Result
 
 NOTHING = float("nan")
 
@@ -100,7 +100,7 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
             "has_shear": True,
             "shear_normal_n": shear.normal_n[0],
             "shear_tangential_n": shear.tangential_n[0],
-            "shear_tangential_half_n": HALF_95 * shear.tangential_n[1],
+            "shear_tangential_half_n": shear.tangential_n[1],
             "slip_share": shear.slip_share[0],
         }
     return Numbers(**known)

@@ -1,4 +1,4 @@
-"""The few numbers of a contact with friction, each with its standard deviation."""
+"""The few numbers of a contact with friction, each with its 95 % interval."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.result import Slip, Traction
+from bubbleviz.result import HALF_95, Slip, Traction
 
 Measure = tuple[float, float]
-"""Value and its standard deviation; NaN where it is not known."""
+"""Value and half of its 95 % interval; NaN where it is not known."""
 UNKNOWN: Measure = (np.nan, np.nan)
-TOLD = 2.0
-"""Standard deviations that a tangential force must have for its direction to be told."""
+_TOLD = np.pi / 4.0
+"""A direction is told whose 95 % interval, rad, is within a quarter of a turn."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class ShearNumbers:
             tangential,
             _direction(across, covariance[:3, :3]),
             _along(traction.torque_nm, n, covariance[3:, 3:]),
-            (float(moved.max()), traction.displacement_sigma_m),
-            UNKNOWN if slip is None else (slip.share, slip.share_sigma),
+            (float(moved.max()), HALF_95 * traction.displacement_sigma_m),
+            UNKNOWN if slip is None else (slip.share, HALF_95 * slip.share_sigma),
         )
 
 
@@ -76,7 +76,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 def _along(vector: np.ndarray, axis: np.ndarray, covariance: np.ndarray) -> Measure:
     """Component along a unit vector (3,)."""
-    return float(vector @ axis), float(np.sqrt(axis @ covariance @ axis))
+    return float(vector @ axis), HALF_95 * float(np.sqrt(axis @ covariance @ axis))
 
 
 def _direction(across: np.ndarray, covariance: np.ndarray) -> Measure:
@@ -84,7 +84,7 @@ def _direction(across: np.ndarray, covariance: np.ndarray) -> Measure:
     x, y = across[:2]
     squared = x * x + y * y
     sideways = np.array([-y, x]) / max(squared, np.finfo(float).tiny)
-    sigma = float(np.sqrt(sideways @ covariance[:2, :2] @ sideways))
-    if not sigma < 1.0 / TOLD:
+    half = HALF_95 * float(np.sqrt(sideways @ covariance[:2, :2] @ sideways))
+    if not half < _TOLD:
         return UNKNOWN
-    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(sigma))
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(half))

@@ -11,6 +11,8 @@ from bubbleviz.diagnostics.shear_numbers import ShearNumbers
 from bubbleviz.result import Slip, Traction
 
 NODES = 5
+HALF = 1.96 * 0.05
+"""Of the 95 % interval at σ = 0.05."""
 
 
 def traction(status="ok", across=(0.6, 0.8, 0.0), sigma=0.05):
@@ -31,13 +33,13 @@ def traction(status="ok", across=(0.6, 0.8, 0.0), sigma=0.05):
 
 def test_force_and_direction_are_those_put_in():
     found = ShearNumbers.of(traction())
-    assert found.force_n == pytest.approx((math.sqrt(10.0), 0.05))
-    assert found.normal_n == pytest.approx((3.0, 0.05))
-    assert found.tangential_n == pytest.approx((1.0, 0.05))
+    assert found.force_n == pytest.approx((math.sqrt(10.0), HALF))
+    assert found.normal_n == pytest.approx((3.0, HALF))
+    assert found.tangential_n == pytest.approx((1.0, HALF))
     assert found.direction_deg == pytest.approx(
-        (math.degrees(math.atan2(0.8, 0.6)), math.degrees(0.05))
+        (math.degrees(math.atan2(0.8, 0.6)), math.degrees(HALF))
     )
-    assert found.displacement_m == pytest.approx((5e-4, 2e-5))
+    assert found.displacement_m == pytest.approx((5e-4, 1.96 * 2e-5))
     assert np.isnan(found.slip_share).all()
 
 
@@ -46,7 +48,7 @@ def test_torque_is_about_the_normal_into_the_sensor():
     twisted.nodal_force_n[0, 1] = 0.5  # at x = 10 mm
     twisted.nodal_force_n[1, 1] = -0.5
     # right-handed about +z by 10 N·mm, so about −z by minus that
-    assert ShearNumbers.of(twisted).torque_nm == pytest.approx((-0.01, 1e-4))
+    assert ShearNumbers.of(twisted).torque_nm == pytest.approx((-0.01, 1.96e-4))
 
 
 def test_no_direction_is_told_where_it_may_be_any():
@@ -63,9 +65,9 @@ def test_by_depth_alone_nothing_tangential_is_told():
     assert ShearNumbers.of(traction("no_contact")).force_n[0] == 0.0
 
 
-def test_slip_is_a_share_with_its_deviation():
+def test_slip_is_a_share_with_its_interval():
     slip = Slip(np.zeros(NODES, bool), np.zeros((NODES, 3)), 0.25, 0.05, 1e-4)
-    assert ShearNumbers.of(traction(), slip).slip_share == (0.25, 0.05)
+    assert ShearNumbers.of(traction(), slip).slip_share == pytest.approx((0.25, HALF))
 
 
 def test_the_parts_of_a_traction_add_up_to_it():

@@ -156,16 +156,16 @@ def test_arrows_stand_where_traction_is_on_one_scale(drive: Drive, sensor: Senso
     assert not any(actor.GetVisibility() for actor in layer.actors)
 
 
-def test_numbers_have_their_sigma_and_their_doubts(drive: Drive, sensor: Sensor) -> None:
+def test_numbers_have_their_interval_and_their_doubts(drive: Drive, sensor: Sensor) -> None:
     driver, _ = opened(drive, sensor)
     words = shear_words(dragged(driver), Units())
-    assert words["normal"] == "3.00 ± 0.10 N" and words["tangential"] == "1.50 ± 0.10 N"
-    assert words["direction"] == "0 ± 4 °, not verified on real sensors"
-    assert words["slip"] == "40.0 ± 10.0 %"
+    assert words["normal"] == "3.00 ± 0.20 N" and words["tangential"] == "1.50 ± 0.20 N"
+    assert words["direction"] == "0 ± 7 °, not verified on real sensors"
+    assert words["slip"] == "40.0 ± 19.6 %"
     alone = shear_words(dragged(driver, "depth_alone"), Units())
     assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "– N"
     text = copied_shear(dragged(driver), Units())
-    assert "Normal (± σ): 3.00 ± 0.10 N" in text.splitlines()
+    assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
 
 
 def test_the_scene_opens_panel_and_layers(drive: Drive, rubber: Sensor) -> None:

@@ -33,7 +33,7 @@ MU, LEAST, MOST = 0.5, 0.01, 5.0
 
 
 class ShearPanel(QWidget):
-    """Settings of the traction with friction, and its numbers with their σ."""
+    """Settings of the traction with friction, and its numbers with their 95 % intervals."""
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
@@ -55,7 +55,7 @@ class ShearPanel(QWidget):
         self.values = {name: QLabel(NOTHING, wordWrap=True) for name in NUMBERS}
         for name, label in self.values.items():
             label.setObjectName("value")
-            label.setToolTip(f"{TIPS[name]}; ± is one standard deviation")
+            label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("These numbers as text, with their units")
         self._lay_out()
@@ -74,7 +74,7 @@ class ShearPanel(QWidget):
             QVBoxLayout(self),
             self.state,
             numbers,
-            fill(QHBoxLayout(), QLabel("± is one σ"), 1, self.copy),
+            fill(QHBoxLayout(), QLabel("±: 95 % interval"), 1, self.copy),
             settings,
             self.reference,
             fill(QHBoxLayout(), self.collect, 1),

@@ -1,4 +1,4 @@
-"""Force with friction and slip in words and numbers; ± is one standard deviation."""
+"""Force with friction and slip in words and numbers; ± is half of the 95 % interval."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def copied_shear(result: Result, units: Units) -> str:
     words = shear_words(result, units)
     lines = [f"frame {result.frame.index}, {units.time.text(result.frame.time_s)}"]
     lines += [f"status: {words['state']}"]
-    lines += [f"{title} (± σ): {words[name]}" for name, title in NUMBERS.items()]
+    lines += [f"{title}: {words[name]}" for name, title in NUMBERS.items()]
     return "\n".join(lines)
 
 
