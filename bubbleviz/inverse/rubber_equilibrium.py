@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
@@ -30,14 +28,10 @@ class RubberEquilibrium:
     membrane : RubberMembrane
     gas : Gas
         P0 and V0 of the reference configuration.
-    variants : sequence of RubberMembrane, optional
-        As of `LinearisedRubber`.
     """
 
-    def __init__(
-        self, membrane: RubberMembrane, gas: Gas, variants: Sequence[RubberMembrane] = ()
-    ) -> None:
-        self.membrane, self.gas, self._variants = membrane, gas, tuple(variants)
+    def __init__(self, membrane: RubberMembrane, gas: Gas) -> None:
+        self.membrane, self.gas = membrane, gas
         rest = membrane.mesh.nodes
         self._rest_volume = membrane.volume(rest)
         self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
@@ -72,9 +66,7 @@ class RubberEquilibrium:
         """Tangent at a shape; RuntimeError where it is singular."""
         stiffness = self.gas_at(x)[1] if gas is None else 0.0
         inside = self.inside(x, pressure, gas)
-        return LinearisedRubber(
-            self.membrane, self._factoriser, x, inside, stiffness, self._variants
-        )
+        return LinearisedRubber(self.membrane, self._factoriser, x, inside, stiffness)
 
     def settled(
         self,

@@ -66,6 +66,8 @@ CHANGES = {
     "pose_start": (0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0),
     "pose_track": True,
     "pose_stage": 1,
+    "flow_preset": "fine",
+    "friction": 0.8,
     "compared": (Setting(nodes=300), Setting(solver="osqp")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,
