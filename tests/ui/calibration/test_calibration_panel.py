@@ -534,13 +534,18 @@ def answered(bench: Bench, start: Callable[[], object], button: str) -> str:
     return asked[0]
 
 
+def two_recordings(resting: RestingSource, folder: Path) -> None:
+    """The same frames as rest.mcap and as other.mcap."""
+    for name in ("rest", "other"):
+        with RecordingWriter(folder / f"{name}.mcap") as writer:
+            for k in range(len(resting)):
+                writer.write(resting[k])
+
+
 def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     drive: Drive, resting: RestingSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("rest", "other"):
-        with RecordingWriter(tmp_path / f"{name}.mcap") as writer:
-            for k in range(len(resting)):
-                writer.write(resting[k])
+    two_recordings(resting, tmp_path)
     bench = Bench(drive(recording(tmp_path / "rest.mcap")))
     bench.identify()
     window, panel = bench.driver.window, bench.panel
@@ -570,16 +575,26 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     found = answer.draft.found.tension_n_per_m
     assert load_sensor(out).pneumatics.tension_n_per_m == pytest.approx(found, abs=1e-3)
     assert panel.calibration.answer.draft.found is None
+
+
+@pytest.mark.long
+def test_an_identification_is_discarded_when_asked_and_not_asked_for_when_saved(
+    drive: Drive, resting: RestingSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two_recordings(resting, tmp_path)
+    bench = Bench(drive(recording(tmp_path / "other.mcap")))
+    window, panel = bench.driver.window, bench.panel
     bench.identify()
     answered(bench, lambda: window.open_file(tmp_path / "rest.mcap"), "Discard")
-    bench.driver.wait(lambda: title() == "rest.mcap")
+    bench.driver.wait(lambda: bench.driver.state.facts.title == "rest.mcap")
     assert panel.calibration.answer.draft.found is None
     bench.identify()
     bench.click(panel.steps.button(len(panel.pages) - 1))
-    out = tmp_path / "again.toml"
+    out = tmp_path / "mine.toml"
+    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
     bench.click(panel.report.save_as)
-    other()  # saved: nothing to ask
-    bench.driver.wait(lambda: title() == "other.mcap")
+    window.open_file(tmp_path / "other.mcap")  # saved: nothing to ask
+    bench.driver.wait(lambda: bench.driver.state.facts.title == "other.mcap")
 
 
 def test_collected_frames_outlive_close_and_connecting_again(drive: Drive) -> None:
