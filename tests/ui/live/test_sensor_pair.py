@@ -17,6 +17,7 @@ from window_driver import props
 
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 
@@ -85,6 +86,22 @@ def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(
     bench.window.pair.end()
     bench.settle_picture()
     assert of_the_other(bench) == 0
+
+
+def test_both_are_whole_in_a_low_view(open_bench: Open) -> None:
+    bench = paired(open_bench)
+    bench.window.resize(1400, 640)
+    bench.window.use_scene(load_scene("review"))
+    bench.state.choose(layers=frozenset({"rim", "membrane"}))
+    bench.follow(2)
+    bench.settle_picture()
+    view = bench.window.view
+    assert view.width() > 2 * view.height()
+    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
+    angle, radius = np.linspace(0.0, 2.0 * np.pi, 60), robot_sensor().membrane.rim_radius_m
+    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.12)], axis=1)
+    for points in (own, rim):
+        assert np.abs(view.projected(points)[:, 1]).max() < 1.0
 
 
 def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:

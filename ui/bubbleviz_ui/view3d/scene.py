@@ -26,7 +26,7 @@ from bubbleviz_ui.view3d.tools.section_plane import Section
 from bubbleviz_ui.view3d.tools.viewpoints import (
     ANGLE_DEG,
     Viewpoint,
-    beside_colour_bars,
+    fit_beside_bars,
     look_along,
     look_as,
 )
@@ -93,7 +93,7 @@ class Scene:
         bounds = [b for pair in zip(low, high, strict=True) for b in pair]
         self._view.renderer.ResetCamera(bounds)
         camera.zoom(self._choices.zoom)
-        beside_colour_bars(self._view, seen)
+        fit_beside_bars(self._view, seen)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()

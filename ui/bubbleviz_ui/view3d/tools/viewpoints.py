@@ -34,20 +34,20 @@ def look_along(view: View, name: Viewpoint, bounds_m: list[float]) -> None:
     camera.position = tuple(middle + np.array(towards))
     camera.up = up
     view.renderer.ResetCamera(bounds_m)
-    beside_colour_bars(view, np.array(list(product(*np.reshape(bounds_m, (3, 2))))))
+    fit_beside_bars(view, np.array(list(product(*np.reshape(bounds_m, (3, 2))))))
 
 
-def beside_colour_bars(view: View, points_m: np.ndarray) -> None:
-    """Move the picture to the left, and make it smaller, until points (k, 3) miss the bars."""
+def fit_beside_bars(view: View, points_m: np.ndarray) -> None:
+    """Make the picture smaller, and move it left, until points (k, 3) fit beside the bars."""
     camera, free = view.camera, 2.0 * beside_bars(view.width()) - 1.0
     camera.SetWindowCenter(0.0, 0.0)
-    x = view.projected(points_m)[:, 0]
+    x, y, _ = view.projected(points_m).T
     left, right = float(x.min()), float(x.max())
-    if right <= free:
-        return
-    smaller = min(1.0, (1.0 + free) / (right - left))
+    smaller = min(1.0, 1.0 / float(np.abs(y).max()))
+    if smaller * right > free:
+        smaller = min(smaller, (1.0 + free) / (right - left))
     camera.zoom(smaller)
-    camera.SetWindowCenter(smaller * right - free, 0.0)
+    camera.SetWindowCenter(max(smaller * right - free, 0.0), 0.0)
 
 
 def look_as(view: View, camera: DepthCamera, far_m: float) -> None:
