@@ -127,7 +127,10 @@ def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -
 @_common
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of the noise.")
 def shear(out: Path | None, as_json: bool, quick: bool, seed: int) -> None:
-    """Error of force, torque and displacement with friction over drag, twist and flow noise."""
+    """Error of force, torque and displacement with friction over drag, twist and flow noise.
+
+    Flow is also found in images of a rendered texture, by each preset.
+    """
     from bubbleviz.commands.study import study_shear
 
     _print(study_shear(out, quick=quick, seed=seed), as_json)

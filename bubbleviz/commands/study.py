@@ -40,6 +40,7 @@ from bubbleviz.study.pose.screw_motion import SEEDS, run_screws, screw_source
 from bubbleviz.study.presses import presses
 from bubbleviz.study.report_files import check_free
 from bubbleviz.study.shear import shear_report
+from bubbleviz.study.shear.flow_presets import run_flow_presets
 from bubbleviz.study.shear.shear_study import ShearGrid, quick_shear_grid, run_shear
 from bubbleviz.study.speed import speed_report
 from bubbleviz.study.speed.speed_study import (
@@ -222,14 +223,19 @@ def study_pose(sensor_name: str, out: Path | None, *, quick: bool, seed: int) ->
 
 
 def study_shear(out: Path | None, *, quick: bool, seed: int) -> Findings:
-    """Error of traction with friction on objects that stick and move; as `study_accuracy`."""
+    """Error of traction with friction on objects that stick and move; as `study_accuracy`.
+
+    InputError also where OpenCV, which finds the flow, is not installed.
+    """
     grid = replace(quick_shear_grid() if quick else ShearGrid(), seed=seed)
     if out is not None:
         check_free(out_folder(out), shear_report.FILES)
+    presets = run_flow_presets(grid)
     with _progress(grid.presses, "path") as bar:
         trials = run_shear(grid, lambda _: bar.update())
-    written = shear_report.write(trials, out) if out is not None else []
-    return Findings(shear_report.as_dict(trials), shear_report.to_text(trials), written)
+    written = shear_report.write(trials, presets, out) if out is not None else []
+    numbers = shear_report.as_dict(trials, presets)
+    return Findings(numbers, shear_report.to_text(trials, presets), written)
 
 
 def study_identification(out: Path | None, *, quick: bool, seeds: int | None) -> Findings:

@@ -41,6 +41,7 @@ def test_the_worst_frame_is_judged(bad: dict[str, object], missed: set[str]) -> 
 
 @pytest.mark.long
 def test_quick_study(tmp_path: Path) -> None:
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     out = tmp_path / "study"
     found = CliRunner().invoke(main, ["study", "shear", "--quick", "--json", "--out", str(out)])
     assert found.exit_code == 0, found.output
@@ -51,5 +52,11 @@ def test_quick_study(tmp_path: Path) -> None:
     with (out / "shear.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(numbers["trials"]) == 5
+    presets = numbers["flow_presets"]
+    assert [preset["preset"] for preset in presets] == ["fast", "balanced", "fine"]
+    errors = [preset["flow_rms_px"] for preset in presets]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] < 0.2  # of motions of several pixels
+    assert all(p["solved"] == 1.0 and p["force_error"] < 0.03 for p in presets)
     dragged = rows[2]
     assert float(dragged["force_error"]) < 0.2 * float(dragged["depth_force_error"])

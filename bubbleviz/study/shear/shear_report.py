@@ -11,14 +11,16 @@ import numpy as np
 
 from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.report_files import Target, at_least, at_most, target_table
+from bubbleviz.study.shear.flow_presets import PresetScore
 from bubbleviz.study.shear.shear_study import ShearTrial
 
-FILES = ("shear.csv", "shear.json")
+FILES = ("shear.csv", "flow_presets.csv", "shear.json")
 TARGET_NOISE_PX = 0.03
 _HEADER = (
     "object", "drag mm", "twist °", "flow px", "depth alone", "force %", "angle °", "torque %",
     "displ. mm", "slip %", "traction ms",
 )  # fmt: skip
+_PRESET_HEADER = ("flow", "flow error px", "force %, worst", "flow ms")
 
 
 def targets(trials: list[ShearTrial]) -> list[Target]:
@@ -46,15 +48,16 @@ def _median(values: Iterable[float]) -> float:
     return float(np.median(list(values) or [np.nan]))
 
 
-def as_dict(trials: list[ShearTrial]) -> dict[str, Any]:
-    """Every frame and the targets, SI units."""
+def as_dict(trials: list[ShearTrial], presets: list[PresetScore]) -> dict[str, Any]:
+    """Every frame, the targets and the presets of the flow, SI units."""
     return {
         "targets": [asdict(target) for target in targets(trials)],
         "trials": [asdict(trial) for trial in trials],
+        "flow_presets": [asdict(preset) for preset in presets],
     }
 
 
-def to_text(trials: list[ShearTrial]) -> str:
+def to_text(trials: list[ShearTrial], presets: list[PresetScore]) -> str:
     """Tables for the terminal."""
     rows = [
         (
@@ -72,12 +75,27 @@ def to_text(trials: list[ShearTrial]) -> str:
         )
         for t in trials
     ]
-    return f"{table(_HEADER, rows)}\n\n{target_table(targets(trials))}"
+    tables = table(_HEADER, rows), _preset_table(presets), target_table(targets(trials))
+    return "\n\n".join(tables)
 
 
-def write(trials: list[ShearTrial], folder: Path) -> list[Path]:
+def _preset_table(presets: list[PresetScore]) -> str:
+    rows = [
+        (
+            p.preset,
+            f"{p.flow_rms_px:.3f}",
+            f"{100.0 * p.force_error:.1f}" if p.solved == 1.0 else f"{p.solved:.0%} solved",
+            f"{p.flow_ms:.0f}",
+        )
+        for p in presets
+    ]
+    return table(_PRESET_HEADER, rows)
+
+
+def write(trials: list[ShearTrial], presets: list[PresetScore], folder: Path) -> list[Path]:
     """Files of the report; the folder is there."""
     written = [folder / name for name in FILES]
     write_csv(written[0], trials)
-    write_json(written[1], as_dict(trials))
+    write_csv(written[1], presets)
+    write_json(written[2], as_dict(trials, presets))
     return written

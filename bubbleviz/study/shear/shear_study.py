@@ -32,7 +32,7 @@ _DEPTH: frozenset[Product] = frozenset({"estimate"})
 _SHEAR: frozenset[Product] = frozenset({"slip"})
 _BESIDE_M = (0.005, -0.003)
 """Of the objects from the axis, m; chosen."""
-_DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
+DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
 _HEADING = np.array([0.894, 0.447, 0.0])
 """Way of the drags, off the mesh's axes; chosen."""
 
@@ -157,7 +157,7 @@ def run_shear(grid: ShearGrid, done: Callable[[int], None]) -> list[ShearTrial]:
     trials: list[ShearTrial] = []
     count = 0
     for name, depth_m in grid.objects:
-        press = _pressed(name, depth_m, grid.truth_nodes)
+        press = pressed(name, depth_m, grid.truth_nodes)
         for path in grid.paths:
             truths = list(press.along(path))
             for sigma in grid.flow_sigmas_px:
@@ -168,7 +168,8 @@ def run_shear(grid: ShearGrid, done: Callable[[int], None]) -> list[ShearTrial]:
     return trials
 
 
-def _pressed(name: str, depth_m: float, nodes: int) -> StuckPress:
+def pressed(name: str, depth_m: float, nodes: int) -> StuckPress:
+    """An object that was pressed in beside the axis, on a mesh of so many nodes."""
     model = SensorModel.of(shear_sensor())
     mesh = build_mesh(model.sensor, nodes)
     rubber = build_rubber(model.sensor, mesh, model.tension_n_per_m)
@@ -192,7 +193,7 @@ def _trials(
     for pipeline, products in ((both, _SHEAR), (alone, _DEPTH)):
         pipeline.prepare(products)
     for k, (motion, truth) in enumerate(zip(path, truths, strict=True)):
-        seen = sighting(model.camera, truth, _DEPTH_NOISE, sigma_px, seed + k)
+        seen = sighting(model.camera, truth, DEPTH_NOISE, sigma_px, seed + k)
         flows.append(seen.flow)
         frame = Frame(k, k / 30.0, seen.depth_m)
         begun = time.process_time()
