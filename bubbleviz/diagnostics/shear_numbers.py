@@ -13,6 +13,9 @@ Measure = tuple[float, float]
 UNKNOWN: Measure = (np.nan, np.nan)
 _TOLD = np.pi / 4.0
 """A direction is told whose 95 % interval, rad, is within a quarter of a turn."""
+_REGION_95 = float(np.sqrt(-2.0 * np.log(0.05)))
+"""Radius that holds 95 % of a normal distribution in the plane, standard deviations."""
+_OUTLINE = 61
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,38 @@ class ShearNumbers:
             (float(moved.max()), HALF_95 * traction.displacement_sigma_m),
             UNKNOWN if slip is None else (slip.share, HALF_95 * slip.share_sigma),
         )
+
+
+@dataclass(frozen=True)
+class ShearEllipse:
+    """Tangential force seen along z of the bubble frame.
+
+    Attributes
+    ----------
+    force_n : (2,) array
+        Along x and y, N.
+    outline_n : (k, 2) array
+        Closed line around its 95 % region, N.
+    """
+
+    force_n: np.ndarray
+    outline_n: np.ndarray
+
+    @classmethod
+    def of(cls, traction: Traction) -> ShearEllipse | None:
+        """That of a frame; None where nothing is known of friction."""
+        along = traction.normal_force_n.sum(axis=0)
+        if traction.status != "ok" or not along.any():
+            return None
+        n = _unit(along)
+        across = (np.eye(3) - np.outer(n, n))[:2]
+        force = across @ traction.force_n
+        covariance = across @ traction.wrench_covariance[:3, :3] @ across.T
+        lengths, axes = np.linalg.eigh(covariance)
+        angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE)
+        circle = np.stack([np.cos(angle), np.sin(angle)])
+        reach = _REGION_95 * np.sqrt(np.maximum(lengths, 0.0))
+        return cls(force, force + (axes @ (reach[:, None] * circle)).T)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.path import Path
 
-from bubbleviz.diagnostics.shear_numbers import ShearNumbers
+from bubbleviz.diagnostics.shear_numbers import ShearEllipse, ShearNumbers
 from bubbleviz.result import Slip, Traction
 
 NODES = 5
@@ -75,3 +77,16 @@ def test_the_parts_of_a_traction_add_up_to_it():
     normal, along = whole.parts_pa
     np.testing.assert_allclose(normal + along, whole.traction_pa)
     np.testing.assert_allclose(along[:3], np.tile([2000.0, 8000.0 / 3.0, 0.0], (3, 1)))
+
+
+def test_the_ellipse_holds_95_percent_of_the_tangential_forces():
+    root = np.array([[0.05, 0.02, 0.0], [0.0, 0.1, 0.03], [0.01, 0.0, 0.3]])
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = root @ root.T
+    whole = replace(traction(), wrench_covariance=covariance)
+    ellipse = ShearEllipse.of(whole)
+    np.testing.assert_allclose(ellipse.force_n, [0.6, 0.8])
+    drawn = whole.force_n + np.random.default_rng(0).standard_normal((20_000, 3)) @ root.T
+    inside = Path(ellipse.outline_n).contains_points(drawn[:, :2])  # the normal is along z
+    assert inside.mean() == pytest.approx(0.95, abs=0.01)
+    assert ShearEllipse.of(traction("depth_alone")) is None

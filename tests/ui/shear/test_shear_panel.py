@@ -13,12 +13,14 @@ from PySide6.QtGui import QGuiApplication
 from pytestqt.qtbot import QtBot
 from window_driver import Driver, drawn_points
 
+from bubbleviz.diagnostics.shear_numbers import ShearEllipse
 from bubbleviz.result import Result, Slip, Traction
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.shear.shear_plot import ShearPlot
 from bubbleviz_ui.shear.shear_reference import COLLECTED, NO_RUBBER
 from bubbleviz_ui.shear.shear_text import copied_shear, shear_words
 
@@ -166,6 +168,19 @@ def test_numbers_have_their_interval_and_their_doubts(drive: Drive, sensor: Sens
     assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "– N"
     text = copied_shear(dragged(driver), Units())
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
+
+
+def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot: QtBot) -> None:
+    plot = ShearPlot()
+    qtbot.addWidget(plot)
+    plot.show()
+    outline = np.array([[0.1, 0.2], [0.3, 0.2], [0.1, 0.2]])
+    plot.draw(ShearEllipse(np.array([0.2, 0.2]), outline), Unit("mN", 1e3, 0))
+    np.testing.assert_allclose(np.stack(plot.outline.getData(), axis=1), 1e3 * outline)
+    np.testing.assert_allclose(np.stack(plot.force.getData()), [[0, 200], [0, 200]])
+    plot.draw(None, Unit("mN", 1e3, 0))
+    assert plot.force.getData()[0] is None or not len(plot.force.getData()[0])
+    plot.let_go()
 
 
 def test_the_scene_opens_panel_and_layers(drive: Drive, rubber: Sensor) -> None:

@@ -16,11 +16,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz.diagnostics.shear_numbers import ShearEllipse
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, SYSTEMS
 from bubbleviz_ui.panels.binding import bind, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.shear.shear_plot import ShearPlot
 from bubbleviz_ui.shear.shear_text import NUMBERS, TIPS, copied_shear, shear_words
 from bubbleviz_ui.shell.layouts import fill
 
@@ -56,6 +58,8 @@ class ShearPanel(QWidget):
         for name, label in self.values.items():
             label.setObjectName("value")
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
+        self.plot = ShearPlot()
+        self.plot.seen.connect(self._later)
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("These numbers as text, with their units")
         self._lay_out()
@@ -75,6 +79,7 @@ class ShearPanel(QWidget):
             self.state,
             numbers,
             fill(QHBoxLayout(), QLabel("±: 95 % interval"), 1, self.copy),
+            self.plot,
             settings,
             self.reference,
             fill(QHBoxLayout(), self.collect, 1),
@@ -116,7 +121,10 @@ class ShearPanel(QWidget):
         self.state.setText(words["state"])
         for name, label in self.values.items():
             label.setText(words[name])
-        self.copy.setEnabled(result is not None and result.traction is not None)
+        traction = None if result is None else result.traction
+        self.copy.setEnabled(traction is not None)
+        ellipse = None if traction is None else ShearEllipse.of(traction)
+        self.plot.draw(ellipse, self._state.units.force)
 
     def _copy(self) -> None:
         result = self._controller.result
