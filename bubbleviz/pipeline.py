@@ -305,7 +305,6 @@ class Pipeline:
     def _traction_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame
         traction, self._traction_start = self.traction_estimator.estimate(
-            frame.depth_m,
             result.flow,
             frame.gas_pressure_pa,
             _made(result.estimate),

@@ -71,23 +71,22 @@ class Intrinsics:
         """Pixel coordinates of points (k, 3) in C, (k, 2), and their derivative, (k, 2, 3), 1/m."""
         pixels, depth = self.project(points), points[:, 2]
         ideal = points[:, :2] / depth[:, None]
-        bend: np.ndarray = np.broadcast_to(np.eye(2), (len(points), 2, 2))
-        if self.distortion_model != "none":
-            x, y = ideal.T
-            if self.distortion_model == "inverse_brown_conrady":
-                x = (pixels[:, 0] - self.cx) / self.fx
-                y = (pixels[:, 1] - self.cy) / self.fy
-            xx, xy, yy = _brown_conrady_slopes(x, y, self._coefficients())
-            bend = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
-            if self.distortion_model == "inverse_brown_conrady":
-                bend = np.linalg.inv(bend)
-        by_point = np.zeros((len(points), 2, 3))
-        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / depth
-        by_point[:, :, 2] = -ideal / depth[:, None]
-        return pixels, np.array([[self.fx], [self.fy]]) * (bend @ by_point)
+        x, y = ideal.T
+        if self.distortion_model == "inverse_brown_conrady":
+            x, y = ((pixels - [self.cx, self.cy]) / [self.fx, self.fy]).T
+        xx, xy, yy = _brown_conrady_slopes(x, y, self._coefficients())
+        if self.distortion_model == "inverse_brown_conrady":
+            determinant = xx * yy - xy * xy
+            xx, xy, yy = yy / determinant, -xy / determinant, xx / determinant
+        by_point = np.empty((len(points), 2, 3))
+        by_point[:, 0, 0], by_point[:, 0, 1] = self.fx * xx / depth, self.fx * xy / depth
+        by_point[:, 1, 0], by_point[:, 1, 1] = self.fy * xy / depth, self.fy * yy / depth
+        by_point[:, :, 2] = -np.einsum("kij,kj->ki", by_point[:, :, :2], ideal)
+        return pixels, by_point
 
     def _coefficients(self) -> tuple[float, float, float, float, float]:
-        k1, k2, p1, p2, k3 = (*self.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
+        known = () if self.distortion_model == "none" else self.distortion
+        k1, k2, p1, p2, k3 = (*known, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
         return k1, k2, p1, p2, k3
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,8 @@ class LinearisedRubber:
         From inside over that from outside, Pa.
     gas_stiffness : float
         β = −dp/dV, Pa/m³; 0 where the gas pressure is measured.
+    variants : sequence of RubberMembrane, optional
+        Of other materials, for `by_material`.
 
     Attributes
     ----------
@@ -50,7 +52,9 @@ class LinearisedRubber:
         x: np.ndarray,
         pressure_pa: float | np.ndarray,
         gas_stiffness: float,
+        variants: Sequence[RubberMembrane] = (),
     ) -> None:
+        self._membrane, self._variants = membrane, variants
         self.x, self._moving, self._nodes = x, membrane.moving, len(x)
         self.area_vectors = membrane.volume_gradient(x)
         self._factor = factoriser.factor(membrane.tangent(x, pressure_pa).data)
@@ -64,31 +68,52 @@ class LinearisedRubber:
         """Motion under unit gas pressure, (n, 3), m/Pa."""
         return self.motion(self.area_vectors)
 
+    @cached_property
+    def by_material(self) -> np.ndarray:
+        """S of the forces that each variant lacks at this shape, (3n, variants), m."""
+        usual = self._membrane.residual(self.x, 0.0)
+        gauge = self._membrane.gauge_pressure_pa
+        lacking = [v.residual(self.x, v.gauge_pressure_pa - gauge) - usual for v in self._variants]
+        if not lacking:
+            return np.zeros((3 * self._nodes, 0))
+        return self.motion(np.stack(lacking, axis=-1)).reshape(3 * self._nodes, -1)
+
     def motion(self, force: np.ndarray) -> np.ndarray:
         """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""
         right = force[self._moving].reshape(len(self._a), -1)
+        out = self._factor.solve(right)
         if self._beta:
-            out = self._factor.solve_with(right, self._a, self._beta)
-        else:
-            out = self._factor.solve(right)
+            out -= np.outer(self._by_gas, self._gas_share(self._by_gas) * (self._a @ out))
         motion = np.zeros_like(force)
         motion[self._moving] = out.reshape(-1, *force.shape[1:])
         return motion
 
     def pull(self, force: np.ndarray) -> np.ndarray:
         """What unit contact pressures do against forces (n, 3): aᵀ Sᵀ f, (n,)."""
-        solve = self._factor.solve
         right = force[self._moving].ravel()
-        out = solve(right, transposed=True)
+        out = self._factor.solve(right, transposed=True)
         if self._beta:
-            by_gas = solve(self._a, transposed=True)
-            share = self._beta * (self._a @ out) / (1.0 + self._beta * (self._a @ by_gas))
-            out = out - share * by_gas
+            by_gas = self._by_gas_transposed
+            out -= self._gas_share(by_gas) * (self._a @ out) * by_gas
         pull = np.zeros(self._nodes)
         pull[self._moving] = np.einsum(
             "ij,ij->i", out.reshape(-1, 3), self.area_vectors[self._moving]
         )
         return pull
+
+    @cached_property
+    def _by_gas(self) -> np.ndarray:
+        """K⁻¹ a, (3f,)."""
+        return self._factor.solve(self._a)
+
+    @cached_property
+    def _by_gas_transposed(self) -> np.ndarray:
+        """K⁻ᵀ a, (3f,)."""
+        return self._factor.solve(self._a, transposed=True)
+
+    def _gas_share(self, by_gas: np.ndarray) -> float:
+        """β / (1 + β aᵀ K⁻¹ a), by Sherman and Morrison."""
+        return self._beta / (1.0 + self._beta * float(self._a @ by_gas))
 
     def responses(self, nodes: np.ndarray) -> np.ndarray:
         """S a_j for unit pressures at nodes (c,), (3n, c), m/Pa; each is solved for once."""
@@ -143,4 +168,5 @@ class _Columns:
             self._columns = np.hstack([self._columns, added])
         each = self._columns.shape[1] // max(1, len(self._known))
         places = np.array([self._known[j] for j in nodes.tolist()], int)
-        return self._columns[:, (each * places[:, None] + np.arange(each)).ravel()]
+        chosen = (each * places[:, None] + np.arange(each)).ravel()
+        return self._columns.take(chosen, axis=1)  # row by row, as sparse products read it

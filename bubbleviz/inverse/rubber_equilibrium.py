@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
@@ -28,10 +30,14 @@ class RubberEquilibrium:
     membrane : RubberMembrane
     gas : Gas
         P0 and V0 of the reference configuration.
+    variants : sequence of RubberMembrane, optional
+        As of `LinearisedRubber`.
     """
 
-    def __init__(self, membrane: RubberMembrane, gas: Gas) -> None:
-        self.membrane, self.gas = membrane, gas
+    def __init__(
+        self, membrane: RubberMembrane, gas: Gas, variants: Sequence[RubberMembrane] = ()
+    ) -> None:
+        self.membrane, self.gas, self._variants = membrane, gas, tuple(variants)
         rest = membrane.mesh.nodes
         self._rest_volume = membrane.volume(rest)
         self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
@@ -66,7 +72,9 @@ class RubberEquilibrium:
         """Tangent at a shape; RuntimeError where it is singular."""
         stiffness = self.gas_at(x)[1] if gas is None else 0.0
         inside = self.inside(x, pressure, gas)
-        return LinearisedRubber(self.membrane, self._factoriser, x, inside, stiffness)
+        return LinearisedRubber(
+            self.membrane, self._factoriser, x, inside, stiffness, self._variants
+        )
 
     def settled(
         self,

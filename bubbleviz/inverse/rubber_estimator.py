@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.observer import Misfit, RangeObserver, ShapeRanges
+from bubbleviz.camera.observer import Measured, Misfit, RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
@@ -97,12 +97,15 @@ class RubberStart:
     reached : State or None
         Where the steps of this frame ended, be it to be trusted or not: a place to go on from for
         who knows more of the frame. None where they did not begin.
+    measured : Measured or None
+        What this frame's image told; None where none was looked at.
     """
 
     state: State | None = None
     rubber: LinearisedRubber | None = None
     noise: float = 1.0
     reached: State | None = None
+    measured: Measured | None = None
 
 
 @dataclass(frozen=True)
@@ -191,11 +194,10 @@ class RubberEstimator:
         self.observer, self.membrane, self.gas = observer, membrane, gas
         self.options = options or EstimatorOptions()
         self.solver_name = RUBBER
-        self.variants = tuple(variants)
         rest = self.mesh.nodes
         self.scales = Scales.of(self.mesh, membrane.mean_tension)
         self.held_pressure_pa = membrane.gauge_pressure_pa
-        self.equilibrium = RubberEquilibrium(membrane, gas)
+        self.equilibrium = RubberEquilibrium(membrane, gas, variants)
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, _LONGEST * edge
@@ -249,25 +251,26 @@ class RubberEstimator:
             gas = gas_pressure_pa - self.gas.P0
             if beyond := reason_against_gas(gas, self.gas):
                 return self._nothing("implausible", beyond), RubberStart()
+        measured = self.observer.measure(depth_m)
         try:
-            answer = self._solve(depth_m, gas, start)
+            answer = self._solve(measured, gas, start)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = _Failure("not_converged")
         if isinstance(answer, _Failure):
             nothing = self._nothing(answer.status, STATUS_REASONS[answer.status])
-            return nothing, RubberStart(reached=answer.reached)
+            return nothing, RubberStart(reached=answer.reached, measured=measured)
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white):
             nothing = self._nothing("implausible", doubt, answer.misfit.rms_m)
-            return nothing, RubberStart(reached=answer.state)
+            return nothing, RubberStart(reached=answer.state, measured=measured)
         touching = answer.state if answer.state.pressure.any() else None
-        start = RubberStart(touching, answer.rubber, answer.noise, answer.state)
+        start = RubberStart(touching, answer.rubber, answer.noise, answer.state, measured)
         return self._report(answer), start
 
     # -- one frame ------------------------------------------------------------------------------
 
     def _solve(
-        self, depth_m: np.ndarray, measured_gas: float | None, start: RubberStart
+        self, measured: Measured, measured_gas: float | None, start: RubberStart
     ) -> _Answer | _Failure:
         """Gauss–Newton steps until the shape stands, on a support found anew while it moves far.
 
@@ -277,7 +280,6 @@ class RubberEstimator:
         much more than the noise is left decides how far the image is trusted, so that the frame is
         solved until the two agree: it does not hang on the frames before.
         """
-        measured = self.observer.measure(depth_m)
         state, warm = start.state or self._rest, start.state is not None
         begin = state.x
         rubber, solve_ms = start.rubber, 0.0
@@ -439,12 +441,8 @@ class RubberEstimator:
         push = self.membrane.volume_gradient(state.x)[nodes]
         variance = np.einsum("ik,ij,jk->k", push, contact.covariance, push)
         C = rubber.responses(nodes)
-        inside = self.equilibrium.inside(state.x, state.pressure, state.gas)
-        usual = self.membrane.residual(state.x, inside)
-        for variant in self.variants:
-            gauge = variant.gauge_pressure_pa - self.membrane.gauge_pressure_pa
-            change = variant.residual(state.x, inside + gauge) - usual
-            moved = ranges.jacobian @ rubber.motion(change).ravel()
+        for motion in rubber.by_material.T:
+            moved = ranges.jacobian @ motion
             pull = C.T @ (ranges.jacobian.T @ ranges.weighed(moved))
             variance += (push.T @ (contact.covariance @ pull)) ** 2
         return np.sqrt(variance)

@@ -94,11 +94,10 @@ class TractionEstimator:
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, edge
-        self._report = TractionReport(self.mesh, estimator.membrane, estimator.variants)
+        self._report = TractionReport(self.mesh, estimator.membrane)
 
     def estimate(
         self,
-        depth_m: np.ndarray,
         flow: FlowField | None,
         gas_pressure_pa: float | None,
         estimate: Estimate,
@@ -109,8 +108,6 @@ class TractionEstimator:
 
         Parameters
         ----------
-        depth_m : (H, W) array
-            z-depth, NaN where there is no return.
         flow : FlowField or None
             Of the colour image of the same moment.
         gas_pressure_pa : float or None
@@ -127,6 +124,8 @@ class TractionEstimator:
             return report.untouched(estimate), None
         if estimate.status == "no_data":
             return report.nothing("no_data", estimate.reason), None
+        if reached.measured is None:
+            return report.nothing("not_converged", estimate.reason), None
         if flow is None or not len(flow.pixel):
             return self._alone(estimate, NO_FLOW if flow is None else flow.problem), None
         begin, support = self._begin(estimate, reached, start)
@@ -138,7 +137,7 @@ class TractionEstimator:
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             gas = gas_pressure_pa - self._estimator.gas.P0
-        frame = _Frame(self._estimator.observer.measure(depth_m), measured, gas)
+        frame = _Frame(reached.measured, measured, gas)
         try:
             return self._solve(frame, begin, support, warm=start is not None)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian

@@ -78,6 +78,8 @@ class SolvedTraction:
         Of p, q and g one after the other, those that are free.
     columns : (3n, c) array
         Motions under unit p, q and g.
+    measurements : Measurements
+        That were explained.
     converged : bool
     """
 
@@ -87,12 +89,14 @@ class SolvedTraction:
     factor: tuple[np.ndarray, bool]
     active: np.ndarray
     columns: np.ndarray
+    measurements: Measurements
     converged: bool
 
-    def answer(self, measurements: Measurements, motion: np.ndarray) -> np.ndarray:
-        """Change of the `active` unknowns that hides a motion (3n,) which nothing caused."""
-        seen = measurements.weight * (measurements.jacobian @ motion)
-        pull = self.columns[:, self.active].T @ (measurements.jacobian.T @ seen)
+    def answer(self, motions: np.ndarray) -> np.ndarray:
+        """Changes of the `active` unknowns that hide motions (3n, k) which nothing caused."""
+        measured = self.measurements
+        seen = measured.weight[:, None] * (measured.jacobian @ motions)
+        pull = self.columns[:, self.active].T @ (measured.jacobian.T @ seen)
         change: np.ndarray = cho_solve(self.factor, pull, check_finite=False)
         return change
 
@@ -124,7 +128,7 @@ class TractionProblem:
         gas_sigma_pa: float | None,
     ) -> None:
         self._columns, self._relaxing, self._smoothness = columns, relaxing, smoothness
-        self._size = len(smoothness)
+        self._size, self._measurements = len(smoothness), measurements
         m = measurements
         left = m.error - m.jacobian @ relaxing.ravel()
         J = m.jacobian @ columns
@@ -170,6 +174,7 @@ class TractionProblem:
             factor,
             active,
             self._columns,
+            self._measurements,
             converged,
         )
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -24,17 +22,10 @@ class TractionReport:
     mesh : MembraneMesh
         Reference surface.
     membrane : RubberMembrane
-    variants : sequence of RubberMembrane
-        With one of its material numbers moved by its standard deviation each.
     """
 
-    def __init__(
-        self,
-        mesh: MembraneMesh,
-        membrane: RubberMembrane,
-        variants: Sequence[RubberMembrane] = (),
-    ) -> None:
-        self._mesh, self._membrane, self._variants = mesh, membrane, variants
+    def __init__(self, mesh: MembraneMesh, membrane: RubberMembrane) -> None:
+        self._mesh, self._membrane = mesh, membrane
 
     def nothing(self, status: TractionStatus, reason: str) -> Traction:
         """A frame about which nothing is known."""
@@ -64,7 +55,8 @@ class TractionReport:
         squares = np.einsum("ij,ij->i", look.flow_error, look.flow_error)
         wrench = self._wrench_columns(state, vectors, nodes, center)[:, solved.active]
         deviation = solve_triangular(solved.factor[0], wrench.T, lower=True, check_finite=False)
-        covariance = deviation.T @ deviation + self._by_material(state, solved, look, wrench)
+        by_material = wrench @ solved.answer(state.rubber.by_material)
+        covariance = deviation.T @ deviation + by_material @ by_material.T
         columns = solved.columns.reshape(-1, 3, solved.columns.shape[1])[nodes]
         motions = columns[:, :, solved.active].reshape(3 * len(nodes), -1)
         moved = solve_triangular(solved.factor[0], motions.T, lower=True, check_finite=False)
@@ -124,23 +116,6 @@ class TractionReport:
         wrench = np.concatenate([forces, np.cross(arms, forces)], axis=1).T
         gas = np.zeros((6, 0 if state.rubber.with_gas else 1))
         return np.hstack([wrench, gas])
-
-    def _by_material(
-        self, state: TractionStart, solved: SolvedTraction, look: Look, wrench: np.ndarray
-    ) -> np.ndarray:
-        """Covariance of the wrench by what is not known of the material, (6, 6)."""
-        covariance = np.zeros((6, 6))
-        membrane, x = self._membrane, state.x
-        inside = membrane.gauge_pressure_pa + state.gas - state.pressure
-        usual = membrane.residual(x, inside)
-        for variant in self._variants:
-            gauge = variant.gauge_pressure_pa - membrane.gauge_pressure_pa
-            change = variant.residual(x, inside + gauge) - usual
-            off = wrench @ solved.answer(
-                look.measurements(state), state.rubber.motion(change).ravel()
-            )
-            covariance += np.outer(off, off)
-        return covariance
 
 
 def _center(x: np.ndarray, force: np.ndarray, vectors: np.ndarray) -> np.ndarray:
