@@ -96,7 +96,7 @@ class SolvedTraction:
         """Changes of the `active` unknowns that hide motions (3n, k) which nothing caused."""
         measured = self.measurements
         seen = measured.weight[:, None] * (measured.jacobian @ motions)
-        pull = self.columns[:, self.active].T @ (measured.jacobian.T @ seen)
+        pull = (self.columns.T @ (measured.jacobian.T @ seen))[self.active]
         change: np.ndarray = cho_solve(self.factor, pull, check_finite=False)
         return change
 
