@@ -56,8 +56,17 @@ class TemporalLag:
         )
 
 
-def temporal_lag(recording: Recording, progress: Progress = quiet) -> TemporalLag:
+def temporal_lag(
+    recording: Recording, progress: Progress = quiet, contact_free: range | None = None
+) -> TemporalLag:
     """Lag by the first contact of a recording, in which flow and depth change together.
+
+    Parameters
+    ----------
+    recording : Recording
+    progress : callable, optional
+    contact_free : range, optional
+        Its leading contact-free frames; looked for where not given.
 
     Raises
     ------
@@ -66,7 +75,9 @@ def temporal_lag(recording: Recording, progress: Progress = quiet) -> TemporalLa
     """
     if recording.colour is None:
         raise InputError(f"{recording.path}: has no colour images of this sensor")
-    first = len(find_contact_free(recording, progress).frames)
+    if contact_free is None:
+        contact_free = find_contact_free(recording, progress).frames
+    first = len(contact_free)
     chosen = range(max(0, first - _BEFORE), min(len(recording), first + _AFTER))
     tiles: list[np.ndarray] = []
     images: dict[int, tuple[float, np.ndarray]] = {}

@@ -19,7 +19,6 @@ class RecordedTexture:
 
     Parameters
     ----------
-    recording : Recording
     flow : OpticalFlow
     lag_s : float
         Of colour behind depth, s.
@@ -27,15 +26,13 @@ class RecordedTexture:
         What it was learned from, in one clause, or why it is of no use.
     """
 
-    def __init__(
-        self, recording: Recording, flow: OpticalFlow, lag_s: float, remark: str = ""
-    ) -> None:
-        self._recording, self._flow, self._lag_s = recording, flow, lag_s
+    def __init__(self, flow: OpticalFlow, lag_s: float, remark: str = "") -> None:
+        self._flow, self._lag_s = flow, lag_s
         self.remark = remark
 
     def __call__(self, frame: Frame) -> FlowField | None:
         """Flow of the colour image of a frame's moment; None where there is none."""
-        colour = self._recording.colour_at(frame.time_s + self._lag_s)
+        colour = frame.colour_after(self._lag_s)
         return None if colour is None else self._flow.measure(colour.grey())
 
     @classmethod
@@ -52,13 +49,14 @@ class RecordedTexture:
         from bubbleviz.colour.optical_flow import OpticalFlow
         from bubbleviz.colour.temporal_lag import temporal_lag
 
-        lag = temporal_lag(recording)
-        first = len(find_contact_free(recording).frames)
-        found = {k: recording[k].colour for k in range(first - LAG)}
+        contact_free = find_contact_free(recording).frames
+        lag = temporal_lag(recording, contact_free=contact_free)
+        times_s = recording.times_s.tolist()
+        found = {k: recording.colour_at(times_s[k]) for k in contact_free[:-LAG]}
         seen = {k: image for k, image in found.items() if image is not None}
         flow = OpticalFlow.of([image.grey() for image in seen.values()], preset)
         remark = flow.problem or f"contact-free frames {min(seen)}–{max(seen)}; {lag.to_text()}"
-        return cls(recording, flow, lag.lag_s, remark)
+        return cls(flow, lag.lag_s, remark)
 
 
 def watch_recorded_texture(

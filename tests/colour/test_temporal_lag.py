@@ -10,7 +10,9 @@ import pytest
 from bubbleviz.colour.temporal_lag import TemporalLag, lag_between, temporal_lag
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
+from bubbleviz.shear.recorded_texture import RecordedTexture
 from tests.colour.speckle import camera, clean_image, dragged
 from tests.frames.bagmaker import PERIOD, SECOND, START, BagMaker
 
@@ -87,17 +89,46 @@ def make_recording(folder: Path, lead: float, frames: int = 60) -> Path:
     return bag.write(folder)
 
 
-def test_the_lag_of_a_recording_is_told(tmp_path: Path) -> None:
-    path = make_recording(tmp_path, 2.4)
-    with Recording(path) as recording:
+@pytest.fixture(scope="module")
+def led_by_colour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_recording(tmp_path_factory.mktemp("led"), 2.4)
+
+
+def test_the_lag_of_a_recording_is_told(led_by_colour: Path) -> None:
+    with Recording(led_by_colour) as recording:
         found = temporal_lag(recording)
         assert found.lag_s == pytest.approx(-2.4 * PERIOD_S, abs=0.2 * PERIOD_S)
         image = recording[40].colour_after(found.lag_s)
         assert image is not None
         assert image.stamp_ns == START + 38 * PERIOD
-    facts = recording_info(path, lag=True)
+    facts = recording_info(led_by_colour, lag=True)
     assert found.to_text() in facts.to_text()
-    assert "leads" not in recording_info(path).to_text()
+    assert "leads" not in recording_info(led_by_colour).to_text()
+
+
+class CountedRecording(Recording):
+    """Counts how often a frame's depth image is decoded."""
+
+    decoded = 0
+
+    def __getitem__(self, index: int) -> Frame:
+        self.decoded += 1
+        return super().__getitem__(index)
+
+
+def test_what_flow_is_measured_from_is_learned_in_two_passes(led_by_colour: Path) -> None:
+    """One finds the contact-free frames, one the lag; its flow is that of the depth's moment."""
+    with CountedRecording(led_by_colour) as recording:
+        texture = RecordedTexture.of(recording)
+        assert recording.decoded <= 2 * len(recording)
+        for k in (5, 36, 50):
+            flow = texture(recording[k])
+            assert flow is not None
+            y, x = np.divmod(flow.pixel, clean_image().shape[1])
+            most = np.stack(dragged(x, y), axis=1)
+            error = flow.moved_px - press(np.array(k * PERIOD_S)) * most
+            middle = np.linalg.norm(most, axis=1) > 3.0
+            np.testing.assert_allclose(np.median(error[middle], axis=0), 0.0, atol=0.3)
 
 
 def test_a_recording_that_tells_no_lag_says_why(tmp_path: Path) -> None:
