@@ -17,6 +17,7 @@ from bubbleviz.frames.message_encoding import (
     serialise,
 )
 from bubbleviz.live.counters import Counters
+from bubbleviz.live.sinks.shear_messages import shear_messages
 from bubbleviz.live.source_status import Status
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate, Patch, Result
@@ -34,8 +35,9 @@ class ResultMessages:
 
     Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
     deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
-    membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found) and
-    `/diagnostics`. Of an estimate that is not to be trusted only the last, which says why.
+    membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found), those of
+    `shear_messages` and `/diagnostics`. Of an estimate that is not to be trusted only the last,
+    which says why.
 
     Parameters
     ----------
@@ -64,6 +66,8 @@ class ResultMessages:
             yield self._message("contact_wrench", WRENCH, wrench, stamp)
         if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
             yield self._message("object_pose", POSE, _pose(header, result.pose.T_B_O), stamp)
+        for name, kind, message in shear_messages(header, result):
+            yield self._message(name, kind, message, stamp)
 
     def diagnostics(
         self, now_ns: int, status: Status, counters: Counters, result: Result | None

@@ -1,0 +1,117 @@
+"""The wrench with friction and slip arrive over Zenoh as they were simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from wire import STORE
+
+from bubbleviz.live.sinks.result_messages import ResultMessages
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
+from bubbleviz.pipeline import Product
+from bubbleviz.result import Result
+from bubbleviz_ui.bench.live_soak import free_port
+from tests.shear.drag import Eyes, stuck
+
+Eventually = Callable[[Callable[[], object]], None]
+SHEAR: frozenset[Product] = frozenset({"patch", "traction", "slip"})
+SHEAR_TOPICS = {
+    "traction_wrench",
+    "traction_wrench_sigma",
+    "traction_center",
+    "slip_share",
+    "slip_share_sigma",
+}
+
+
+@pytest.fixture(scope="module")
+def eyes() -> Eyes:
+    return Eyes()
+
+
+@pytest.fixture(scope="module")
+def dragged(eyes: Eyes) -> Result:
+    """The second frame of a puck that is held where it was dragged to."""
+    truth = stuck("puck", 0.004, 0.001, 8.0)
+    first, second = (eyes.pipeline.process(eyes.see(truth, seed), SHEAR) for seed in range(2))
+    assert first.slip is None and second.slip is not None
+    return second
+
+
+def topics(eyes: Eyes, result: Result) -> set[str]:
+    return {m[0].rsplit("/", 1)[1] for m in ResultMessages(eyes.pipeline.mesh).of(result)}
+
+
+def vector(of: Any) -> np.ndarray:
+    return np.array([of.x, of.y, of.z])
+
+
+def test_a_wrench_and_slip_arrive_over_zenoh(
+    eyes: Eyes, dragged: Result, eventually: Eventually
+) -> None:
+    truth = stuck("puck", 0.004, 0.001, 8.0)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    got: dict[str, Any] = {}
+
+    def note(sample: Any) -> None:
+        _, _, topic, package, _ = str(sample.key_expr).split("/")
+        kind = package.replace("::msg::dds_::", "/msg/").removesuffix("_")
+        got[topic] = STORE.deserialize_cdr(sample.payload.to_bytes(), kind)
+
+    with ZenohPublisher(SessionOptions("out", listen=endpoint), domain=4) as out:
+        listener = open_session(SessionOptions("in", endpoint))
+        try:
+            subscriber = listener.declare_subscriber("4/**", note)
+
+            def sent() -> bool:
+                for message in ResultMessages(eyes.pipeline.mesh).of(dragged):
+                    out.put(*message)
+                return got.keys() >= SHEAR_TOPICS
+
+            eventually(sent)
+            subscriber.undeclare()
+        finally:
+            listener.close()
+    wrench, sigma = (got[name].wrench for name in ("traction_wrench", "traction_wrench_sigma"))
+    size = np.linalg.norm(truth.force_n)
+    np.testing.assert_allclose(vector(wrench.force), truth.force_n, atol=0.05 * size)
+    assert got["traction_wrench"].header.frame_id == "bubble"
+    centre = vector(got["traction_center"].point)
+    np.testing.assert_array_equal(vector(wrench.torque), dragged.traction.torque_about(centre))
+    assert 0.0 < vector(sigma.force).max() < 0.1 * size
+    assert 0.0 < vector(sigma.torque).max() < 0.1 * size * 0.045  # the rim's radius as arm
+    assert got["slip_share"].data == 0.0  # all of it sticks
+    assert got["slip_share_sigma"].data >= 0.0
+
+
+def test_nothing_goes_out_of_what_is_not_known(eyes: Eyes, dragged: Result) -> None:
+    assert topics(eyes, replace(dragged, slip=None)) & SHEAR_TOPICS == {
+        "traction_wrench",
+        "traction_wrench_sigma",
+        "traction_center",
+    }
+    alone = replace(dragged.traction, status="depth_alone")
+    doubtful = replace(dragged.estimate, status="implausible")
+    for result in (
+        replace(dragged, traction=None, slip=None),
+        replace(dragged, traction=alone),
+        replace(dragged, estimate=doubtful),
+    ):
+        assert not topics(eyes, result) & SHEAR_TOPICS
+
+
+def test_without_contact_the_wrench_is_zero(eyes: Eyes) -> None:
+    result = eyes.pipeline.process(eyes.rest(), SHEAR)
+    assert result.traction.status == "no_contact"
+    assert topics(eyes, result) & SHEAR_TOPICS == {"traction_wrench"}
+    (message,) = (
+        STORE.deserialize_cdr(payload, kind)
+        for topic, kind, payload, _ in ResultMessages(eyes.pipeline.mesh).of(result)
+        if topic.endswith("traction_wrench")
+    )
+    assert not vector(message.wrench.force).any() and not vector(message.wrench.torque).any()
