@@ -18,8 +18,8 @@ NUMBER = "std_msgs/msg/Float64"
 def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]]:
     """Name, type and message of what is known of friction in a result; of depth alone, nothing.
 
-    The torque is about the contact's centre, which goes out beside it; the standard deviation of a
-    wrench is a message like the wrench itself.
+    The torque is about B's origin, as transform libraries take it to be; the contact's centre goes
+    out beside it. The standard deviation of a wrench is a message like the wrench itself.
     """
     traction, slip = result.traction, result.slip
     if traction is None or result.trusted_estimate is None:
@@ -39,10 +39,11 @@ def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]
 
 
 def _wrenches(traction: Traction) -> tuple[np.ndarray, np.ndarray]:
-    """Force and torque about the centre, and their standard deviations, (6,) each."""
+    """Force and torque about B's origin, and their standard deviations, (6,) each."""
+    origin = np.zeros(3)
     return (
-        np.concatenate([traction.force_n, traction.torque_nm]),
-        np.concatenate([traction.force_sigma_n, traction.torque_sigma_nm]),
+        np.concatenate([traction.force_n, traction.torque_about(origin)]),
+        np.concatenate([traction.force_sigma_n, traction.torque_sigma_about(origin)]),
     )
 
 
