@@ -50,6 +50,8 @@ class FlowField:
         Motion, x to the right and y down, pixels.
     sigma_px : (k,) array
         Standard deviation of each component, pixels.
+    shape : (int, int)
+        Height and width of the reference image.
     problem : str
         Why there is little or nothing to trust, one clause; empty where there is enough.
     """
@@ -57,7 +59,15 @@ class FlowField:
     pixel: np.ndarray
     moved_px: np.ndarray
     sigma_px: np.ndarray
+    shape: tuple[int, int]
     problem: str = ""
+
+    def lengths_px(self) -> np.ndarray:
+        """Length of the motion as an image of blocks (H // 8, W // 8), px; NaN where unknown."""
+        image = np.full([side // BLOCK_PX for side in self.shape], np.nan)
+        row, column = np.divmod(self.pixel, self.shape[1])
+        image[row // BLOCK_PX, column // BLOCK_PX] = np.linalg.norm(self.moved_px, axis=1)
+        return image
 
 
 class OpticalFlow:
@@ -160,7 +170,8 @@ class OpticalFlow:
                 f"{self.shape[1]}×{self.shape[0]}; use images of one camera mode"
             )
         if self.problem:
-            return FlowField(np.empty(0, int), np.empty((0, 2)), np.empty(0), self.problem)
+            nothing = np.empty(0, int), np.empty((0, 2)), np.empty(0)
+            return FlowField(*nothing, self.shape, self.problem)
         frame = normalised(grey)
         forward = _averaged(self._search.calc(self._reference, frame, None))
         backward = _averaged(self._search.calc(frame, self._reference, None))
@@ -174,7 +185,7 @@ class OpticalFlow:
         variance = self.noise_px**2 + _DISAGREED * disagreement**2 + _SMOOTHED * bend**2
         sigma = np.sqrt(variance[good])
         problem = "" if good.mean() > 0.5 else "most of the texture is not found again"
-        return FlowField(self.pixel[good], moved[good], sigma, problem)
+        return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
 
     def _bend(self, flow: np.ndarray) -> np.ndarray:
         """Laplacian of a flow over neighbouring blocks, at each block with texture, (b, 2)."""

@@ -16,7 +16,7 @@ from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 
 Look = Literal[
-    "depth", "change", "residual", "noise", "used", "colour", "kappa_curve", "components"
+    "depth", "change", "residual", "noise", "used", "colour", "flow", "kappa_curve", "components"
 ]
 """An image (H, W) or (H, W, 3) by its name, or the curve of areas over κ."""
 
@@ -30,6 +30,7 @@ NEEDS: dict[Look, frozenset[Product]] = {
     "noise": frozenset(),
     "used": frozenset(),
     "colour": frozenset(),
+    "flow": frozenset({"estimate", "flow"}),  # an estimate tells frames without contact
     "kappa_curve": frozenset({"estimate"}),
     "components": frozenset({"estimate", "patch"}),
 }
@@ -44,10 +45,12 @@ class Inspection:
     ----------
     images : dict
         (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used`
-        bool.
+        bool; `flow`, length of the motion in the colour image in pixels, by blocks.
     ends : dict
         Between them lie all but the outermost values of each image.
     colour : SeenColour or None
+    no_flow : str
+        Why there is no image of the flow, in a few words; empty where the reference says it.
     reference : str
         What shear is measured against, in words; empty where nobody asked for it.
     kappa_curve : KappaCurve or None
@@ -58,6 +61,7 @@ class Inspection:
     images: dict[str, np.ndarray] = field(default_factory=dict)
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     colour: SeenColour | None = None
+    no_flow: str = ""
     reference: str = ""
     kappa_curve: KappaCurve | None = None
     components: tuple[Component, ...] = ()
@@ -112,7 +116,15 @@ class Inspector:
             if image is not None:
                 images[name] = image
         ends = {name: _ends(image) for name, image in images.items()}
-        return Inspection(images, ends, colour, kappa_curve=curve, components=parts)
+        why = self._no_flow(result) if "flow" in looks - images.keys() else ""
+        return Inspection(images, ends, colour, why, kappa_curve=curve, components=parts)
+
+    def _no_flow(self, result: Result) -> str:
+        if result.flow is not None:
+            return result.flow.problem or "nothing of the texture is found again"
+        if result.frame.find_colour is None:
+            return "no colour images in this source"
+        return "" if self._pipeline.flow_of is None else "no colour image at this time"
 
     def _components(self, result: Result, kappa: float | None) -> tuple[Component, ...]:
         if result.estimate is None:
@@ -130,6 +142,9 @@ class Inspector:
             return self._images.used(depth)
         if name == "noise":
             return self._images.noise
+        if name == "flow":
+            flow = result.flow
+            return None if flow is None or not len(flow.pixel) else flow.lengths_px()
         if estimate is None or not estimate.trusted:
             return None
         return self._images.residual(depth, estimate.motion_m)

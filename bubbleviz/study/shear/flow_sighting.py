@@ -57,4 +57,4 @@ def sighting(
     moved += flow_sigma_px * np.random.default_rng([seed, 5]).standard_normal(moved.shape)
     sigma = np.full(int(np.count_nonzero(seen)), flow_sigma_px)
     depth = camera.depth_image(noisy).astype(np.float32)
-    return FlowSighting(depth, FlowField(hits.ray[seen], moved[seen], sigma))
+    return FlowSighting(depth, FlowField(hits.ray[seen], moved[seen], sigma, depth.shape))

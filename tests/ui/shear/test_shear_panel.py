@@ -98,6 +98,48 @@ def test_frames_that_pass_without_contact_are_the_reference(drive: Drive, rubber
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
 
 
+def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(
+    drive: Drive, rubber: Sensor
+) -> None:
+    pytest.importorskip("cv2")
+    driver, source = opened(drive, rubber)
+    driver.state.choose(images=frozenset({"flow"}))
+    driver.seek(1)
+    assert source.decoded == 0 and not {"flow", "look flow"} & set(driver.pipeline.counts)
+    driver.window.panels["images"].show()
+    driver.wait(lambda: "images" in driver.state.choices.panels)
+    driver.wait(lambda: bool(driver.window.images.cells))
+    cell = driver.window.images.cells["flow"]
+    driver.wait(lambda: "images without contact: 1 of" in cell.text.replace("<br>", " "))
+    for k in range(2, COLLECTED + 2):
+        driver.seek(k)
+    driver.wait(lambda: cell.image is not None)
+    driver.settle()
+    flow, width = driver.window.controller.result.flow, rubber.camera.width
+    assert cell.image.shape == (rubber.camera.height // 8, width // 8)
+    assert np.isfinite(cell.image).sum() == len(flow.pixel) > 20
+    row, column = np.divmod(flow.pixel[7], width)
+    assert cell.image[row // 8, column // 8] == np.hypot(*flow.moved_px[7])
+    assert cell.text.startswith("Flow") and cell.text.endswith(" px")
+    assert driver.pipeline.counts["traction"] == 0  # not asked for
+    driver.window.panels["images"].hide()
+    driver.wait(lambda: "images" not in driver.state.choices.panels)
+    driver.seek(2)
+    before = driver.pipeline.counts["flow"], source.decoded
+    driver.seek(3)
+    assert (driver.pipeline.counts["flow"], source.decoded) == before
+
+
+def test_why_there_is_no_flow_is_said(drive: Drive, sensor: Sensor) -> None:
+    driver, _ = opened(drive, sensor)
+    driver.state.choose(images=frozenset({"flow"}))
+    driver.window.panels["images"].show()
+    driver.wait(lambda: bool(driver.window.images.cells))
+    cell = driver.window.images.cells["flow"]
+    driver.wait(lambda: cell.text.replace("<br>", " ") == f"Flow {NO_RUBBER}")
+    assert cell.image is None
+
+
 def test_without_the_exact_membrane_the_panel_says_what_to_do(drive: Drive, sensor: Sensor) -> None:
     driver, _ = opened(drive, sensor)
     shown(driver)

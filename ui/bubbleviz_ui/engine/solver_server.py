@@ -45,7 +45,7 @@ from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.shear.shear_reference import ShearReference
+from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
 
 WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""
@@ -289,7 +289,8 @@ def _process(
     if settled:
         pipeline.settle(frame)
     result = pipeline.process(frame, products, demand.options)
-    shear.collect(pipeline, result)
+    if products & SHEAR:
+        shear.collect(pipeline, result)
     return result
 
 

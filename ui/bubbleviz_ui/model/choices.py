@@ -13,7 +13,7 @@ Axis = Literal["x", "y", "z"]
 ColourMap = Literal["inferno", "viridis", "cividis", "magma", "plasma"]
 COLOUR_MAPS: tuple[ColourMap, ...] = ("inferno", "viridis", "cividis", "magma", "plasma")
 """All perceptually uniform (van der Walt and Smith 2015; Nuñez 2018)."""
-ImageName = Literal["depth", "change", "residual", "noise", "used", "patch", "colour"]
+ImageName = Literal["depth", "change", "residual", "noise", "used", "patch", "colour", "flow"]
 ThemeName = Literal["system", "dark", "light"]
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)

@@ -83,7 +83,7 @@ class Demand:
 
     def covers(self, other: Demand) -> bool:
         """Whether all that another asks for is asked for here."""
-        same = other.shear == self.shear or not other.products & {"traction", "slip"}
+        same = other.shear == self.shear or not other.products & {"flow", "traction", "slip"}
         return same and other.products <= self.products and other.looks <= self.looks
 
 

@@ -112,7 +112,7 @@ class Units:
     ----------
     pressure, gas_pressure, force, area, length, fine_length, volume, duration : Unit
         Of the operator's choice.
-    time, tension, share, range_share, rate, render_rate : Unit
+    time, tension, torque, angle, pixels, share, range_share, rate, render_rate : Unit
     """
 
     pressure: Unit
@@ -127,6 +127,7 @@ class Units:
     tension = Unit("N/m", 1.0, 2)
     torque = Unit("N·mm", 1e3, 1)
     angle = Unit("°", 1.0, 0)
+    pixels = Unit("px", 1.0, 2)
     share = Unit("%", 100.0, 1)
     range_share = Share("% of the range", 100.0, 3)
     rate = Unit("Hz", 1.0, 1)

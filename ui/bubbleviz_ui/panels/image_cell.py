@@ -48,6 +48,7 @@ PICTURES = MappingProxyType(
         "used": Picture("Pixels used", "mask"),
         "patch": Picture("Contact patch", "mask"),
         "colour": Picture("Colour", "colour"),
+        "flow": Picture("Flow", "range", lambda u: u.pixels),
     }
 )
 """What the panel can show, by name."""
@@ -105,12 +106,17 @@ class ImageCell:
         self._held = None
 
     def draw(
-        self, image: np.ndarray | None, ends: tuple[float, float] | None, units: Units
+        self,
+        image: np.ndarray | None,
+        ends: tuple[float, float] | None,
+        units: Units,
+        why: str = "",
     ) -> None:
-        """Show an image (H, W) in SI whose usual values lie between two ends."""
+        """Show an image (H, W) in SI whose usual values lie between two ends, or why none."""
         if image is None:
             self.clear()
-            self._write(f"{self.picture.title}: {NOTHING}")
+            lines = [self.picture.title, *textwrap.wrap(why, NARROW)]
+            self._write("<br>".join(lines) if why else f"{self.picture.title}: {NOTHING}")
             return
         low, high = self._range(ends)
         unit = None if self.picture.unit is None else self.picture.unit(units)

@@ -142,7 +142,8 @@ class ImagesPanel(QWidget):
                 cell.take(inspection.colour)
                 continue
             ends = inspection.ends.get(name)
-            cell.draw(images.get(name), ends, self._state.units)
+            why = (inspection.no_flow or inspection.reference) if name == "flow" else ""
+            cell.draw(images.get(name), ends, self._state.units, why)
 
     def _on_mouse(self, place: QPointF) -> None:
         for name in self._state.choices.images:
@@ -155,6 +156,8 @@ class ImagesPanel(QWidget):
 
     def _has_pixels_of_depth(self, name: str) -> bool:
         """Whether a pixel of an image is the one of the depth image."""
+        if name == "flow":
+            return False
         opened, colour = self._controller.client.opened, self._controller.inspection.colour
         if not isinstance(self.cells[name], ColourCell):
             return True

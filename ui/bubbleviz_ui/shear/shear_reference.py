@@ -68,7 +68,7 @@ class ShearReference:
     def collect(self, pipeline: Pipeline, result: Result) -> None:
         """Take the colour image of a frame without contact, until there are enough."""
         images, estimate, options = self._images, result.estimate, self._options
-        if images is None or options is None or result.traction is None or estimate is None:
+        if images is None or options is None or estimate is None:
             return
         if result.frame.find_colour is None:
             self.words = "No colour images in this source: depth alone"
