@@ -25,9 +25,8 @@ def opened(driver: Driver, *images: str) -> ImagesPanel:
     driver.state.choose(images=frozenset(images))
     driver.window.panels["images"].show()
     driver.wait(lambda: bool(driver.window.images.cells))
-    driver.wait(
-        lambda: set(driver.window.controller.inspection.images) >= set(images) - {"patch", "colour"}
-    )
+    of_depth = set(images) - {"patch", "colour", "flow"}
+    driver.wait(lambda: set(driver.window.controller.inspection.images) >= of_depth)
     QApplication.processEvents()
     driver.settle()
     return driver.window.images
