@@ -129,7 +129,8 @@ class FrictionForward:
         self, membrane: RubberMembrane, gas: Gas, friction: float, rounding_m: float = 0.0
     ) -> None:
         if not 0.0 < friction <= MOST_FRICTION:
-            raise InputError(f"friction {friction:g}: give a number above 0, up to 5")
+            most = f"{MOST_FRICTION:g}"
+            raise InputError(f"friction {friction:g}: give a number above 0, up to {most}")
         self.membrane, self.gas, self.mesh, self.friction = membrane, gas, membrane.mesh, friction
         self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
         rest = membrane.tangent(self.mesh.nodes, 0.0)
