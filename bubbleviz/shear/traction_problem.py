@@ -155,14 +155,13 @@ class TractionProblem:
             Bound μ of the tangential over the normal traction.
         """
         s = self._size
-        touching = np.ones(s, bool)
-        weight = self._likeliest_weight(touching)
+        weight = self._likeliest_weight()
         H = self._data + self._prior
         H[np.ix_(self._shear, self._shear)] += weight * self._shear_smoothness
         if friction is not None:
             x, converged = within_cone(H, self._linear, s, friction)
         else:
-            x, converged = self._pressing(H, touching)
+            x, converged = self._pressing(H)
         active = self._active(x[:s] > 0.0)
         factor = cho_factor(part(H, active), lower=True, check_finite=False)
         motion = (self._columns @ (x - self._before)).reshape(-1, 3) + self._relaxing
@@ -182,9 +181,10 @@ class TractionProblem:
         gas = np.ones(len(self._before) - 3 * self._size, bool)
         return np.flatnonzero(np.concatenate([touching, np.repeat(touching, 2), gas]))
 
-    def _pressing(self, H: np.ndarray, touching: np.ndarray) -> tuple[np.ndarray, bool]:
+    def _pressing(self, H: np.ndarray) -> tuple[np.ndarray, bool]:
         """Minimise with p ≥ 0, and no traction at all where p is 0."""
         s, x, converged = self._size, np.zeros(len(H)), True
+        touching = np.ones(s, bool)
         while touching.any():
             active = self._active(touching)
             count = int(np.count_nonzero(touching))
@@ -207,17 +207,15 @@ class TractionProblem:
             touching = x[:s] > 0.0
         return x, converged
 
-    def _likeliest_weight(self, touching: np.ndarray) -> float:
-        """Λ/λ of the largest evidence, with p and g free where there is contact."""
-        s, active = self._size, self._active(touching)
-        shear = (active >= s) & (active < 3 * s)
-        K, f = part(self._data + self._prior, active), self._linear[active]
+    def _likeliest_weight(self) -> float:
+        """Λ/λ of the largest evidence, with p and g free on the whole support."""
+        K, f = self._data + self._prior, self._linear
+        shear = np.isin(np.arange(len(f)), self._shear)
         rest = cho_factor(K[~shear][:, ~shear], lower=True, check_finite=False)
         across = cho_solve(rest, K[~shear][:, shear], check_finite=False)
         reduced = K[shear][:, shear] - K[shear][:, ~shear] @ across
         pull = f[shear] - across.T @ f[~shear]
-        prior = part(self._shear_smoothness, active[shear] - s)
-        values, vectors = eigh(reduced, prior, check_finite=False)
+        values, vectors = eigh(reduced, self._shear_smoothness, check_finite=False)
         values, squares = np.maximum(values, 0.0), (vectors.T @ pull) ** 2
 
         def unlikely(decade: float) -> float:
