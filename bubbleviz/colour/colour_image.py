@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -167,3 +168,15 @@ class ColourImage:
             raise InputError(
                 f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record it again"
             ) from error
+
+
+def readable(images: Mapping[int, ColourImage]) -> dict[int, np.ndarray]:
+    """Grey images (H, W) uint8 of those that can be decoded and have the commonest size."""
+    greys: dict[int, np.ndarray] = {}
+    for key, image in images.items():
+        try:
+            greys[key] = image.grey()
+        except InputError:  # one damaged image does not spoil the others
+            continue
+    sizes = Counter(grey.shape for grey in greys.values()).most_common(1)
+    return {key: grey for key, grey in greys.items() if grey.shape == sizes[0][0]}

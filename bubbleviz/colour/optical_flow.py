@@ -170,8 +170,7 @@ class OpticalFlow:
                 f"{self.shape[1]}×{self.shape[0]}; use images of one camera mode"
             )
         if self.problem:
-            nothing = np.empty(0, int), np.empty((0, 2)), np.empty(0)
-            return FlowField(*nothing, self.shape, self.problem)
+            return self.nothing(self.problem)
         frame = normalised(grey)
         forward = _averaged(self._search.calc(self._reference, frame, None))
         backward = _averaged(self._search.calc(frame, self._reference, None))
@@ -186,6 +185,10 @@ class OpticalFlow:
         sigma = np.sqrt(variance[good])
         problem = "" if good.mean() > 0.5 else "most of the texture is not found again"
         return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
+
+    def nothing(self, problem: str) -> FlowField:
+        """No motion of any block, and why."""
+        return FlowField(np.empty(0, int), np.empty((0, 2)), np.empty(0), self.shape, problem)
 
     def _bend(self, flow: np.ndarray) -> np.ndarray:
         """Laplacian of a flow over neighbouring blocks, at each block with texture, (b, 2)."""

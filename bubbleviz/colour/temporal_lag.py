@@ -12,6 +12,7 @@ import numpy as np
 from bubbleviz.calibration.rest.contact_free import LAG, find_contact_free, tile_depths
 from bubbleviz.calibration.rest.depth_statistics import MIN_FRAMES
 from bubbleviz.calibration.rest.noise_correlation import mean_inflation
+from bubbleviz.colour.colour_image import ColourImage, readable
 from bubbleviz.colour.optical_flow import FlowPreset, OpticalFlow
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
@@ -80,15 +81,16 @@ def temporal_lag(
     first = len(contact_free)
     chosen = range(max(0, first - _BEFORE), min(len(recording), first + _AFTER))
     tiles: list[np.ndarray] = []
-    images: dict[int, tuple[float, np.ndarray]] = {}
+    images: dict[int, ColourImage] = {}
     for k in chosen:
         frame = recording[k]
         tiles.append(tile_depths(frame.depth_m))
         colour = frame.colour
         if colour is not None:
-            images[k] = colour.time_s, colour.grey()
+            images[k] = colour
         progress("reading colour images", (k - chosen[0] + 1) / len(chosen))
-    untouched = [grey for k, (_, grey) in images.items() if k < first - LAG]
+    greys = readable(images)
+    untouched = [grey for k, grey in greys.items() if k < first - LAG]
     if len(untouched) < MIN_FRAMES or first == len(recording):
         raise InputError(
             f"{recording.path}: the lag of colour needs a contact, and at least {MIN_FRAMES} "
@@ -97,7 +99,8 @@ def temporal_lag(
     flow = OpticalFlow.of(untouched, _FASTEST)
     if flow.problem:
         raise InputError(f"{recording.path}: no lag of colour, as {flow.problem}")
-    times_s, moved = np.array([(t, _moved(flow, grey)) for t, grey in images.values()]).T
+    times_s = np.array([images[k].time_s for k in greys])
+    moved = np.array([_moved(flow, grey) for grey in greys.values()])
     rest = np.median(tiles[: first - LAG - chosen[0]], axis=0)
     change = np.nanquantile(np.abs(np.array(tiles) - rest), _MOVED_MOST, axis=1)
     try:

@@ -10,6 +10,7 @@ from bubbleviz.result import Result
 
 SHEAR_COLUMNS: dict[str, tuple[str, ...]] = {
     "traction_status": (),
+    "traction_reason": (),
     **{
         f"traction_{name}_{unit}": tuple(f"traction_{name}_{axis}_{unit}" for axis in "xyz")
         for name, unit in (
@@ -23,7 +24,8 @@ SHEAR_COLUMNS: dict[str, tuple[str, ...]] = {
     "slip": (),
     "slip_sigma": (),
 }
-"""Keys with a few numbers a frame, and their columns in the CSV as of `result_writer.COLUMNS`."""
+"""Keys with a text or a few numbers a frame, and their columns in the CSV as of
+`result_writer.COLUMNS`."""
 
 SHEAR_FIELDS: dict[str, tuple[int, ...]] = {"traction_pa": (3,), "tangential_displacement_m": (3,)}
 """Keys with three numbers per frame and node."""
@@ -39,6 +41,7 @@ def shear_row(result: Result) -> dict[str, Any]:
         return {}
     return {
         "traction_status": traction.status,
+        "traction_reason": traction.reason,
         "traction_force_n": traction.force_n,
         "traction_force_sigma_n": traction.force_sigma_n,
         "traction_torque_nm": traction.torque_nm,

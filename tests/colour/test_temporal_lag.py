@@ -12,7 +12,7 @@ from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
-from bubbleviz.shear.recorded_texture import RecordedTexture
+from bubbleviz.shear.recorded_texture import recorded_texture
 from tests.colour.speckle import camera, clean_image, dragged
 from tests.frames.bagmaker import PERIOD, SECOND, START, BagMaker
 
@@ -119,7 +119,7 @@ class CountedRecording(Recording):
 def test_what_flow_is_measured_from_is_learned_in_two_passes(led_by_colour: Path) -> None:
     """One finds the contact-free frames, one the lag; its flow is that of the depth's moment."""
     with CountedRecording(led_by_colour) as recording:
-        texture = RecordedTexture.of(recording)
+        texture = recorded_texture(recording)
         assert recording.decoded <= 2 * len(recording)
         for k in (5, 36, 50):
             flow = texture(recording[k])

@@ -12,7 +12,9 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.files.result_writer import ResultWriter, write_csv
+from tests.colour.colour_bag import encoded
 from tests.shear.drag import Eyes, stuck
+from tests.shear.texture_bag import FRAMES, HELD, images, write_texture_press
 from tests.small_press import write_press, write_small_sensor
 
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a_color"
@@ -60,6 +62,42 @@ def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said:
     assert found.exit_code == 2
     assert said in found.output
     assert not (tmp_path / "r.npz").exists()
+
+
+def jpeg(k: int, step: int = 1) -> bytes:
+    """Colour image of a frame, smaller by a step."""
+    return encoded(images()[k][1][::step, ::step], "jpeg")
+
+
+def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path: Path) -> None:
+    """Among the contact-free ones they are left out."""
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    damaged, small, out = HELD + 1, HELD + 2, tmp_path / "r.npz"
+    changed = {k: jpeg(k)[: len(jpeg(k)) // 2] for k in (5, damaged)}
+    changed |= {k: jpeg(k, 2) for k in (8, small)}
+    press, sensor = write_texture_press(tmp_path, changed)
+    command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
+    found = CliRunner().invoke(main, [*command, "--frames", f"{HELD}:{HELD + 4}"])
+    assert found.exit_code == 0, found.output
+    with np.load(out) as result:
+        assert result["traction_status"].tolist() == ["ok", "depth_alone", "depth_alone", "ok"]
+        said = result["traction_reason"].tolist()
+        force, alone = result["traction_force_n"][1:3], result["force_n"][1:3]
+        np.testing.assert_allclose(force, alone, rtol=0.1)
+        assert np.isnan(result["traction_force_sigma_n"][1:3]).all()
+    assert said[0] == said[3] == ""
+    assert f"colour image at {damaged / 30:.3f} s: cannot be decoded" in said[1]
+    assert "200×160 pixels, the contact-free ones have 400×320" in said[2]
+    assert "2 depth_alone" in found.output
+
+
+def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path: Path) -> None:
+    changed = {k: jpeg(k, 2) for k in range(FRAMES)}
+    press, sensor = write_texture_press(tmp_path, changed)
+    command = ["estimate", str(press), "--sensor", str(sensor), "--shear"]
+    found = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "r.npz")])
+    assert found.exit_code == 2
+    assert f"{press}: no camera info of the colour images' size" in found.output
 
 
 @pytest.mark.long

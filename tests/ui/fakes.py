@@ -104,10 +104,16 @@ class ColouredSource(DentSource):
 
 
 class SpeckledSource(DentSource):
-    """A membrane with a printed texture that nothing touches, in twenty frames."""
+    """A membrane with a printed texture that nothing touches, in twenty frames.
 
-    def __init__(self, sensor: Sensor) -> None:
+    Those of frames `halved` are half as wide and high; no camera info is known without `info`.
+    """
+
+    def __init__(
+        self, sensor: Sensor, *, halved: frozenset[int] = frozenset(), info: bool = True
+    ) -> None:
         super().__init__(sensor)
+        self._halved, self._info = halved, info
         self.times_s = np.arange(20) / 30.0
         self.decoded = 0
         height, width = self._camera.intrinsics.height, self._camera.intrinsics.width
@@ -122,13 +128,15 @@ class SpeckledSource(DentSource):
         noise = np.random.default_rng(index)
         depth = frame.depth_m * (1.0 + 1e-3 * noise.standard_normal(frame.depth_m.shape))
         grey = (self._speckles + noise.normal(0.0, 2.0, self._speckles.shape)).astype(np.uint8)
+        grey = np.ascontiguousarray(grey[::2, ::2]) if index in self._halved else grey
 
         def read() -> EncodedImage:
             self.decoded += 1
             height, width = grey.shape
             return EncodedImage("mono8", grey.tobytes(), width, height, width)
 
-        colour = ColourImage(read, camera=ColourCamera(self._camera.intrinsics))
+        camera = ColourCamera(self._camera.intrinsics if self._info else None)
+        colour = ColourImage(read, camera=camera)
         return replace(
             frame,
             index=index,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,8 +36,8 @@ def rubber(sensor: Sensor) -> Sensor:
     return sensor.model_copy(update={"membrane": known})
 
 
-def opened(drive: Drive, sensor: Sensor) -> tuple[Driver, SpeckledSource]:
-    source = SpeckledSource(sensor)
+def opened(drive: Drive, sensor: Sensor, **changed: Any) -> tuple[Driver, SpeckledSource]:
+    source = SpeckledSource(sensor, **changed)
     return drive(open_source=lambda _: source, sensor=sensor), source
 
 
@@ -96,6 +97,33 @@ def test_frames_that_pass_without_contact_are_the_reference(drive: Drive, rubber
     assert panel.values["direction"].text() == "–"
     driver.bot.mouseClick(panel.collect, Qt.MouseButton.LeftButton)
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
+
+
+def test_an_image_of_another_size_leaves_its_frame_to_depth(drive: Drive, rubber: Sensor) -> None:
+    """Among those that are collected it begins them anew."""
+    pytest.importorskip("cv2")
+    driver, _ = opened(drive, rubber, halved=frozenset({0, COLLECTED + 1}))
+    shown(driver)
+    panel, controller = driver.window.shear, driver.window.controller
+    driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
+    for k in range(1, COLLECTED + 1):
+        driver.seek(k)
+    driver.wait(lambda: f"{COLLECTED} images without contact" in panel.reference.text())
+    driver.seek(COLLECTED + 1)
+    result = controller.result
+    assert result.frame.index == COLLECTED + 1 and result.estimate.status == "no_contact"
+    assert not len(result.flow.pixel) and "40×30 pixels, the contact-free" in result.flow.problem
+
+
+def test_without_camera_info_depth_is_left_alone_and_said(drive: Drive, rubber: Sensor) -> None:
+    pytest.importorskip("cv2")
+    driver, _ = opened(drive, rubber, info=False)
+    shown(driver)
+    for k in range(COLLECTED + 1):
+        driver.seek(k)
+    said = "Depth alone: colour camera: no camera info of the colour images' size"
+    driver.wait(lambda: driver.window.shear.reference.text().startswith(said))
+    assert driver.window.controller.result.flow is None
 
 
 def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(

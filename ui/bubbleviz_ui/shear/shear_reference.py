@@ -15,8 +15,7 @@ from bubbleviz_ui.model.demand import Demand, ShearOptions
 if TYPE_CHECKING:
     import numpy as np
 
-    from bubbleviz.colour.optical_flow import FlowField
-    from bubbleviz.frames.frame import Frame
+    from bubbleviz.colour.colour_image import ColourCamera
 
 COLLECTED = 15
 """Images that are collected of frames that pass: half a second at 30 Hz."""
@@ -76,13 +75,16 @@ class ShearReference:
         colour = result.frame.colour if estimate.status == "no_contact" else None
         if colour is not None:
             try:
-                images[result.frame.index] = colour.grey()
+                grey = colour.grey()
             except InputError as error:
                 self.words = str(error)
                 return
+            if any(grey.shape != other.shape for other in images.values()):
+                images.clear()  # another camera mode
+            images[result.frame.index] = grey
         self.words = f"Collecting images without contact: {len(images)} of {COLLECTED}"
-        if len(images) >= COLLECTED:
-            self._learn(pipeline, result.frame, options)
+        if colour is not None and len(images) >= COLLECTED:
+            self._learn(pipeline, colour.camera, options)
 
     def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
         # what shear needs takes long to load, and nobody else needs it
@@ -102,24 +104,19 @@ class ShearReference:
         except InputError as error:
             self.words = f"Depth alone: {error}"
 
-    def _learn(self, pipeline: Pipeline, frame: Frame, options: ShearOptions) -> None:
+    def _learn(self, pipeline: Pipeline, colour: ColourCamera, options: ShearOptions) -> None:
         from bubbleviz.colour.optical_flow import OpticalFlow  # OpenCV, for shear alone
-        from bubbleviz.colour.seen_colour import placed
+        from bubbleviz.shear.texture_flow import TextureFlow, flow_camera
         from bubbleviz.shear.traction_estimator import TractionOptions
 
-        images, colour, self._images = self._images or {}, frame.colour, None
+        images, self._images = self._images or {}, None
+        count = len(images)
+        said = f"{count} images without contact; the lag of colour behind depth is not known"
         try:
-            flow = OpticalFlow.of(images.values(), options.flow)
+            camera = flow_camera(colour, pipeline.camera, "colour camera")
+            texture = TextureFlow(OpticalFlow.of(images.values(), options.flow), learned_from=said)
+            texture.watched_by(pipeline, camera, TractionOptions(options.friction))
         except InputError as error:
             self.words = f"Depth alone: {error}"
             return
-
-        def flow_of(frame: Frame) -> FlowField | None:
-            seen = frame.colour
-            return None if seen is None else flow.measure(seen.grey())
-
-        camera = None if colour is None else placed(colour.camera, pipeline.camera)
-        pipeline.watch_texture(flow_of, camera, TractionOptions(options.friction))
-        self.words = flow.problem or (
-            f"{len(images)} images without contact; the lag of colour behind depth is not known"
-        )
+        self.words = texture.remark
