@@ -64,6 +64,8 @@ class EstimateSummary(Summary):
     median_traction_force_n, median_traction_sigma_n : float or None
         |force| with friction over the frames where that is known, and σ of its largest component,
         N.
+    texture : str or None
+        What its flow is measured from, and what of the colour camera is taken for granted.
     warning : str or None
         What is missing, or does not fit together, but was solved all the same.
     """
@@ -88,6 +90,7 @@ class EstimateSummary(Summary):
     traction_status: dict[str, int] | None
     median_traction_force_n: float | None
     median_traction_sigma_n: float | None
+    texture: str | None
     warning: str | None
 
     def to_text(self) -> str:
@@ -105,7 +108,7 @@ class EstimateSummary(Summary):
                 "wrench, less its contact-free bias"
             )
         if self.traction_status is not None:
-            lines.append(self._of_shear())
+            lines += [self._of_shear(), f"        {self.texture}"]
         if self.median_total_ms is not None:
             lines += [
                 "time    depth image in → patch out, first frame left out: "
@@ -168,8 +171,9 @@ def estimate_recording(
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
+        texture = None
         if shear:
-            watch_recorded_texture(pipeline, source, friction)
+            texture = watch_recorded_texture(pipeline, source, friction)
         made_by = {
             "sensor_toml": sensor_to_toml(sensor),
             "version": bubbleviz.__version__,
@@ -192,6 +196,7 @@ def estimate_recording(
         out=str(out),
         solver=made_by["solver"],
         kappa=kappa,
+        texture=texture,
         warning=warning or None,
         **_statistics(rows),
     )

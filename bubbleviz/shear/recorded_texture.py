@@ -33,8 +33,9 @@ def recorded_texture(recording: Recording, preset: FlowPreset = "balanced") -> T
     found = {k: recording.colour_at(times_s[k]) for k in contact_free[:-LAG]}
     seen = readable({k: image for k, image in found.items() if image is not None})
     flow = OpticalFlow.of(seen.values(), preset)
-    remark = f"contact-free frames {min(seen)}–{max(seen)}; {lag.to_text()}"
-    return TextureFlow(flow, lag.lag_s, remark)
+    said = f"contact-free frames {min(seen)}–{max(seen)}; {lag.to_text()}"
+    granted = "" if recording.colour is None else recording.colour.camera.remark
+    return TextureFlow(flow, lag.lag_s, said, granted)
 
 
 def watch_recorded_texture(

@@ -24,18 +24,21 @@ class TextureFlow:
     flow : OpticalFlow
     lag_s : float, optional
         Of colour behind depth, s.
-    learned_from : str, optional
-        In one clause.
+    learned_from, granted : str, optional
+        What it was learned from, and `ColourCamera.remark`.
 
     Attributes
     ----------
     remark : str
-        What it was learned from, or why it is of no use.
+        Both in one line; or why it is of no use.
     """
 
-    def __init__(self, flow: OpticalFlow, lag_s: float = 0.0, learned_from: str = "") -> None:
+    def __init__(
+        self, flow: OpticalFlow, lag_s: float = 0.0, learned_from: str = "", granted: str = ""
+    ) -> None:
         self._flow, self._lag_s = flow, lag_s
-        self.remark = flow.problem or learned_from
+        camera = f"colour camera: {granted}" if granted else ""
+        self.remark = flow.problem or "; ".join(filter(None, (learned_from, camera)))
 
     def __call__(self, frame: Frame) -> FlowField | None:
         """Flow of a frame; None where there is no image of its moment.

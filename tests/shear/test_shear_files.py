@@ -89,6 +89,8 @@ def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path:
     assert f"colour image at {damaged / 30:.3f} s: cannot be decoded" in said[1]
     assert "200×160 pixels, the contact-free ones have 400×320" in said[2]
     assert "2 depth_alone" in found.output
+    assert "contact-free frames 0–" in found.output
+    assert "colour camera: no camera info: that of the depth camera counts" in found.output
 
 
 def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ class SpeckledSource(DentSource):
             height, width = grey.shape
             return EncodedImage("mono8", grey.tobytes(), width, height, width)
 
-        camera = ColourCamera(self._camera.intrinsics if self._info else None)
+        camera = ColourCamera(self._camera.intrinsics if self._info else None, remark="no pose")
         colour = ColourImage(read, camera=camera)
         return replace(
             frame,

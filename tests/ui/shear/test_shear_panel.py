@@ -88,6 +88,7 @@ def test_frames_that_pass_without_contact_are_the_reference(drive: Drive, rubber
     for k in range(1, COLLECTED):
         driver.seek(k)
     driver.wait(lambda: f"{COLLECTED} images without contact" in panel.reference.text())
+    assert panel.reference.text().endswith("; colour camera: no pose")
     driver.seek(COLLECTED)
     flow = controller.result.flow
     assert len(flow.pixel) > 20

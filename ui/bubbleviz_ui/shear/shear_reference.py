@@ -114,7 +114,8 @@ class ShearReference:
         said = f"{count} images without contact; the lag of colour behind depth is not known"
         try:
             camera = flow_camera(colour, pipeline.camera, "colour camera")
-            texture = TextureFlow(OpticalFlow.of(images.values(), options.flow), learned_from=said)
+            flow = OpticalFlow.of(images.values(), options.flow)
+            texture = TextureFlow(flow, learned_from=said, granted=colour.remark)
             texture.watched_by(pipeline, camera, TractionOptions(options.friction))
         except InputError as error:
             self.words = f"Depth alone: {error}"
