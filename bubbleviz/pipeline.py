@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -141,11 +142,19 @@ class Pipeline:
         options, needed = options or FrameOptions(), stages(products)
         times: dict[str, float] = {}
         result = Result(frame)
-        with self._timed("total", times):
-            for name, stage in _STAGES.items():
-                if name in needed and (name != "pose" or self.tracker is not None):
-                    with self._timed(name, times):
-                        result = stage.run(self, result, options)
+
+        def run(name: Product, result: Result) -> Result:
+            with self._timed(name, times):
+                return _STAGES[name].run(self, result, options)
+
+        with self._timed("total", times), ThreadPoolExecutor(1) as beside:
+            # OpenCV holds no lock of Python's: a second core finds the flow during the estimate
+            flow = beside.submit(run, "flow", result) if "flow" in needed else None
+            for name in _STAGES:
+                if name == "flow" and flow is not None:
+                    result = replace(result, flow=flow.result().flow)
+                elif name in needed and (name != "pose" or self.tracker is not None):
+                    result = run(name, result)
         return replace(result, times_ms=times)
 
     def restart(self) -> None:

@@ -378,6 +378,7 @@ class Result:
         None also where the estimate is not to be trusted.
     times_ms : dict
         Wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
+        `flow` runs beside the others, and is not to be added to them.
     """
 
     frame: Frame

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+import threading
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bubbleviz.camera.observer import Measured, RangeObserver
+from bubbleviz.colour.optical_flow import FlowField
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.solvers.active_set import ActiveSetSolver
@@ -160,3 +163,34 @@ def test_another_image_size_is_refused(pipeline: Pipeline) -> None:
     with pytest.raises(InputError, match=r"frame 3: image is 20×10 pixels .* 80×60"):
         pipeline.process(frame, frozenset({"estimate"}))
     assert not pipeline.counts
+
+
+def test_flow_is_found_while_the_estimate_is(
+    pipeline: Pipeline, source: DentSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, measure = threading.Event(), RangeObserver.measure
+    found = FlowField(np.zeros(1, int), np.zeros((1, 2)), np.ones(1), (2, 2))
+
+    def measured_after(observer: RangeObserver, depth_m: np.ndarray) -> Measured:
+        assert begun.wait(10.0)
+        return measure(observer, depth_m)
+
+    def flow_of(_: Frame) -> FlowField:
+        begun.set()
+        return found
+
+    monkeypatch.setattr(RangeObserver, "measure", measured_after)
+    pipeline.watch_texture(flow_of)
+    wanted = frozenset[Product]({"estimate", "flow"})
+    result = pipeline.process(source[PRESSED], wanted)
+    assert result.flow is found and result.estimate is not None
+    assert set(result.times_ms) == wanted | {"total"}
+
+
+def test_what_goes_wrong_in_flow_is_told(pipeline: Pipeline, source: DentSource) -> None:
+    def flow_of(_: Frame) -> FlowField:
+        raise InputError("colour image: cannot be decoded")
+
+    pipeline.watch_texture(flow_of)
+    with pytest.raises(InputError, match="cannot be decoded"):
+        pipeline.process(source[PRESSED], frozenset({"estimate", "flow"}))

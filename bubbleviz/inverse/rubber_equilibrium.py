@@ -83,14 +83,14 @@ class RubberEquilibrium:
         pressure: np.ndarray,
         gas: float | None,
         force: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, bool]:
-        """Equilibrium from close by, by Newton's method; and whether it was found."""
+    ) -> tuple[np.ndarray, bool, LinearisedRubber]:
+        """Equilibrium from close by, by Newton's method; whether it was found; the last tangent."""
         last, fresh = np.inf, 0
         for _ in range(_NEWTON):
             left = self.residual(x, pressure, gas, force)
             size = float(np.abs(left[self.membrane.moving]).max()) / self._load
             if size < _BALANCED:
-                return x, True
+                return x, True, rubber
             if not size < 1e3:
                 break
             if size > 0.3 * last:
@@ -101,4 +101,4 @@ class RubberEquilibrium:
             last = size
             motion = rubber.motion(-left)
             x = x + min(1.0, self._longest_m / float(np.abs(motion).max())) * motion
-        return x, False
+        return x, False, rubber

@@ -393,7 +393,7 @@ class RubberEstimator:
             inside = state.gas + share * (gas + contact.gas_error_pa - state.gas)
         x, balanced = ahead, False
         if share == 1.0:
-            x, balanced = self.equilibrium.settled(rubber, ahead, pressure, inside)
+            x, balanced, _ = self.equilibrium.settled(rubber, ahead, pressure, inside)
             balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead

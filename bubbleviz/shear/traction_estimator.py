@@ -197,7 +197,7 @@ class TractionEstimator:
                 if balanced and (way <= self._near_m or lasting):
                     left = look.after(motion)
                     state = self._with_noise(left, state)
-                    return self._report.solved(state, wanted.solved, nodes, left), state
+                    return self._report.solved(state, rubber, wanted.solved, nodes, left), state
                 ahead = self._look(frame, state.x)
                 if balanced and ahead.misfit(before) < misfit:
                     break
@@ -278,7 +278,7 @@ class TractionEstimator:
         shear = wanted.present + share * (wanted.shear - wanted.present)
         inside = None if gas is None else state.gas + share * (wanted.gas - state.gas)
         ahead = state.x + share * motion
-        x, balanced = self._equilibrium.settled(rubber, ahead, pressure, inside, shear)
+        x, balanced, rubber = self._equilibrium.settled(rubber, ahead, pressure, inside, shear)
         balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead

@@ -80,6 +80,8 @@ class SolvedTraction:
         Motions under unit p, q and g.
     measurements : Measurements
         That were explained.
+    seen : (k, c) array
+        The columns in the measurements, in standard deviations.
     converged : bool
     """
 
@@ -90,13 +92,14 @@ class SolvedTraction:
     active: np.ndarray
     columns: np.ndarray
     measurements: Measurements
+    seen: np.ndarray
     converged: bool
 
     def answer(self, motions: np.ndarray) -> np.ndarray:
         """Changes of the `active` unknowns that hide motions (3n, k) which nothing caused."""
         measured = self.measurements
-        seen = measured.weight[:, None] * (measured.jacobian @ motions)
-        pull = (self.columns.T @ (measured.jacobian.T @ seen))[self.active]
+        seen = np.sqrt(measured.weight)[:, None] * (measured.jacobian @ motions)
+        pull = (self.seen.T @ seen)[self.active]
         change: np.ndarray = cho_solve(self.factor, pull, check_finite=False)
         return change
 
@@ -134,7 +137,7 @@ class TractionProblem:
         J = m.jacobian @ columns
         self._linear = J.T @ (m.weight * left)
         J *= np.sqrt(m.weight)[:, None]
-        self._data = J.T @ J
+        self._seen, self._data = J, J.T @ J
         gas = [] if gas_sigma_pa is None else [present.gas_error_pa]
         self._before = np.concatenate([present.pressure, present.shear, gas])
         self._linear += self._data @ self._before
@@ -174,6 +177,7 @@ class TractionProblem:
             active,
             self._columns,
             self._measurements,
+            self._seen,
             converged,
         )
 

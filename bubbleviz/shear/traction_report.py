@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.result import Estimate, Traction, TractionStatus
@@ -46,16 +47,21 @@ class TractionReport:
         return self._of("depth_alone", x, force, reason=reason)
 
     def solved(
-        self, state: TractionStart, solved: SolvedTraction, nodes: np.ndarray, look: Look
+        self,
+        state: TractionStart,
+        rubber: LinearisedRubber,
+        solved: SolvedTraction,
+        nodes: np.ndarray,
+        look: Look,
     ) -> Traction:
-        """A frame with friction; `nodes` (s,) are its support, `look` is at its shape."""
+        """A frame with friction, solved by a tangent on support `nodes` (s,); `look` is there."""
         vectors = self._membrane.volume_gradient(state.x)
         force = state.shear - state.pressure[:, None] * vectors
         center = _center(state.x, force, vectors)
         squares = np.einsum("ij,ij->i", look.flow_error, look.flow_error)
-        wrench = self._wrench_columns(state, vectors, nodes, center)[:, solved.active]
+        wrench = self._wrench_columns(state.x, rubber, vectors, nodes, center)[:, solved.active]
         deviation = solve_triangular(solved.factor[0], wrench.T, lower=True, check_finite=False)
-        by_material = wrench @ solved.answer(state.rubber.by_material)
+        by_material = wrench @ solved.answer(rubber.by_material)
         covariance = deviation.T @ deviation + by_material @ by_material.T
         columns = solved.columns.reshape(-1, 3, solved.columns.shape[1])[nodes]
         motions = columns[:, :, solved.active].reshape(3 * len(nodes), -1)
@@ -107,14 +113,19 @@ class TractionReport:
         )
 
     def _wrench_columns(
-        self, state: TractionStart, vectors: np.ndarray, nodes: np.ndarray, center: np.ndarray
+        self,
+        x: np.ndarray,
+        rubber: LinearisedRubber,
+        vectors: np.ndarray,
+        nodes: np.ndarray,
+        center: np.ndarray,
     ) -> np.ndarray:
         """Force and torque of unit p, q and gas pressure, (6, c)."""
-        across = state.rubber.tangents[nodes].reshape(-1, 3)
+        across = rubber.tangents[nodes].reshape(-1, 3)
         forces = np.concatenate([-vectors[nodes], across])
-        arms = state.x[np.concatenate([nodes, np.repeat(nodes, 2)])] - center
+        arms = x[np.concatenate([nodes, np.repeat(nodes, 2)])] - center
         wrench = np.concatenate([forces, np.cross(arms, forces)], axis=1).T
-        gas = np.zeros((6, 0 if state.rubber.with_gas else 1))
+        gas = np.zeros((6, 0 if rubber.with_gas else 1))
         return np.hstack([wrench, gas])
 
 
