@@ -149,6 +149,13 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
 
 
+def test_standard_error_of_the_open_chamber_is_that_of_its_pressure():
+    shown = ATMOSPHERE_PA + np.random.default_rng(1).normal(0.0, 5.0, (1000, 60))
+    found = [Vented.measure(Chamber(list(each))) for each in shown]
+    off = np.array([(each.pressure_pa - ATMOSPHERE_PA) / each.sigma_pa for each in found])
+    assert np.std(off) == pytest.approx(1.0, abs=0.08)  # three standard errors of a spread
+
+
 def test_levels_that_say_nothing(found):
     low = level(found, 0.85)
     kept = with_rubber(found, [replace(low, gas_pressure_pa=None)])

@@ -48,7 +48,7 @@ class Vented:
                 f"{source.name}: {count_of(len(known), 'frame')} with a gas pressure; --vented"
                 f" needs {_FEWEST}: record the sensor with its chamber open"
             )
-        return cls(source.name, float(np.median(known)), error_of_mean(known))
+        return cls(source.name, float(np.mean(known)), error_of_mean(known))
 
     def set_in(self, sensor: Sensor) -> Sensor:
         """The sensor with this atmospheric pressure."""
