@@ -43,6 +43,9 @@ Product = Literal[
     "texture",
 ]  # fmt: skip
 
+OF_COLOUR: frozenset[Product] = frozenset({"flow", "traction", "slip", "texture"})
+"""Products that the colour image of a frame is decoded for."""
+
 FlowOf = Callable[[Frame], "FlowField | None"]
 """Optical flow of a frame's colour image from the contact-free one; None where there is none."""
 

@@ -32,7 +32,7 @@ class SeenColour:
     def of(cls, frame: Frame) -> SeenColour:
         """Decode the colour image of a frame."""
         if frame.find_colour is None:
-            return cls(reason="no colour images in this source")
+            return cls(reason=frame.no_colour)
         try:
             found = frame.colour
             if found is None:

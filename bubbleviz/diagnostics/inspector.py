@@ -123,7 +123,7 @@ class Inspector:
         if result.flow is not None:
             return result.flow.problem or "nothing of the texture is found again"
         if result.frame.find_colour is None:
-            return "no colour images in this source"
+            return result.frame.no_colour
         return "" if self._pipeline.flow_of is None else "no colour image at this time"
 
     def _components(self, result: Result, kappa: float | None) -> tuple[Component, ...]:

@@ -10,6 +10,8 @@ import numpy as np
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourImage
 
+NO_COLOUR = "no colour images in this source"
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -35,6 +37,8 @@ class Frame:
         When a live frame arrived here, ns since 1970; 0 for a recording's.
     find_colour : callable or None
         Finds the colour image of this time plus a lag in s: nothing is read for who needs none.
+    no_colour : str
+        Why there is no `find_colour`, in a few words.
     """
 
     index: int
@@ -46,6 +50,7 @@ class Frame:
     stamp_ns: int = 0
     arrival_ns: int = 0
     find_colour: Callable[[float], ColourImage | None] | None = None
+    no_colour: str = NO_COLOUR
 
     @property
     def colour(self) -> ColourImage | None:

@@ -89,6 +89,11 @@ class FrameMessages:
     ) -> None:
         self._encoding, self._prefix, self._frame_id = encoding, prefix.rstrip("/"), frame_id
 
+    @property
+    def colour_topic(self) -> str:
+        """Topic of colour images that are not compressed."""
+        return f"{self._prefix}/{COLOUR_NAMES[IMAGE]}"
+
     def of(self, frame: Frame, stamp_ns: int | None = None) -> Iterator[Message]:
         """Messages of a frame, stamped `stamp_ns`, its own stamp, or its `time_s` where that is 0.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourImage
+from bubbleviz.colour.colour_topics import belongs_to
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     IMAGE,
@@ -32,6 +33,7 @@ from bubbleviz.live.counters import Counters
 from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.signal_buffer import Samples
+from bubbleviz.live.sources.live_source import OfferedTopic
 from bubbleviz.live.stamps import StampClock
 from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames
 
@@ -113,9 +115,22 @@ class FrameAssembler:
         self._pending: _Pending | None = None
         self._round = 0
 
-    def follow_colour(self) -> None:
-        """Take colour images, too, from now on."""
-        self._names = replace(self._names, with_colour=True)
+    def follow_colour(self, on: bool = True) -> None:
+        """Take colour images, too, from now on, or no more."""
+        self._names = replace(self._names, with_colour=on)
+        if not on:
+            self._colour = ColourBuffer()
+
+    def colour_topic(self, offered: Iterable[OfferedTopic]) -> str:
+        """The topic whose colour images belong to the frames, by its name; empty without one."""
+        names = self._names
+        if names.colour is not None:
+            return names.colour
+        for topic, kind in offered:
+            ours = topic.startswith(names.prefix) and belongs_to(topic, self._depth)
+            if ours and names.is_colour(topic, kind):
+                return topic
+        return ""
 
     def push(self, message: RawMessage) -> list[Frame]:
         """Take a message; the frames that are complete now, oldest first."""

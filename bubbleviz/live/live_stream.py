@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame import NO_COLOUR, Frame
 from bubbleviz.frames.sensor_matching import size_refusal
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.counters import Counters
@@ -47,6 +47,7 @@ class LiveStream:
         self._mailbox = Mailbox()
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
+        self._colour_followers: set[object] = set()
         self._last_frame_ns: int | None = None
         self._outages: tuple[Outage, ...] = ()
         self._wrong_before = 0
@@ -81,11 +82,27 @@ class LiveStream:
 
         return forget
 
-    def follow_colour(self) -> None:
-        """Have frames with colour images, which the source does not send before."""
+    def follow_colour(self) -> Callable[[], None]:
+        """Have frames with colour images, which the source sends to nobody else; undo by calling.
+
+        They are sent until everybody who asked for them has undone it.
+        """
+        follower = object()
         with self._lock:
-            self._assembler.follow_colour()
-        self.source.follow_colour()
+            self._colour_followers.add(follower)
+            self._follow_colour()
+
+        def forget() -> None:
+            with self._lock:
+                self._colour_followers.discard(follower)
+                self._follow_colour()
+
+        return forget
+
+    def _follow_colour(self) -> None:
+        on = bool(self._colour_followers)
+        self._assembler.follow_colour(on)
+        self.source.follow_colour(on)
 
     def take(self, timeout_s: float = 0.0) -> Frame | None:
         """The newest frame that was not taken yet, waiting for one; None when none came."""
@@ -172,8 +189,19 @@ class LiveStream:
         with self._lock:
             self._put(self._assembler.push(message))
 
+    def _no_colour(self) -> str:
+        """Why frames have no colour images."""
+        topic = self._assembler.colour_topic(self.source.topics())
+        if not topic:
+            return NO_COLOUR
+        if not self._colour_followers:
+            return "colour images were not asked for when this frame came"
+        return f"waiting for colour images on {topic}"
+
     def _put(self, frames: list[Frame]) -> None:
         for frame in frames:
+            if frame.find_colour is None:
+                frame = replace(frame, no_colour=self._no_colour())
             self._wrong_before = self._assembler.counters.wrong_size
             before, self._last_frame_ns = self._last_frame_ns, frame.arrival_ns
             if before is not None and frame.arrival_ns - before > 1e9 * STALE_AFTER_S:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from robot import HASH, open_session
-from wire import IMAGE, INFO, NOW, PERIOD, STORE, arrived, camera_info, cdr, depth, header
+from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, cdr, depth, header
 from wire import image as wire_image
 
 from bubbleviz.errors import InputError
@@ -188,13 +189,68 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
                 send()
                 stream.take(0.02)
             assert not any(message.topic == COLOUR for message in heard)
-            stream.follow_colour()
+            let_go = stream.follow_colour()
             frame = None
             while frame is None or frame.colour is None:
                 send()
                 frame = stream.take(0.02) or frame
-        assert level(frame) == 7
+            assert level(frame) == 7
+            let_go()
+            depth_alone = 0
+            while depth_alone < 5:  # in a row, once it is subscribed to no more
+                del heard[:]
+                send()
+                while not any("depth" in message.topic for message in heard):
+                    stream.take(0.02)
+                depth_alone = 0 if any("color" in m.topic for m in heard) else depth_alone + 1
+            assert stream.counters().missed == 0
         assert tokens
+
+
+def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor) -> None:
+    """Not asked for, awaited, or not there: three words."""
+    said = []
+    for colours, asked in ((1, False), (1, True), (0, True)):
+        recorder, path = Recorder(), tmp_path / f"{len(said)}.mcap"
+        recorder.start(path)
+        for k in range(3):
+            recorder.push(depth(NOW + k * PERIOD, k, topic="/cam/depth/image"))
+        for _ in range(colours):
+            recorder.push(colour(NOW + 3600 * SECOND, 3))
+        recorder.stop()
+        stream = open_stream(f"replay:{path}", small_sensor, any_size=True)
+        if asked:
+            stream.follow_colour()
+        with stream:
+            frame = stream.take(30.0)
+        assert frame is not None and frame.colour is None
+        said.append(frame.no_colour)
+    assert said == [
+        "colour images were not asked for when this frame came",
+        f"waiting for colour images on {COLOUR}",
+        "no colour images in this source",
+    ]
+
+
+def test_colour_comes_until_the_last_who_asked_lets_go(
+    tmp_path: Path, small_sensor: Sensor
+) -> None:
+    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder.start(path)
+    for k in range(3):
+        for message in both(k):
+            recorder.push(message)
+    recorder.stop()
+    for kept, comes in ((0, False), (1, True)):
+        stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
+        for let_go in [stream.follow_colour(), stream.follow_colour()][kept:]:
+            let_go()
+        heard: list[RawMessage] = []
+        stream.listen(heard.append)
+        with stream:
+            while stream.take(5.0) is not None:
+                pass
+        assert any(message.topic == COLOUR for message in heard) is comes
 
 
 @pytest.fixture(scope="module")
@@ -264,3 +320,34 @@ def test_colour_of_a_realsense_camera_when_asked(
             assert image.rgb()[5, 5].tolist() == [10 * k, 20 * k, 30 * k]
             assert image.camera.intrinsics is not None
             assert image.camera.intrinsics.fx == 61
+
+
+def test_colour_of_a_realsense_camera_asked_for_later(
+    realsense_file: Path, small_sensor: Sensor
+) -> None:
+    """After the first image the file begins again, with colour; let go of, that comes no more."""
+    stream = open_stream(f"realsense:{realsense_file}?loop=1", small_sensor)
+    heard: list[RawMessage] = []
+    let_go: list[Callable[[], None]] = []
+
+    def ask(message: RawMessage) -> None:
+        heard.append(message)
+        if not let_go:
+            let_go.append(stream.follow_colour())
+
+    stream.listen(ask)
+    with stream:
+        frame = stream.take(30.0)
+        assert frame is not None and "color/image_raw" in frame.no_colour
+        while frame is None or frame.colour is None:
+            frame = stream.take(30.0)
+        k = round(1e4 * float(frame.depth_m[5, 5])) - 1000
+        assert frame.colour.rgb()[5, 5].tolist() == [10 * k, 20 * k, 30 * k]
+        rounds = [message.round for message in heard if "depth" in message.topic]
+        assert rounds.count(0) < 8  # the first was not played to its end
+        let_go[0]()
+        del heard[:]
+        while sum("depth" in message.topic for message in heard) < 10:
+            stream.take(30.0)
+        assert not any("color" in message.topic for message in heard[-5:])
+        assert stream.counters().undecodable == 0

@@ -135,12 +135,13 @@ class SpeckledSource(DentSource):
             height, width = grey.shape
             return EncodedImage("mono8", grey.tobytes(), width, height, width)
 
+        time_s = float(self.times_s[index])
         camera = ColourCamera(self._camera.intrinsics if self._info else None, remark="no pose")
-        colour = ColourImage(read, camera=camera)
+        colour = ColourImage(read, time_s=time_s, camera=camera)
         return replace(
             frame,
             index=index,
-            time_s=float(self.times_s[index]),
+            time_s=time_s,
             depth_m=depth.astype(np.float32),
             find_colour=lambda _: colour,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,14 +69,15 @@ class Recorder:
         self._before_bytes = 0
         self._session: _Session | None = None
         self._streams: list[LiveStream] = []
+        self._let_go_of_colour: list[Callable[[], None]] = []
         self._lock = threading.Lock()
 
     def listen_to(self, stream: LiveStream) -> None:
-        """Record every message of a stream; it sends colour images once recording starts."""
+        """Record every message of a stream; it sends colour images while it is recorded."""
         self._streams.append(stream)
         stream.listen(self.push)
         if self.recording:
-            stream.follow_colour()
+            self._let_go_of_colour.append(stream.follow_colour())
 
     @property
     def recording(self) -> bool:
@@ -108,8 +110,7 @@ class Recorder:
             self._before.clear()
             self._before_bytes = 0
             self._session = session
-        for stream in self._streams:
-            stream.follow_colour()
+        self._let_go_of_colour = [stream.follow_colour() for stream in self._streams]
 
     def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
         """Write a marker or note into the recording, at a time (ns since 1970), by default now."""
@@ -128,6 +129,8 @@ class Recorder:
             session, self._session = self._session, None
         if session is None:
             raise InputError("nothing is being recorded")
+        for let_go in self._let_go_of_colour:
+            let_go()
         session.finish()
         return session.status()
 

@@ -37,8 +37,8 @@ class LiveSource(Protocol):
     def stop(self) -> None:
         """End; nothing is delivered after it returned."""
 
-    def follow_colour(self) -> None:
-        """Deliver colour images, too, from now on; they are many bytes."""
+    def follow_colour(self, on: bool = True) -> None:
+        """Deliver colour images, too, from now on, or no more; they are many bytes."""
 
     def link(self) -> Link:
         """How the connection stands."""

@@ -79,6 +79,7 @@ class RealSenseLive:
         self._with_colour = False
         self._link: Link = "connecting"
         self._topics: tuple[OfferedTopic, ...] = ()
+        self._colour_topics: tuple[OfferedTopic, ...] = ()
         self._thread: PacedThread | None = None
         self._problem = ""
         self._missed = 0
@@ -93,17 +94,17 @@ class RealSenseLive:
             self._thread.stop()
         self._link = "ended"
 
-    def follow_colour(self) -> None:
-        """Stream colour, too, from when the camera is opened next."""
-        self._with_colour = True
+    def follow_colour(self, on: bool = True) -> None:
+        """Stream colour, too, or no more: a camera is opened anew for it, a file begins again."""
+        self._with_colour = on
 
     def link(self) -> Link:
         """`lost` while the camera is looked for."""
         return self._link
 
     def topics(self) -> tuple[OfferedTopic, ...]:
-        """What a frame is made of, once there is one."""
-        return self._topics
+        """What a frame is made of, once there is one, and what of colour there is."""
+        return tuple(dict.fromkeys(self._topics + self._colour_topics))
 
     def missed(self) -> int:
         """Frames the camera counted that the SDK never gave."""
@@ -116,15 +117,15 @@ class RealSenseLive:
     def _run(self, pace: PacedThread, deliver: Deliver) -> None:
         wait, played = _BACK_OFF_S[0], 0
         while not pace.stopping:
-            before = time.monotonic()
+            before, again = time.monotonic(), False
             try:
-                self._stream(pace, deliver, played)
+                again = self._stream(pace, deliver, played)
             except RuntimeError as error:  # all the SDK raises
                 self._problem = " ".join(str(error).split())[:160]
+            if again or (self._file is not None and self._loop and not self._problem):
+                played += 1
+                continue
             if self._file is not None:
-                if self._loop and not self._problem:
-                    played += 1
-                    continue
                 break
             self._link = "lost" if self._topics else "connecting"
             lasted = time.monotonic() - before
@@ -132,14 +133,17 @@ class RealSenseLive:
             pace.wait_until(time.monotonic() + wait)
         self._link = "ended"
 
-    def _stream(self, pace: PacedThread, deliver: Deliver, played: int) -> None:
-        """Until stopped, the recording ended, or the camera is gone."""
+    def _stream(self, pace: PacedThread, deliver: Deliver, played: int) -> bool:
+        """Until stopped, the recording ended, or the camera is gone; True to open it for colour."""
         pictures: queue.Queue[_Picture] = queue.Queue(_QUEUE)
         ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
         device = self._device()
         sensor = device.first_depth_sensor()
         depth = self._depth_profile(sensor)
-        colour = _Colour.of(self._profiles(device, "color"), depth) if self._with_colour else None
+        offered = _Colour.of(self._profiles(device, "color"), depth)
+        colour = offered if self._with_colour else None
+        if offered is not None:
+            self._colour_topics = (OfferedTopic(self._messages.colour_topic, IMAGE),)
         camera = _intrinsics(depth.as_video_stream_profile().intrinsics)
         unit = float(sensor.get_depth_scale())
         sender = _Sender(deliver, self._messages, unit, camera, played, colour)
@@ -156,23 +160,29 @@ class RealSenseLive:
             for each, _ in opened:
                 each.start(self._receiver(pictures, pace))
                 stack.callback(each.stop)
-            self._send(pace, device, pictures, sender)
+            return self._send(pace, device, pictures, sender)
 
     def _send(
         self, pace: PacedThread, device: Any, pictures: queue.Queue[_Picture], sender: _Sender
-    ) -> None:
+    ) -> bool:
+        """As `_stream`."""
         while not pace.stopping:
+            if self._with_colour and self._colour_topics and sender.colour is None:
+                return True
             try:
                 picture = pictures.get(timeout=_PATIENCE_S)
             except queue.Empty:
                 if self._is_gone(device):
-                    return
+                    break
+                continue
+            if picture.colour and not self._with_colour:
                 continue
             if self._file is not None and not pace.wait_until(sender.due_s(picture)):
-                return
+                break
             self._missed += sender.missed(picture)
             self._topics = sender.send(picture)
             self._link, self._problem = "up", ""
+        return False
 
     def _receiver(self, pictures: queue.Queue[_Picture], pace: PacedThread) -> Any:
         """Callback for the SDK's thread; playback of a recording is paced by it."""
@@ -292,7 +302,7 @@ class _Sender:
         played: int,
         colour: _Colour | None,
     ) -> None:
-        self._colour, self._topics = colour, dict[OfferedTopic, None]()
+        self.colour, self._topics = colour, dict[OfferedTopic, None]()
         self._deliver, self._messages, self._unit, self._camera = deliver, messages, unit, camera
         self._played = played
         self._last: _Picture | None = None
@@ -324,11 +334,11 @@ class _Sender:
     def _messages_of(self, picture: _Picture) -> Iterator[Message]:
         raw = picture.raw
         if picture.colour:
-            if self._colour is not None:
+            if self.colour is not None:
                 height, width = raw.shape[:2]
-                encoding, step = self._colour.encoding, raw.strides[0]
+                encoding, step = self.colour.encoding, raw.strides[0]
                 encoded = EncodedImage(encoding, raw.tobytes(), width, height, step)
-                image = ColourImage(lambda: encoded, camera=self._colour.camera)
+                image = ColourImage(lambda: encoded, camera=self.colour.camera)
                 yield from self._messages.of_colour(image, picture.stamp_ns)
             return
         depth_m = raw.astype(np.float32) * np.float32(self._unit)

@@ -60,9 +60,9 @@ class Replay:
             self._thread.stop()
         self._bag.close()
 
-    def follow_colour(self) -> None:
-        """Play colour images, too."""
-        self._names = TopicNames(with_colour=True)
+    def follow_colour(self, on: bool = True) -> None:
+        """Play colour images, too, or no more."""
+        self._names = TopicNames(with_colour=on)
 
     def link(self) -> Link:
         """`ended` at the end of the recording."""

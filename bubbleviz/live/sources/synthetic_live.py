@@ -59,7 +59,7 @@ class SyntheticLive:
         if self._thread is not None:
             self._thread.stop()
 
-    def follow_colour(self) -> None:
+    def follow_colour(self, on: bool = True) -> None:
         """Nothing: its frames have the colour images they have."""
 
     def link(self) -> Link:

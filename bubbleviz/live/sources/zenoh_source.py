@@ -71,7 +71,7 @@ class ZenohSource:
         self.name = options.text
         self._options, self._names, self._domain = options, names or TopicNames(), domain
         self._session: Any = None
-        self._subscribers: dict[tuple[str, Layout], Any] = {}
+        self._subscribers: dict[tuple[str, Layout], tuple[str, Any]] = {}  # with their type
         self._announced: dict[str, Announced] = {}
         self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._counts: dict[tuple[bytes, str], int] = {}
@@ -101,9 +101,9 @@ class ZenohSource:
             self._connector.stop(CLOSING_S)  # it may be waiting for a host that does not answer
         self._link = "ended"
 
-    def follow_colour(self) -> None:
-        """Subscribe to topics of colour images, too, at the next look."""
-        self._names = replace(self._names, with_colour=True)
+    def follow_colour(self, on: bool = True) -> None:
+        """Subscribe to topics of colour images, too, at the next look, or no more."""
+        self._names = replace(self._names, with_colour=on)
 
     def link(self) -> Link:
         """`lost` while Zenoh tries to connect again."""
@@ -113,7 +113,11 @@ class ZenohSource:
         """Announced topics of the types used here, by name."""
         with self._lock:
             there = self._announced.values()
-            found = {(a.topic, a.type) for a in there if is_used(a.topic, a.type)}
+            found = {
+                (a.topic, a.type)
+                for a in there
+                if is_used(a.topic, a.type) or self._names.is_colour(a.topic, a.type)
+            }
         return tuple(OfferedTopic(*topic) for topic in sorted(found))
 
     def missed(self) -> int:
@@ -149,6 +153,7 @@ class ZenohSource:
                 while not self._tokens.empty():
                     self._take_token(*self._tokens.get())
                 self._subscribe_to_wanted()
+                self._let_go_of_colour()
                 if connected(self._session):
                     self._link, self._no_session, looked = "up", "", time.monotonic()
                 elif self._link != "connecting":
@@ -229,7 +234,20 @@ class ZenohSource:
         def receive(sample: Any) -> None:
             self._on_sample(sample, announced)
 
-        self._subscribers[place] = self._session.declare_subscriber(key, receive)
+        subscriber = self._session.declare_subscriber(key, receive)
+        self._subscribers[place] = (announced.type, subscriber)
+
+    def _let_go_of_colour(self) -> None:
+        """Subscribe no more to what nobody asks for any more; what is not heard is not missed."""
+        if self._names.with_colour:
+            return
+        for (topic, layout), (kind, subscriber) in list(self._subscribers.items()):
+            if self._names.is_colour(topic, kind):
+                del self._subscribers[topic, layout]
+                subscriber.undeclare()
+                with self._gate:
+                    for heard in [k for k in self._counts if k[1] == topic]:
+                        del self._counts[heard]
 
     def _on_sample(self, sample: Any, announced: Announced) -> None:
         arrival = time.time_ns()

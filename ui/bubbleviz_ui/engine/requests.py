@@ -115,12 +115,14 @@ class FollowRequest:
 class NewestRequest:
     """Make products of the newest frame of a live source, as soon as there is one.
 
-    `from_s`, by `time.perf_counter`, is when it may be taken at the earliest.
+    `from_s`, by `time.perf_counter`, is when it may be taken at the earliest. `of_colour` says
+    whether the source is to send colour images, also for looks that not every frame gets.
     """
 
     session: int
     demand: Demand
     from_s: float = 0.0
+    of_colour: bool = False
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ class SensorClient(QObject):
         self._awaiting, self.demand = True, demand
         wanted = replace(self._due(demand), products=demand.products | self.extra)
         from_s = time.perf_counter() + self._delay.hold_s
-        self.worker.ask(NewestRequest(self.session, wanted, from_s))
+        self.worker.ask(NewestRequest(self.session, wanted, from_s, demand.of_colour))
 
     def ask_patch(self) -> None:
         """Threshold the present result anew, where there is something to threshold."""

@@ -123,7 +123,10 @@ class Server:
     def _newest(self, session: Session, request: NewestRequest) -> Solved | Waited:
         source = session.source
         time.sleep(max(request.from_s - time.perf_counter(), 0.0))
-        frame = source.newest(WAIT_S) if isinstance(source, LiveFrames) else None
+        if not isinstance(source, LiveFrames):
+            return Waited(request)
+        source.follow_colour(request.of_colour)
+        frame = source.newest(WAIT_S)
         return Waited(request) if frame is None else self._solved(session, request, frame)
 
     def _solved(

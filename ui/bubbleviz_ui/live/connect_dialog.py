@@ -27,7 +27,7 @@ from bubbleviz.files.preset_files import preset_names, presets_folder
 from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.live.session_preset import SessionPreset, load_session
 from bubbleviz.live.sources.live_source import OfferedTopic
-from bubbleviz.live.topic_names import DEPTH_TYPES
+from bubbleviz.live.topic_names import DEPTH_TYPES, is_used
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
@@ -200,7 +200,7 @@ class ConnectDialog(QDialog):
     def _on_found(self, topics: tuple[OfferedTopic, ...], problem: str) -> None:
         looking = self.kind.currentData() == ZENOH and not topics
         self.problem.setText(problem or ("No topics yet; looking…" if looking else ""))
-        self._list(tuple(t for t in topics if t.type in DEPTH_TYPES))
+        self._list(tuple(t for t in topics if t.type in DEPTH_TYPES and is_used(*t)))
 
     def _list(self, topics: tuple[OfferedTopic, ...]) -> None:
         """Offer topics; the one that was chosen stays so."""

@@ -65,6 +65,7 @@ class LiveFrames:
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
         self._first: tuple[Frame, float] | None = None
+        self._let_go_of_colour: Callable[[], None] | None = None
         self.outages: tuple[Gap, ...] = ()
 
     @property
@@ -113,6 +114,15 @@ class LiveFrames:
         if self._first is not None:
             self._epoch_ns = epoch_ns
             self._take(self._first[0])
+
+    def follow_colour(self, on: bool) -> None:
+        """Have the frames from now on with colour images, or without: only who asks gets them."""
+        let_go = self._let_go_of_colour
+        if on and let_go is None:
+            self._let_go_of_colour = self.stream.follow_colour()
+        elif not on and let_go is not None:
+            self._let_go_of_colour = None
+            let_go()
 
     def newest(self, timeout_s: float) -> Frame | None:
         """The newest frame nobody has seen, waiting for one; None when none came."""

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from bubbleviz.diagnostics.inspector import NEEDS
-from bubbleviz.pipeline import FrameOptions
+from bubbleviz.pipeline import OF_COLOUR, FrameOptions
 from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, Products
 
 if TYPE_CHECKING:
@@ -80,6 +80,11 @@ class Demand:
     def rule(self) -> Rule:
         """What makes a patch of a contact pressure: κ and the least area."""
         return self.options.kappa, self.options.least_area_m2
+
+    @property
+    def of_colour(self) -> bool:
+        """Whether colour images are needed for it."""
+        return bool(self.products & OF_COLOUR) or "colour" in self.looks
 
     def covers(self, other: Demand) -> bool:
         """Whether all that another asks for is asked for here."""

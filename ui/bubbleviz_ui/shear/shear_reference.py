@@ -70,7 +70,7 @@ class ShearReference:
         if images is None or options is None or estimate is None:
             return
         if result.frame.find_colour is None:
-            self.words = "No colour images in this source: depth alone"
+            self.words = f"Depth alone: {result.frame.no_colour}"
             return
         colour = result.frame.colour if estimate.status == "no_contact" else None
         if colour is not None:
