@@ -56,6 +56,18 @@ def test_arrows_choose_and_escape_leaves(drive: Drive) -> None:
     assert driver.window.isVisible() and not driver.window.findChildren(CommandPalette)
 
 
+def test_layers_are_shown_and_hidden(drive: Drive) -> None:
+    driver = drive(frame=3)
+    for shown in (True, False):
+        opened = palette(driver, Qt.Key.Key_K, CTRL)
+        driver.bot.keyClicks(opened.search, "wireframe")
+        assert opened.list.currentItem().text() == "View › Visible layers › Wireframe"
+        driver.bot.keyClick(opened.search, Qt.Key.Key_Return)
+        assert ("wireframe" in driver.state.choices.layers) is shown
+        assert driver.window.layers.boxes["wireframe"].isChecked() is shown
+        QApplication.processEvents()
+
+
 def test_own_words_come_before_the_path(drive: Drive) -> None:
     opened = palette(drive(frame=3), Qt.Key.Key_K, CTRL)
     names = [opened.list.item(row).text() for row in range(opened.list.count())]

@@ -24,9 +24,10 @@ from bubbleviz.files.preset_files import preset_names
 from bubbleviz_ui.engine.source_openers import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import SYSTEMS
-from bubbleviz_ui.panels.binding import bind, bind_option
+from bubbleviz_ui.panels.binding import bind, bind_member, bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell.file_dialogs import (
@@ -199,6 +200,7 @@ class Menus:
             self._tool(menu, tool, title)
         self._add(menu, "&Clear what was probed", partial(window.tools.use_tool, "rotate"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
+        self._layers(menu.addMenu("&Visible layers"))
         scenes = menu.addMenu("&Scene")
         for name in preset_names("scenes"):
             preset = load_scene(name)
@@ -221,6 +223,10 @@ class Menus:
             window.status.setVisible,
             menu.aboutToShow,
         )
+
+    def _layers(self, menu: QMenu) -> None:
+        for name, kind in LAYERS.items():
+            bind_member(self._switch(menu, kind.title), self._window.state, "layers", name)
 
     def _tool(self, menu: QMenu, name: str, title: str) -> None:
         """What a click in the 3-D view does; nothing but rotating where it is unchecked."""
