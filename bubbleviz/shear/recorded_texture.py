@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from bubbleviz.colour.optical_flow import FlowPreset
 
 
-def recorded_texture(recording: Recording, preset: FlowPreset = "balanced") -> TextureFlow:
+def recorded_texture(recording: Recording, preset: FlowPreset = "fast") -> TextureFlow:
     """Learn reference, noise and lag from the images before the first contact.
 
     Raises
@@ -42,7 +42,7 @@ def watch_recorded_texture(
     pipeline: Pipeline,
     recording: Recording,
     friction: float | None = None,
-    preset: FlowPreset = "balanced",
+    preset: FlowPreset = "fast",
 ) -> str:
     """Have a pipeline make traction by the recording's own colour images; tells which, in words.
 

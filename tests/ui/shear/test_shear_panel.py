@@ -191,7 +191,7 @@ def test_the_bound_is_off_until_it_is_ticked_and_can_be_undone(
     assert driver.state.choices.flow_preset == "fine"
     for _ in range(3):
         window.undo_stack.undo()
-    assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "balanced"
+    assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "fast"
 
 
 def dragged(driver: Driver, status: str = "ok") -> Result:

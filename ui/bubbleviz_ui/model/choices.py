@@ -185,7 +185,7 @@ class Choices:
     )
     pose_track: bool = False
     pose_stage: int = 2
-    flow_preset: Literal["fast", "balanced", "fine"] = _setting("balanced", "flow preset")
+    flow_preset: Literal["fast", "balanced", "fine"] = _setting("fast", "flow preset")
     friction: float | None = _setting(None, "friction bound μ")
     compared: tuple[Setting, Setting] = _setting(
         (Setting(), Setting(solver="linear")), "compared settings"

@@ -45,7 +45,7 @@ CLOUD_COLOURS: Mapping[str, Products] = MappingProxyType(
 class ShearOptions:
     """How traction with friction is made: preset of the optical flow, and the bound μ or none."""
 
-    flow: FlowPreset = "balanced"
+    flow: FlowPreset = "fast"
     friction: float | None = None
 
 
