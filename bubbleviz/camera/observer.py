@@ -6,15 +6,17 @@ pixels before the membrane is asked to explain them; the blocks stay below the m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.block_squares import MAD, BlockSquares
+from bubbleviz.camera.block_squares import MAD, BlockSquares, median
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
+from bubbleviz.camera.used_pixels import UsedPixels
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
@@ -30,12 +32,12 @@ _LOOKS = 4
 
 @dataclass(frozen=True)
 class Measured:
-    """Range residuals of the pixels in use in one frame.
+    """What one frame says of the pixels in use, before a model is known.
 
     Attributes
     ----------
-    residual_m : (k,) array
-        Measured minus reference range, m; NaN where there is no return.
+    depth_m : (H, W) array
+        The z-depth image, m; NaN where there is no return.
     noise : float
         Factor by which this frame is noisier than expected, at least 1.
     total, moment : (B,) array
@@ -43,7 +45,7 @@ class Measured:
         residual, 1/m.
     """
 
-    residual_m: np.ndarray
+    depth_m: np.ndarray
     noise: float
     total: np.ndarray
     moment: np.ndarray
@@ -75,13 +77,28 @@ class Linearisation:
     Attributes
     ----------
     hits : Hits
-        Where the block rays meet the membrane.
+        Where the block rays meet the membrane, of those that meet it at rest.
     offset_m : (k,) array
-        Constant part for each hit, m; 0 around u = 0, NaN where the membrane at rest is missed.
+        Constant part for each hit, m; 0 around u = 0.
+    nodes : (k, 3) int array
+        Corners of the triangle of each hit.
     """
 
     hits: Hits
     offset_m: np.ndarray
+    nodes: np.ndarray
+
+    def along_rays(self, displacement_m: np.ndarray) -> np.ndarray:
+        """D u of Eq. 20, (k,)."""
+        if not displacement_m.any():
+            return np.zeros(len(self.nodes))
+        return np.einsum("ij,ij->i", self.hits.sensitivity, displacement_m[self.nodes])
+
+    @cached_property
+    def products(self) -> np.ndarray:
+        """Sensitivities times each other by pair of corners 00, 11, 22, 01, 12, 20; (k, 6)."""
+        b = self.hits.sensitivity
+        return np.concatenate([b * b, b * b[:, [1, 2, 0]]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -169,45 +186,57 @@ class RangeObserver:
             )
         order = np.argsort(self._block_of(pixel), kind="stable")
         pixel = pixel[order]
-        blocks, self._starts = np.unique(self._block_of(pixel), return_index=True)
+        blocks, self._starts, self._count = np.unique(
+            self._block_of(pixel), return_index=True, return_counts=True
+        )
         self.block_number = blocks
         """Number of every block, row by row over the image, (B,)."""
         self.pixel = pixel
         """Flat indices of the pixels in use, grouped by block, (k,)."""
-        self.block_of_pixel = np.repeat(
-            np.arange(len(blocks)), np.diff(self._starts, append=len(pixel))
+        self._used = UsedPixels(
+            number=pixel,
+            block=np.repeat(np.arange(len(blocks)), self._count),
+            scale=camera.range_per_depth.ravel()[pixel],
+            reference_m=(hits.range_m + bias)[used][order].astype(np.float32),
+            precision=(1.0 / noise[used][order] ** 2).astype(np.float32),
+            line=None if pixels is None or pixels.line is None else pixels.line.at(pixel),
         )
-        self._reference = (hits.range_m + bias)[used][order].astype(np.float32)
-        self._scale = camera.range_per_depth.ravel()[pixel]
-        self._line = None if pixels is None or pixels.line is None else pixels.line.at(pixel)
-        self._precision = (1.0 / noise[used][order] ** 2).astype(np.float32)
         self._facet_error_m = facet_error(mesh)
+        precision = self._used.precision
+        self._total = self._sums(precision)
+        self._moment_at_rest = self._sums(precision * self._used.reference_m.astype(float))
+        # Straight from the image to sums over blocks: one pass over the pixels.
+        self._to_moments = sparse.csr_array(
+            (precision * self._used.scale, pixel, np.append(self._starts, len(pixel))),
+            shape=(len(blocks), camera.intrinsics.width * camera.intrinsics.height),
+        )
         self._squares = BlockSquares(blocks, self.columns)
-        self._sample = self._whole_blocks(np.diff(self._starts, append=len(pixel)))
-        self._spread = self._apart(max(1, int(np.sqrt(correlated / _LOOKS))))
+        self._sample = self._used.of(self._whole_blocks())
+        self._spread = self._used.of(self._apart(max(1, int(np.sqrt(correlated / _LOOKS)))))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = _scatter(gaussian)
-        noise_m = np.median(1.0 / np.sqrt(np.add.reduceat(self._precision, self._starts)))
+        noise_m = np.median(1.0 / np.sqrt(self._total))
         self.white = pixels is None and bool(noise_m > 2.0 * self._facet_error_m)
         """Whether residuals should be white: noise of the sensor file, and more than the mesh's."""
         rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
-        self._at_rest = self._caster.cast(mesh.nodes, mesh.normals)
+        at_rest = self._caster.cast(mesh.nodes, mesh.normals)
         self._rest_range = np.full(len(blocks), np.nan)
-        self._rest_range[self._at_rest.ray] = self._at_rest.range_m
+        self._rest_range[at_rest.ray] = at_rest.range_m
+        self._at_rest = self._linear_at(at_rest, np.zeros(len(mesh.nodes)))
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
         return (row // self.block) * self.columns + column // self.block
 
-    def _whole_blocks(self, sizes: np.ndarray) -> np.ndarray:
-        """Positions of some thousand pixels in whole blocks, one block a row."""
-        whole = self._starts[sizes == self.block**2] if self.block > 1 else self._starts[:0]
+    def _whole_blocks(self) -> np.ndarray:
+        """Positions of some thousand pixels in whole blocks, one after the other."""
+        whole = self._starts[self._count == self.block**2] if self.block > 1 else self._starts[:0]
         rows = max(50, 4000 // self.block**2)
         whole = whole[:: max(1, len(whole) // rows)]
-        return whole[:, None] + np.arange(self.block**2)
+        return (whole[:, None] + np.arange(self.block**2)).ravel()
 
     def _apart(self, step: int) -> np.ndarray:
         """Positions of the pixels in every step-th row and column of the image."""
@@ -221,12 +250,7 @@ class RangeObserver:
 
     def pixel_residuals(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured minus reference range of the pixels in use, (k,), m; NaN: no return."""
-        ranges = depth_m.ravel().take(self.pixel, mode="clip")  # unchecked: all are inside
-        ranges *= self._scale
-        if self._line is not None:
-            ranges = self._line.straighten(ranges)
-        ranges -= self._reference
-        return ranges
+        return self._used.residuals(depth_m)
 
     def observe(self, depth_m: np.ndarray, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a z-depth image.
@@ -242,64 +266,79 @@ class RangeObserver:
         return self.weigh(self.measure(depth_m), expected_m)
 
     def measure(self, depth_m: np.ndarray) -> Measured:
-        """Residuals of the pixels in use, and how far each is trusted before a model is known."""
-        residual = self.pixel_residuals(depth_m)
-        noise = self._noise_scale(residual)
-        total, moment = self._sums(self._precision, residual)
-        return Measured(residual, noise, total / noise**2, moment / noise**2)
+        """Sums over the blocks, and how far the image is trusted before a model is known."""
+        noise = self._noise_scale(depth_m)
+        if self._used.line is None:
+            moment = self._to_moments @ depth_m.ravel() - self._moment_at_rest
+        else:
+            moment = self._sums(self._used.precision * self._used.residuals(depth_m))
+        total = self._total
+        holes = np.flatnonzero(np.isnan(moment))
+        if holes.size:
+            total = total.copy()
+            total[holes], moment[holes] = self._around_holes(depth_m, holes)
+        return Measured(depth_m, noise, total / noise**2, moment / noise**2)
+
+    def _around_holes(
+        self, depth_m: np.ndarray, blocks: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The sums of `measure` for some blocks (j,), of their pixels with a return."""
+        count = self._count[blocks]
+        ends = np.cumsum(count)
+        first = self._starts[blocks] - ends + count
+        pixels = self._used.of(np.arange(ends[-1]) + np.repeat(first, count))
+        residual = pixels.residuals(depth_m)
+        both = np.stack([pixels.precision, pixels.precision * residual]).astype(float)
+        both[:, np.isnan(residual)] = 0.0
+        total, moment = np.add.reduceat(both, ends - count, axis=1)
+        return total, moment
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of what was measured; `expected_m` as in `observe`."""
         total, moment, share = measured.total, measured.moment, 1.0
         if expected_m is not None:
             expected = expected_m.astype(np.float32)
-            squares = self._misses_squared(measured, expected, self._spread)
+            squares = self._spread.misses_squared(measured.depth_m, expected)
+            squares /= np.float32(measured.noise**2)
             if np.count_nonzero(squares > _FAR**2) > _FAR_SHARE * np.count_nonzero(squares >= 0.0):
-                robust = _huber_weights(self._misses_squared(measured, expected, slice(None)))
-                robust *= self._precision / np.float32(measured.noise**2)
-                total, moment = self._sums(robust, measured.residual_m)
+                total, moment = self._robust_sums(measured, expected)
                 share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
         return Observation(mean, self._weight(total), share)
 
-    def _misses_squared(
-        self, measured: Measured, expected_m: np.ndarray, pixels: np.ndarray | slice
-    ) -> np.ndarray:
-        """Squares in σ² of what a model (B,) leaves of some pixels; NaN where nothing returned."""
-        left = measured.residual_m[pixels] - expected_m[self.block_of_pixel[pixels]]
-        left *= left
-        left *= self._precision[pixels] / np.float32(measured.noise**2)
-        return left
+    def _robust_sums(
+        self, measured: Measured, expected_m: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`total` and `moment` of a frame where pixels far from a model (B,) count less."""
+        used, variance = self._used, np.float32(measured.noise**2)
+        weight = _huber_weights(used.misses_squared(measured.depth_m, expected_m) / variance)
+        weight *= used.precision / variance
+        residual = used.residuals(measured.depth_m)
+        nothing = np.isnan(residual)
+        weight[nothing] = residual[nothing] = 0.0
+        return self._sums(weight), self._sums(weight * residual)
 
-    def _sums(self, precision: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sums (B,) over each block of precisions (k,), and of those times residuals (k,).
+    def _sums(self, values: np.ndarray) -> np.ndarray:
+        """Sums (B,) over each block of values (k,) of the pixels."""
+        return np.add.reduceat(values, self._starts).astype(float)
 
-        Pixels without a return, NaN, count for nothing.
-        """
-        weighed, holes = precision * residual, np.flatnonzero(np.isnan(residual))
-        if holes.size:
-            precision = precision.copy()
-            precision[holes] = weighed[holes] = 0.0
-        total, moment = (np.add.reduceat(x, self._starts) for x in (precision, weighed))
-        return total.astype(float), moment.astype(float)
-
-    def _noise_scale(self, residual: np.ndarray) -> float:
+    def _noise_scale(self, depth_m: np.ndarray) -> float:
         """Factor by which this frame is noisier than expected, at least 1.
 
         From the scatter of pixels about their block's median. Pixels that a filter has made
         alike scatter less than their σ says, and are not taken for better.
         """
-        if not len(self._sample):
+        if not len(self._sample.number):
             return 1.0
-        z = residual[self._sample] * np.sqrt(self._precision[self._sample])
-        z = z[~np.isnan(z).any(axis=1)]
+        z = self._sample.residuals(depth_m) * np.sqrt(self._sample.precision)
+        z = z.reshape(-1, self.block**2)
+        z = z[~np.isnan(z.sum(axis=1))]
         scatter = _scatter(z) if len(z) else 0.0
         return max(1.0, scatter / self._gaussian_scatter)
 
     def observe_everything(self) -> Observation:
         """The untouched membrane seen without noise by every pixel in use."""
-        total = np.add.reduceat(self._precision, self._starts).astype(float)
-        return Observation(np.zeros_like(total), self._weight(total), 1.0)
+        return Observation(np.zeros_like(self._total), self._weight(self._total), 1.0)
 
     def _weight(self, precision: np.ndarray) -> np.ndarray:
         """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
@@ -308,9 +347,17 @@ class RangeObserver:
     def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
         """Model of the block residuals around a displacement (n,), or the reference."""
         if displacement_m is None or not displacement_m.any():
-            return Linearisation(self._at_rest, np.zeros(len(self._at_rest.ray)))
+            return self._at_rest
         hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
-        return Linearisation(hits, self._offset(hits, displacement_m))
+        return self._linear_at(self._known_at_rest(hits), displacement_m)
+
+    def _known_at_rest(self, hits: Hits) -> Hits:
+        return hits.of(np.isfinite(self._rest_range[hits.ray]))
+
+    def _linear_at(self, hits: Hits, displacement_m: np.ndarray) -> Linearisation:
+        nodes = self.mesh.triangles[hits.triangle]
+        linear = Linearisation(hits, hits.range_m - self._rest_range[hits.ray], nodes)
+        return replace(linear, offset_m=linear.offset_m - linear.along_rays(displacement_m))
 
     def relinearise(
         self, linear: Linearisation, displacement_m: np.ndarray, triangles: np.ndarray
@@ -328,50 +375,37 @@ class RangeObserver:
         some = np.flatnonzero(triangles[linear.hits.triangle])
         nodes = self.mesh.deformed(displacement_m)
         moved = self._caster.recast(nodes, self.mesh.normals, linear.hits.of(some))
-        offset = linear.offset_m.copy()
-        offset[some] = self._offset(moved, displacement_m)
-        return Linearisation(linear.hits.with_others(some, moved), offset)
-
-    def _offset(self, hits: Hits, displacement_m: np.ndarray) -> np.ndarray:
-        change = hits.range_m - self._rest_range[hits.ray]
-        return change - self._along_rays(hits, displacement_m)
+        there = self._linear_at(moved, displacement_m)
+        offset, corners = linear.offset_m.copy(), linear.nodes.copy()
+        offset[some], corners[some] = there.offset_m, there.nodes
+        return Linearisation(linear.hits.with_others(some, moved), offset, corners)
 
     def predict(self, linear: Linearisation, displacement_m: np.ndarray) -> np.ndarray:
         """Model of every block's residual at a displacement (n,), (B,) in m; 0 where unknown."""
         model = np.zeros(self.blocks)
-        model[linear.hits.ray] = linear.offset_m + self._along_rays(linear.hits, displacement_m)
-        model[np.isnan(model)] = 0.0
+        model[linear.hits.ray] = linear.offset_m + linear.along_rays(displacement_m)
         return model
-
-    def _along_rays(self, hits: Hits, displacement_m: np.ndarray) -> np.ndarray:
-        """D u of Eq. 20, (k,)."""
-        at_nodes = displacement_m[self.mesh.corners[:, hits.triangle]]
-        along: np.ndarray = (hits.sensitivity.T * at_nodes).sum(axis=0)
-        return along
 
     def misfit(
         self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
     ) -> Misfit:
         """Residual that a displacement (n,) leaves."""
-        hits = linear.hits
-        model = linear.offset_m + self._along_rays(hits, displacement_m)
-        error = observation.residual_m[hits.ray] - model
-        seen = np.isfinite(error)
-        return self.left(observation, hits.ray[seen], error[seen])
+        ray, model = linear.hits.ray, linear.offset_m + linear.along_rays(displacement_m)
+        return self.left(observation, ray, observation.residual_m[ray] - model)
 
     def left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
         """The same for errors (k,) of some blocks."""
-        weight = observation.weight[block]
-        seen = weight > 0.0
-        error, weight = error_m[seen], weight[seen] / observation.trusted
-        if not len(error):
+        weight = observation.weight[block] / observation.trusted
+        total = float(weight.sum())
+        if total == 0.0:
             return Misfit(np.nan, np.inf, 1.0)
-        z = error * np.sqrt(weight)
-        sums = np.bincount(self._squares.of_block[block[seen]], z)
+        z = error_m * np.sqrt(weight)
+        square = float(z @ z)
+        sums = np.bincount(self._squares.of_block[block], z)
         return Misfit(
-            rms_m=float(np.sqrt(weight @ error**2 / weight.sum())),
-            deviations=float(np.median(np.abs(z)) / MAD),
-            clumping=float(sums @ sums / max(z @ z, 1e-300)),
+            rms_m=float(np.sqrt(square / total)),
+            deviations=float(median(np.abs(z[weight > 0.0])) / MAD),
+            clumping=float(sums @ sums) / max(square, 1e-300),
         )
 
     def noise_left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> float:
@@ -385,7 +419,7 @@ class RangeObserver:
     def around(self, nodes: np.ndarray) -> ShapeRanges:
         """Model of the block residuals around a shape, nodes (n, 3) in B, m."""
         hits = self._caster.cast(nodes, self.mesh.normals)
-        hits = hits.of(np.isfinite(self._rest_range[hits.ray]))
+        hits = self._known_at_rest(hits)
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
         slopes = self._caster.slopes(nodes, hits)
@@ -399,7 +433,7 @@ class RangeObserver:
 
 def _scatter(values: np.ndarray) -> float:
     """Median distance from the median of the row; half of the values may be outliers."""
-    return float(np.median(np.abs(values - np.median(values, axis=1, keepdims=True))))
+    return float(median(np.abs(values - median(values)[:, None]).ravel()))
 
 
 def _huber_weights(squares: np.ndarray) -> np.ndarray:

@@ -6,6 +6,8 @@ has the pattern of the stiffness matrix whatever the shape, and only its values 
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from scipy import sparse
 
@@ -13,6 +15,7 @@ from bubbleviz.camera.observer import Linearisation, Observation
 from bubbleviz.membrane.mesh import MembraneMesh
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+"""Corners of a triangle in the order of `Linearisation.products`."""
 
 
 class NormalEquations:
@@ -24,30 +27,20 @@ class NormalEquations:
     """
 
     def __init__(self, mesh: MembraneMesh) -> None:
-        self._triangles = mesh.triangles
-        self._free = mesh.free
-        self._nodes = len(mesh.nodes)
+        self._free, self._nodes, n = mesh.free, len(mesh.nodes), len(mesh.free)
         number = np.full(self._nodes, -1)
-        number[self._free] = np.arange(len(self._free))
-        # Entry e of Q sums the triangle values listed in row e of `_gather`.
-        rows, cols, source = [], [], []
-        corners = number[mesh.triangles]
-        count = len(corners)
-        for k, (i, j) in enumerate(_PAIRS):
-            for a, b in {(i, j), (j, i)}:
-                rows.append(corners[:, a])
-                cols.append(corners[:, b])
-                source.append(k * count + np.arange(count))
-        row, col, src = map(np.concatenate, (rows, cols, source))
-        inside = (row >= 0) & (col >= 0)
-        row, col, src = row[inside], col[inside], src[inside]
-        n = len(self._free)
-        key, entry = np.unique(row * n + col, return_inverse=True)
-        self._gather = sparse.csr_array(
-            (np.ones(len(src)), (entry, src)), shape=(len(key), len(_PAIRS) * count)
-        )
-        self._indices = (key % n).astype(np.int32)
-        self._indptr = np.searchsorted(key // n, np.arange(n + 1)).astype(np.int32)
+        number[self._free] = np.arange(n)
+        ends = number[mesh.triangles][:, _PAIRS]  # (m, 6, 2)
+        low, high = ends.min(axis=2), ends.max(axis=2)
+        pairs, places = np.unique(np.where(low < 0, n * n, low * n + high), return_inverse=True)
+        self._places = places.reshape(-1, len(_PAIRS))
+        """Where each pair of corners of each triangle goes among the pairs of nodes, (m, 6)."""
+        pairs = pairs[pairs < n * n]  # the others, last, have an end on the rim
+        self._pairs = len(pairs)
+        row, column = np.divmod(pairs, n)
+        numbered = sparse.coo_array((np.arange(1.0, len(pairs) + 1.0), (row, column)), shape=(n, n))
+        self._pattern = (numbered + sparse.triu(numbered, 1).T).tocsr()
+        self._pair_of_entry = self._pattern.data.astype(int) - 1
 
     def assemble(
         self, observation: Observation, linear: Linearisation
@@ -62,22 +55,12 @@ class NormalEquations:
         """
         hits = linear.hits
         weight = observation.weight[hits.ray]
-        residual = observation.residual_m[hits.ray] - linear.offset_m
-        weight = np.where(np.isfinite(residual), weight, 0.0)
-        residual = np.where(weight > 0.0, residual, 0.0)
-        weighted = hits.sensitivity * weight[:, None]
-        count = len(self._triangles)
-        per_triangle = np.concatenate(
-            [
-                np.bincount(hits.triangle, weighted[:, i] * hits.sensitivity[:, j], count)
-                for i, j in _PAIRS
-            ]
-        )
-        n = len(self._free)
-        Q = sparse.csr_array((self._gather @ per_triangle, self._indices, self._indptr), (n, n))
-        weighted *= residual[:, None]
-        g = np.zeros(self._nodes)
-        for k in range(3):
-            sums = np.bincount(hits.triangle, weighted[:, k], count)
-            g += np.bincount(self._triangles[:, k], sums, self._nodes)
+        products = weight[:, None] * linear.products
+        places = self._places[hits.triangle].ravel()
+        sums = np.bincount(places, products.ravel(), minlength=self._pairs)
+        Q = copy(self._pattern)  # SciPy's own constructor checks indices that never change
+        Q.data = sums[self._pair_of_entry]
+        pull = weight * (observation.residual_m[hits.ray] - linear.offset_m)
+        pulls = pull[:, None] * hits.sensitivity
+        g = np.bincount(linear.nodes.ravel(), pulls.ravel(), minlength=self._nodes)
         return Q, g[self._free]

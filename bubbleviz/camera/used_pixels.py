@@ -1,0 +1,65 @@
+"""The pixels that see the membrane, with what is known of each: depth image to range residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.camera.pixel_model import RangeLine
+
+
+@dataclass(frozen=True)
+class UsedPixels:
+    """Pixels in use, all (k,).
+
+    Attributes
+    ----------
+    number : int array
+        Flat indices in the image.
+    block : int array
+        Block that each is in.
+    scale : float32 array
+        Range per z-depth.
+    reference_m : float32 array
+        Range of the untouched membrane as this pixel measures it, m.
+    precision : float32 array
+        1/σ², 1/m².
+    line : RangeLine or None
+        How its error changes with range.
+    """
+
+    number: np.ndarray
+    block: np.ndarray
+    scale: np.ndarray
+    reference_m: np.ndarray
+    precision: np.ndarray
+    line: RangeLine | None
+
+    def of(self, some: np.ndarray) -> UsedPixels:
+        """Pixels number `some` (j,)."""
+        return UsedPixels(
+            self.number[some],
+            self.block[some],
+            self.scale[some],
+            self.reference_m[some],
+            self.precision[some],
+            None if self.line is None else self.line.at(some),
+        )
+
+    def residuals(self, depth_m: np.ndarray) -> np.ndarray:
+        """Measured minus reference range in a z-depth image (H, W), (k,), m; NaN: no return."""
+        ranges = depth_m.ravel().take(self.number, mode="clip")  # unchecked: all are inside
+        ranges *= self.scale
+        if self.line is not None:
+            ranges = self.line.straighten(ranges)
+        ranges -= self.reference_m
+        return ranges
+
+    def misses_squared(self, depth_m: np.ndarray, expected_m: np.ndarray) -> np.ndarray:
+        """Squares in σ² of what a model (B,) of the blocks leaves, (k,); NaN: no return."""
+        left = self.residuals(depth_m)
+        left -= expected_m[self.block]
+        left *= left
+        left *= self.precision
+        return left
