@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
@@ -14,6 +15,7 @@ from bubbleviz.colour.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.frames.bags.bag import typestore
 from bubbleviz.frames.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_decoding import header_stamp_ns
 
 Encoding = Literal["32FC1", "16UC1"]
 
@@ -39,6 +41,18 @@ class Message(NamedTuple):
     type: str
     payload: bytes
     stamp_ns: int
+
+    def later(self, later_ns: int) -> Message:
+        """The same message, stamped later.
+
+        Its bytes too, where they begin with the stamp; a static transform's stays as it is.
+        """
+        old, stamp_ns = self.payload, self.stamp_ns + later_ns
+        if header_stamp_ns(old, ros1=False) != self.stamp_ns:
+            return self._replace(stamp_ns=stamp_ns)
+        stamp = struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
+        payload = b"".join((old[:4], stamp, memoryview(old)[12:]))
+        return self._replace(payload=payload, stamp_ns=stamp_ns)
 
 
 def ros2_types() -> Any:

@@ -72,6 +72,26 @@ def test_the_simulation_streams_stamped_with_the_present(small_sensor: Sensor) -
     assert stream.counters().bad_stamps == 0
 
 
+def test_every_round_shows_the_same_stamped_anew(
+    small_sensor: Sensor, eventually: Eventually
+) -> None:
+    seen: list[RawMessage] = []
+    stream = open_stream("synthetic:?rate=100&frames=3&encoding=16UC1", small_sensor)
+    stream.listen(seen.append)
+    with stream:
+        eventually(lambda: len([m for m in seen if m.type == IMAGE]) >= 9)
+    images = [m for m in seen if m.type == IMAGE][:9]
+    shown = [STORE.deserialize_cdr(m.payload, IMAGE) for m in images]
+    stamps = [SECOND * m.header.stamp.sec + m.header.stamp.nanosec for m in shown]
+    np.testing.assert_allclose(np.diff(stamps), SECOND // 100, atol=1)
+    assert [m.stamp_ns for m in images] == stamps
+    for k in range(3):
+        assert shown[k].data.tobytes() == shown[k + 3].data.tobytes() == shown[k + 6].data.tobytes()
+    assert shown[0].data.tobytes() != shown[1].data.tobytes()
+    beside = {m.stamp_ns for m in seen if m.type in (INFO, PRESSURE)}
+    assert beside >= set(stamps)
+
+
 def test_on_the_fly_is_the_same_simulation(small_sensor: Sensor) -> None:
     depths = []
     for ahead in (0, 1):

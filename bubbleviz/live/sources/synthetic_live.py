@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.message_encoding import FrameMessages, Message
 from bubbleviz.live.raw_message import RawMessage
@@ -17,6 +16,8 @@ from bubbleviz.live.sources.paced_thread import PacedThread
 
 class SyntheticLive:
     """Streams the frames of a simulation round after round, stamped with the present.
+
+    Each frame is encoded once: what is kept are its messages, stamped anew in every round.
 
     Parameters
     ----------
@@ -82,14 +83,20 @@ class SyntheticLive:
 
     def _run(self, pace: PacedThread, deliver: Deliver) -> None:
         simulation = self._make()
-        frames: list[Frame | None] = [None] * len(simulation)
+        made: dict[int, list[Message]] = {}
+
+        def messages_of(k: int) -> list[Message]:
+            if k not in made:
+                made[k] = list(self._messages.of(simulation[k]))
+            return made[k]
+
         try:
             if self._ahead:
-                for k in range(len(frames)):
+                for k in range(len(simulation)):
                     if pace.stopping:
                         return
-                    frames[k] = simulation[k]
-            self._stream(pace, deliver, simulation, frames)
+                    messages_of(k)
+            self._stream(pace, deliver, messages_of, len(simulation))
         finally:
             simulation.close()
 
@@ -97,20 +104,17 @@ class SyntheticLive:
         self,
         pace: PacedThread,
         deliver: Deliver,
-        simulation: FrameSource,
-        frames: list[Frame | None],
+        messages_of: Callable[[int], list[Message]],
+        frames: int,
     ) -> None:
-        first = frames[0] = frames[0] or simulation[0]
-        # once for nothing: rosbags compiles what it needs for the first message
-        self._topics = tuple(OfferedTopic(m.topic, m.type) for m in self._messages.of(first))
+        self._topics = tuple(OfferedTopic(m.topic, m.type) for m in messages_of(0))
         start, epoch, sent = time.monotonic(), time.time_ns(), 0
-        total = np.inf if self._rounds is None else self._rounds * len(frames)
+        total = np.inf if self._rounds is None else self._rounds * frames
         while sent < total and pace.wait_until(start + sent / self._rate):
-            k = sent % len(frames)
-            frame = frames[k] = frames[k] or simulation[k]
-            stamp = epoch + round(sent / self._rate * 1e9)
-            for message in self._messages.of(frame, stamp):
-                deliver(_raw(message, sent))
+            messages = messages_of(sent % frames)
+            later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
+            for message in messages:
+                deliver(_raw(message.later(later_ns), sent))
             sent += 1
 
 

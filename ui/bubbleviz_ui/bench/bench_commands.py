@@ -116,13 +116,17 @@ def bench_live(
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=20.0, help="How long.")
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=30.0, help="Frames a second.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
-def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> None:
-    """Two 640×480 cameras over Zenoh into one window: what is solved and drawn a second."""
+def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
+    """Two 640×480 cameras over Zenoh into one window: what is solved and drawn a second.
+
+    The window records them meanwhile; exit code 1 when a frame is missing in the file.
+    """
     from bubbleviz.live.session_preset import load_session
     from bubbleviz_ui.bench.live_pair import pair_bench
 
     report = pair_bench(load_session(session), seconds, rate)
     click.echo(report.to_json() if as_json else report.to_text())
+    return report.exit_code
 
 
 @bench.command("restarts")

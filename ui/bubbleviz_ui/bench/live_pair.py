@@ -1,4 +1,8 @@
-"""The work of `bubbleviz bench pair`: two cameras over Zenoh into one window."""
+"""The work of `bubbleviz bench pair`: two cameras over Zenoh into one window that records them.
+
+Their images are simulated and encoded before the first is sent, and replayed: what sending them
+costs is told apart from the window.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,27 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import quantiles
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
-from bubbleviz_ui.bench.live_soak import free_port, start_publisher
+from bubbleviz_ui.bench.live_soak import (
+    free_port,
+    gaps_in,
+    resident_bytes,
+    sequences,
+    start_publisher,
+)
 from bubbleviz_ui.bench.live_window import live_window, run_of
-from bubbleviz_ui.bench.replay_rate import run_for
+from bubbleviz_ui.bench.replay_rate import beats, run_for
+from bubbleviz_ui.bench.thread_times import process_seconds, thread_seconds
+from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession
+
+WARM_UP_S = 3.0
+SHARE_SHOWN = 0.002
+"""Threads with less of a core than this are not told."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +50,15 @@ class PairReport:
     pictures_hz : float
     latency_median_s, latency_p95_s : float
         Stamp to picture, of the chosen sensor.
+    recorded, missing, repeated : int
+        Depth images of both in the recording made meanwhile; gaps and repetitions of the
+        publishers' counts in it.
+    blocked_p99_ms, blocked_ms : float
+        Between two beats of the event loop: 99th percentile, and the longest.
+    memory_growth_bytes : int
+        Resident memory at the end less that at the beginning.
+    cores_used : dict
+        Processor time of each thread of the window a second; `publishers` of the other processes.
     load_average, cores : float, int
     """
 
@@ -45,8 +71,20 @@ class PairReport:
     pictures_hz: float
     latency_median_s: float
     latency_p95_s: float
+    recorded: int
+    missing: int
+    repeated: int
+    blocked_p99_ms: float
+    blocked_ms: float
+    memory_growth_bytes: int
+    cores_used: dict[str, float]
     load_average: float
     cores: int
+
+    @property
+    def exit_code(self) -> int:
+        """1 when the recording lacks a frame, or has one twice."""
+        return int(self.missing > 0 or self.repeated > 0)
 
     def to_json(self) -> str:
         """JSON object with the attributes as keys."""
@@ -54,7 +92,9 @@ class PairReport:
 
     def to_text(self) -> str:
         """A few lines for people, with units."""
-        received, solved = self.received_hz, self.solved_hz
+        received, solved, used = self.received_hz, self.solved_hz, dict(self.cores_used)
+        publishers = used.pop("publishers", 0.0)
+        threads = ", ".join(f"{name} {share:.2f}" for name, share in used.items())
         return "\n".join(
             [
                 f"stream    2 × {self.width}×{self.height} at {self.rate_hz:g} Hz for "
@@ -62,7 +102,11 @@ class PairReport:
                 f"solved    {solved[0]:.1f} and {solved[1]:.1f} Hz",
                 f"window    {self.pictures_hz:.1f} pictures/s; latency "
                 f"{1e3 * self.latency_median_s:.0f} ms median, {1e3 * self.latency_p95_s:.0f} ms "
-                "p95",
+                f"p95; blocked {self.blocked_p99_ms:.0f} ms p99, {self.blocked_ms:.0f} ms at most",
+                f"recorded  {self.recorded} depth images, {self.missing} missing, "
+                f"{self.repeated} twice",
+                f"memory    {self.memory_growth_bytes / 2**20:+.1f} MiB",
+                f"cores     {sum(used.values()):.2f} used: {threads}; publishers {publishers:.2f}",
                 f"machine   load {self.load_average:.1f} on {self.cores} cores",
             ]
         )
@@ -89,7 +133,7 @@ def pair_bench(
                 for place in preset.sensors
             )
             with live_window(preset.model_copy(update={"sensors": places})) as session:
-                return _count_pair(session, seconds, rate_hz, size)
+                return _count_pair(session, seconds, rate_hz, size, publishers, Path(folder))
         finally:
             for publisher in publishers:
                 publisher.kill()
@@ -127,34 +171,83 @@ def resized(sensor: Sensor, size: tuple[int, int]) -> Sensor:
     return sensor.model_copy(update={"camera": camera.model_copy(update=update)})
 
 
+@dataclass(frozen=True)
+class _Counts:
+    """What is counted from the start of a session on."""
+
+    at_s: float
+    received: list[int]
+    solved: list[int]
+    pictures: int
+    used_s: dict[str, float]
+    memory_bytes: int
+
+    @classmethod
+    def now(
+        cls, session: WindowSession, run: LiveRun, publishers: list[subprocess.Popen[str]]
+    ) -> _Counts:
+        used = thread_seconds()
+        used["publishers"] = sum(process_seconds(each.pid) for each in publishers)
+        return cls(
+            time.monotonic(),
+            [frames.stream.counters().frames for frames in run.frames],
+            [len(frames) for frames in run.frames],
+            session.window.view.render_count,
+            used,
+            resident_bytes(),
+        )
+
+
 def _count_pair(
-    session: WindowSession, seconds: float, rate_hz: float, size: tuple[int, int]
+    session: WindowSession,
+    seconds: float,
+    rate_hz: float,
+    size: tuple[int, int],
+    publishers: list[subprocess.Popen[str]],
+    folder: Path,
 ) -> PairReport:
-    run, view = run_of(session), session.window.view
-    run_for(3.0)
+    run, live, path = run_of(session), session.window.live_controller, folder / "pair.mcap"
+    live.recording.start(run.session.recorder, path)
+    session.wait_for(lambda: live.recording.state() is not None, "the recording")
+    run_for(WARM_UP_S)
     session.window.picture_age.begin(10**6)
-    solved, pictures = [len(frames) for frames in run.frames], view.render_count
-    received = [frames.stream.counters().frames for frames in run.frames]
-    began = time.monotonic()
-    run_for(seconds)
-    elapsed, report = time.monotonic() - began, session.window.picture_age.report()
-    if report is None:
+    before = _Counts.now(session, run, publishers)
+    with beats() as gaps_ms:
+        run_for(seconds)
+    after, ages = _Counts.now(session, run, publishers), session.window.picture_age.report()
+    if ages is None:
         raise InputError("bench pair: no picture was drawn")
+    live.close()
+    counts = [sequences(path, f"/{place.name}") for place in run.preset.sensors]
+    gaps = [gaps_in(count) for count in counts]
+    elapsed = after.at_s - before.at_s
 
     def rates(before: list[int], now: list[int]) -> tuple[float, float]:
         first, second = ((b - a) / elapsed for a, b in zip(before, now, strict=True))
         return first, second
 
+    used = {
+        name: (now_s - before.used_s.get(name, 0.0)) / elapsed
+        for name, now_s in after.used_s.items()
+    }
+    told = {name: share for name, share in used.items() if share > SHARE_SHOWN}
     return PairReport(
         seconds=elapsed,
         rate_hz=rate_hz,
         width=size[0],
         height=size[1],
-        received_hz=rates(received, [f.stream.counters().frames for f in run.frames]),
-        solved_hz=rates(solved, [len(f) for f in run.frames]),
-        pictures_hz=(view.render_count - pictures) / elapsed,
-        latency_median_s=report.median_s,
-        latency_p95_s=report.p95_s,
+        received_hz=rates(before.received, after.received),
+        solved_hz=rates(before.solved, after.solved),
+        pictures_hz=(after.pictures - before.pictures) / elapsed,
+        latency_median_s=ages.median_s,
+        latency_p95_s=ages.p95_s,
+        recorded=sum(len(count) for count in counts),
+        missing=sum(missing for missing, _ in gaps),
+        repeated=sum(repeated for _, repeated in gaps),
+        blocked_p99_ms=quantiles(gaps_ms, n=100)[-1],
+        blocked_ms=max(gaps_ms),
+        memory_growth_bytes=after.memory_bytes - before.memory_bytes,
+        cores_used=dict(sorted(told.items(), key=lambda each: -each[1])),
         load_average=os.getloadavg()[0],
         cores=os.cpu_count() or 1,
     )

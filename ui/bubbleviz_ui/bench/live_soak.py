@@ -221,8 +221,8 @@ def drain(stream: LiveStream) -> None:
         time.sleep(0.3)
 
 
-def sequences(path: Path) -> np.ndarray:
-    """The publisher's count of every depth image in a recording, in file order."""
+def sequences(path: Path, prefix: str = "") -> np.ndarray:
+    """The publisher's count of every depth image of such topics in a recording, in file order."""
     schemas: set[int] = set()
     channels: set[int] = set()
     found = []
@@ -231,16 +231,23 @@ def sequences(path: Path) -> np.ndarray:
             if isinstance(record, Schema) and record.name == IMAGE:
                 schemas.add(record.id)
             elif isinstance(record, Channel) and record.schema_id in schemas:
-                channels.add(record.id)
+                if record.topic.startswith(prefix):
+                    channels.add(record.id)
             elif isinstance(record, Message) and record.channel_id in channels:
                 found.append(record.sequence)
     return np.array(found, dtype=np.int64)
 
 
+def gaps_in(count: np.ndarray) -> tuple[int, int]:
+    """How many are missing between the first and the last of a count, and how many are repeated."""
+    steps = np.diff(np.sort(count))
+    return int(np.sum(np.maximum(steps - 1, 0))), int(np.sum(steps == 0))
+
+
 def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) -> SoakReport:
     """Report on a recording and what was counted meanwhile; InputError when that is nothing."""
     count = sequences(path)
-    steps = np.diff(np.sort(count))
+    gaps, repeated = gaps_in(count)
     ages = np.array(measured.ages_s)
     if not (len(count) and len(ages)):
         raise InputError(
@@ -250,14 +257,13 @@ def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) ->
     warm_up = min(WARM_UP_S, 0.5 * seconds)
     before = [size for at, size in measured.memory if at <= warm_up]
     after = [size for at, size in measured.memory if at > warm_up]
-    missing = int(np.sum(np.maximum(steps - 1, 0))) + measured.sent - int(count.max())
     return SoakReport(
         seconds=seconds,
         rate_hz=rate_hz,
         sent=measured.sent - int(count.min()) + 1,
         recorded=len(count),
-        missing=missing,
-        repeated=int(np.sum(steps == 0)),
+        missing=gaps + measured.sent - int(count.max()),
+        repeated=repeated,
         solved=measured.solved,
         skipped=measured.skipped,
         latency_median_s=float(np.median(ages)),
