@@ -25,6 +25,7 @@ from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.engine.source_openers import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.view3d.render_quality import FAST, RenderQuality
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.window_session import application
 
@@ -45,7 +46,7 @@ def press(sensor: Sensor) -> FrameSource:
 
 @pytest.fixture
 def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable[..., Driver]]:
-    """Open windows: `drive(open_source=…, sensor=…, frame=…, playing=…, live=…)`."""
+    """Open windows: `drive(open_source=…, frame=…, playing=…, live=…, quality=…)`."""
     application()
     windows: list[MainWindow] = []
 
@@ -55,10 +56,11 @@ def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable
         frame: int = 0,
         playing: bool = False,
         live: bool = False,
+        quality: RenderQuality = FAST,
     ) -> Driver:
         server = Server()
         controller = Controller(SessionState(), Worker(server))
-        window = MainWindow(controller.state, controller)
+        window = MainWindow(controller.state, controller, quality)
         window.resize(*SIZE)
         windows.append(window)
         controller.opening.open(

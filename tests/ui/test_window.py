@@ -358,6 +358,7 @@ def test_full_screen_and_about_say_what_runs(drive: Drive) -> None:
     actions["Help › About bubbleviz"].trigger()
     (about,) = driver.window.findChildren(QMessageBox)
     assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
+    assert driver.window.view.quality.text in about.informativeText()
     about.accept()
 
 

@@ -77,6 +77,7 @@ from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, MessagesDialog, PagesDialog
 from bubbleviz_ui.view3d.layers_panel import LayersPanel
 from bubbleviz_ui.view3d.pointing import Pointing
+from bubbleviz_ui.view3d.render_quality import FAST, RenderQuality
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
@@ -111,9 +112,13 @@ class MainWindow(QMainWindow):
     state : SessionState
     controller : Controller
         The window closes it when it closes.
+    quality : RenderQuality
+        How the 3-D view is drawn.
     """
 
-    def __init__(self, state: SessionState, controller: Controller) -> None:
+    def __init__(
+        self, state: SessionState, controller: Controller, quality: RenderQuality = FAST
+    ) -> None:
         super().__init__()
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("bubbleviz")
@@ -126,7 +131,7 @@ class MainWindow(QMainWindow):
         self.notice = NoticeBar(self.menuBar())
         self.busy = BusyBar(self)
         self.hint = HintBar(self)
-        self.view = View(self)
+        self.view = View(self, quality)
         self.scene = Scene(self.view, state.units, state.choices)
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)

@@ -44,14 +44,16 @@ class WindowSession:
         from bubbleviz_ui.engine.solver_thread import Worker
         from bubbleviz_ui.main_window import MainWindow
         from bubbleviz_ui.model.session_state import SessionState
+        from bubbleviz_ui.view3d.render_quality import quality_here
 
         self.application = application()
+        quality = quality_here()
         self.interrupt.end(self.application)
         self.state = state = SessionState()
         self.controller = Controller(state, Worker())
         # The window first: VTK and Open3D share modules, and two threads that import them at the
         # same time can lock each other out.
-        self.window = MainWindow(state, self.controller)
+        self.window = MainWindow(state, self.controller, quality)
         self._answers: list[Opened | Failed] = []
 
     def start(

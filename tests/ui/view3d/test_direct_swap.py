@@ -6,15 +6,20 @@ from collections.abc import Callable
 from itertools import product
 
 import numpy as np
+import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QWidget
 from window_driver import Driver
 
+from bubbleviz_ui.view3d.render_quality import FAST, SMOOTH, RenderQuality
+
 Drive = Callable[..., Driver]
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""
+NAMES = FAST.name, SMOOTH.name
+QUALITIES = pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
 
 
 def on_screen(driver: Driver) -> np.ndarray:
@@ -52,8 +57,11 @@ def assert_shown(driver: Driver, before: np.ndarray) -> None:
     assert share_that_differs(seen[-1], driver.window.view.pixels()) < 1e-3
 
 
-def test_every_frame_reaches_the_screen(drive: Drive) -> None:
-    driver = drive()
+@QUALITIES
+def test_every_frame_reaches_the_screen(drive: Drive, quality: RenderQuality) -> None:
+    """By the view's own swap, and by Qt's."""
+    driver = drive(quality=quality)
+    assert (driver.window.view.windowHandle() is not None) is quality.own_swap
     for frame in (10, 0, 14):
         before = on_screen(driver)
         driver.state.seek(frame)
@@ -61,8 +69,11 @@ def test_every_frame_reaches_the_screen(drive: Drive) -> None:
         assert_shown(driver, before)
 
 
-def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive: Drive) -> None:
-    driver = drive()
+@pytest.mark.parametrize("quality", [FAST, pytest.param(SMOOTH, marks=pytest.mark.long)], ids=NAMES)
+def test_the_picture_is_the_present_one_whatever_happens_to_the_window(
+    drive: Drive, quality: RenderQuality
+) -> None:
+    driver = drive(quality=quality)
     window = driver.window
 
     def before() -> np.ndarray:
@@ -117,8 +128,11 @@ def test_no_older_picture_comes_back_where_qt_paints_the_window(drive: Drive) ->
     driver.wait(lambda: same(on_screen(driver), now))
 
 
-def test_what_covered_the_panels_leaves_nothing_behind(drive: Drive) -> None:
-    driver = drive()
+@QUALITIES
+def test_what_covered_the_panels_leaves_nothing_behind(
+    drive: Drive, quality: RenderQuality
+) -> None:
+    driver = drive(quality=quality)
     driver.seek(3)
     kinds = (Qt.WindowType.Popup, Qt.WindowType.ToolTip, Qt.WindowType.Dialog)
     for kind, panel in product(kinds, (driver.window.playback, driver.window.layers)):

@@ -105,7 +105,8 @@ class Menus:
             "sensors.\nMIT licence."
         )
         about.setInformativeText(
-            f"Python {platform.python_version()}, Qt {qVersion()}, VTK {vtkVersion.GetVTKVersion()}"
+            f"Python {platform.python_version()}, Qt {qVersion()}, "
+            f"VTK {vtkVersion.GetVTKVersion()}\n3-D view drawn {self._window.view.quality.text}"
         )
         about.open()
 

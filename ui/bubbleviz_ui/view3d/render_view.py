@@ -27,6 +27,7 @@ from pyvistaqt import QtInteractor
 from bubbleviz_ui.model.rate_meter import RateMeter
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d import direct_swap
+from bubbleviz_ui.view3d.render_quality import RenderQuality
 
 POINTS_PER_INCH = 72
 """Resolution of a picture in which text has as many pixels as its font size says."""
@@ -40,8 +41,14 @@ class View(QtInteractor):  # type: ignore[misc]
     VTK's own renders on mouse moves are such requests too, so any number of changes between two
     pictures costs one render.
 
+    Parameters
+    ----------
+    parent : QWidget
+    quality : RenderQuality
+
     Attributes
     ----------
+    quality : RenderQuality
     dropped_files : Signal
         List of paths the user dropped on the view.
     moved : Signal
@@ -74,9 +81,11 @@ class View(QtInteractor):  # type: ignore[misc]
     left = Signal()
     resized = Signal()
 
-    def __init__(self, parent: QWidget) -> None:
-        super().__init__(parent, auto_update=False, multi_samples=0, lighting="none")
-        direct_swap.prepare(self)
+    def __init__(self, parent: QWidget, quality: RenderQuality) -> None:
+        super().__init__(parent, auto_update=False, multi_samples=quality.samples, lighting="none")
+        self.quality = quality
+        if quality.own_swap:
+            direct_swap.prepare(self)
         self.renders = RateMeter()
         self.render_count = 0
         self.of_the_mouse: list[Any] = []
@@ -185,11 +194,11 @@ class View(QtInteractor):  # type: ignore[misc]
         super().close()
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Watch the native window, and the one around it."""
+        """Watch the view's own native window, where it has one, and the one around it."""
         super().showEvent(event)
-        for window in (self.windowHandle(), self.window().windowHandle()):
-            if window is not None:
-                window.installEventFilter(self)
+        own, around = self.windowHandle(), self.window().windowHandle()
+        for window in (own, around) if own is not None else ():
+            window.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Draw anew what was covered.

@@ -18,10 +18,10 @@ from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer
 from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
 from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
-from bubbleviz_ui.view3d.picker import Picker
 from bubbleviz_ui.view3d.place_text import PlaceText
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
+from bubbleviz_ui.view3d.tools.picker import Picker
 from bubbleviz_ui.view3d.tools.section_plane import Section
 from bubbleviz_ui.view3d.tools.viewpoints import (
     ANGLE_DEG,

@@ -16,6 +16,9 @@ from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 CHUNK = 1024
 """The buffers change in steps, so a few points more or less change no array's size."""
 
+DOT, BALL = 2, 3
+"""Size of a point that is flat, and of one that is shaded, px."""
+
 
 class CloudLayer(Layer):
     """Point cloud in buffers with some room; spare points repeat the last one."""
@@ -35,12 +38,10 @@ class CloudLayer(Layer):
             self._poly,
             scalars=self.RESIDUAL,
             cmap=self._table,
-            style="points",
-            point_size=2,
-            render_points_as_spheres=False,
-            lighting=False,
+            point_size=BALL if view.quality.round_points else DOT,
             show_scalar_bar=False,
             interpolate_before_map=False,
+            **view.quality.points,
         )
         actor.mapper.SetScalarModeToUsePointFieldData()
         actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass

@@ -39,7 +39,7 @@ class FitLayer(Layer):
         self._arrows = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         self.points = self.add(
             self._points, scalars="distance", cmap=COLOURS, clim=(-HIGHEST_M, HIGHEST_M),
-            point_size=5, show_scalar_bar=False, lighting=False,
+            point_size=5, show_scalar_bar=False, **canvas.view.quality.points,
         )  # fmt: skip
         self.lines = self.add(self._lines, color=theme.ORANGE, line_width=1, lighting=False)
         self.arrows = self.add(self._arrows, color=theme.NODE, line_width=3, lighting=False)

@@ -29,12 +29,13 @@ class ProbeMarks:
         self._dots = pv.PolyData(np.zeros((2, 3)))
         self._dots.point_data["colour"] = np.array([rgb(theme.LINE), rgb(theme.NODE)], np.uint8)
         self._ray = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        looks = {"lighting": False, "reset_camera": False, "render": False}
+        looks = {"reset_camera": False, "render": False}
+        dots = {"scalars": "colour", "rgb": True, "point_size": 11, **view.quality.points}
         self.actors = [
-            view.add_mesh(self._ray, color=theme.LINE, line_width=1, opacity=0.6, **looks),
             view.add_mesh(
-                self._dots, scalars="colour", rgb=True, style="points", point_size=11, **looks
+                self._ray, color=theme.LINE, line_width=1, opacity=0.6, lighting=False, **looks
             ),
+            view.add_mesh(self._dots, **dots, **looks),
         ]
         for actor in self.actors:
             actor.SetPickable(False)

@@ -26,9 +26,9 @@ class Distance:
         self._view = view
         self.points_m: list[np.ndarray] = []
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        looks = {"color": theme.GREEN, "lighting": False, "reset_camera": False, "render": False}
-        self._line = view.add_mesh(self._poly, line_width=2, **looks)
-        self._dots = view.add_mesh(self._poly, style="points", point_size=10, **looks)
+        looks = {"color": theme.GREEN, "reset_camera": False, "render": False}
+        self._line = view.add_mesh(self._poly, line_width=2, lighting=False, **looks)
+        self._dots = view.add_mesh(self._poly, point_size=10, **view.quality.points, **looks)
         for actor in (self._line, self._dots):
             actor.SetPickable(False)
             in_front(actor, TO_THE_FRONT)

@@ -1,0 +1,102 @@
+"""How the view is drawn follows what draws it, and is seen in its pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from window_driver import Driver
+
+from bubbleviz.errors import InputError
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.render_quality import (
+    FAST,
+    SMOOTH,
+    VARIABLE,
+    RenderQuality,
+    quality_for,
+    quality_here,
+)
+from bubbleviz_ui.window_session import application
+
+Drive = Callable[..., Driver]
+SOFTWARE = (
+    "llvmpipe (LLVM 15.0.6, 256 bits)",
+    "softpipe",
+    "Software Rasterizer",
+    "SWR (LLVM 11.0.0, 256 bits)",
+    "Mesa OffScreen",
+    "Mesa DRI swrast",
+    "Apple Software Renderer",
+    "Microsoft Basic Render Driver",
+    "GDI Generic",
+    "",
+)
+GPUS = (
+    "NVIDIA GeForce RTX 4060 Laptop GPU/PCIe/SSE2",
+    "Mesa Intel(R) UHD Graphics 620 (KBL GT2)",
+    "AMD Radeon RX 580 Series (polaris10, LLVM 15.0.7, DRM 3.54)",
+    "Apple M2",
+    "V3D 4.2",
+    "virgl (SWRITE GPU)",
+)
+
+
+@pytest.mark.parametrize("renderer", SOFTWARE)
+def test_software_is_fast_unless_somebody_wants_it_smooth(renderer: str) -> None:
+    found, wanted = quality_for(renderer), quality_for(renderer, "smooth")
+    assert (found.samples, found.round_points, found.own_swap) == (0, False, True)
+    assert wanted.name == SMOOTH.name and wanted.samples == SMOOTH.samples
+    assert renderer in found.text and renderer in wanted.text
+
+
+@pytest.mark.parametrize("renderer", GPUS)
+def test_a_gpu_is_smooth_unless_somebody_wants_it_fast(renderer: str) -> None:
+    found, wanted = quality_for(renderer), quality_for(renderer, "fast")
+    assert found.samples > 1 and found.round_points and not found.own_swap
+    assert wanted.name == FAST.name and wanted.samples == FAST.samples
+
+
+def test_the_driver_is_asked_and_the_variable_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
+    application()
+    monkeypatch.delenv(VARIABLE, raising=False)
+    found = quality_here()
+    assert found.renderer and found == quality_for(found.renderer)
+    for wanted in (FAST, SMOOTH):
+        monkeypatch.setenv(VARIABLE, wanted.name)
+        assert quality_here().name == wanted.name
+    monkeypatch.setenv(VARIABLE, "best")
+    with pytest.raises(InputError, match=f"{VARIABLE} is 'best'; set it to fast or smooth"):
+        quality_here()
+
+
+@pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)
+def test_edges_and_points_are_smooth_or_fast(drive: Drive, quality: RenderQuality) -> None:
+    driver = drive(quality=quality)
+    window, smooth = driver.window, quality is SMOOTH
+    driver.state.choose(layers=frozenset({"rim"}))
+    driver.settle()
+    rim = window.view.pixels()
+    shades = share_of_shades(rim, theme.of(window).rim, theme.of(window).view)
+    assert shades > 0.2 if smooth else shades == 0.0
+
+    window.tools.distance.add(np.array(window.view.camera.focal_point))
+    window.view.refresh()
+    driver.settle()
+    dot = (window.view.pixels().astype(int) - rim).any(axis=2)
+    rows, columns = np.flatnonzero(dot.any(axis=1)), np.flatnonzero(dot.any(axis=0))
+    inside = dot[np.ix_(rows, columns)]
+    assert min(inside.shape) >= 9 and max(inside.shape) <= 10
+    corners = inside[np.ix_([0, -1], [0, -1])]
+    assert corners.all() if not smooth else not corners.any()
+    assert inside.mean() == pytest.approx(np.pi / 4 if smooth else 1.0, abs=0.1)
+    colours = window.view.pixels()[dot]
+    assert (len(np.unique(colours, axis=0)) > 5) is smooth  # a ball has light and shade
+
+
+def share_of_shades(picture: np.ndarray, line: str, ground: str) -> float:
+    """Pixels that are neither line nor ground, over those that are not ground."""
+    on, off = ((picture == rgb(colour)).all(axis=2) for colour in (line, ground))
+    return float((~on & ~off).sum() / (~off).sum())
