@@ -50,19 +50,19 @@ class CoverageGrid:
     levels : tuple of float
         Inflation levels beside the rest, over the gauge pressure at rest.
     frames : int
-        Of every level.
+        Of every level: two seconds, unless told otherwise.
     width : int
-        Of the image, pixels.
+        Of the image, pixels: a pico flexx's, unless told otherwise.
     nodes : int
-        Of the mesh that is identified.
+        Of the mesh that is identified: those of `identify`, unless told otherwise.
     """
 
     rubbers: tuple[str, ...] = tuple(RUBBERS)
     seeds: int = 50
     levels: tuple[float, ...] = (0.85, 1.15)
-    frames: int = 20
-    width: int = 120
-    nodes: int = 500
+    frames: int = 60
+    width: int = 224
+    nodes: int = 1000
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class CoverageRow:
 
 
 def quick_coverage() -> CoverageGrid:
-    """One rubber and few seeds: less than a minute."""
-    return CoverageGrid(("round sheet",), seeds=3)
+    """One rubber, few seeds, short recordings of small images: less than a minute."""
+    return CoverageGrid(("round sheet",), seeds=3, frames=20, width=120, nodes=500)
 
 
 def run_coverage(
