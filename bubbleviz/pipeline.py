@@ -43,6 +43,8 @@ Product = Literal[
     "texture",
 ]  # fmt: skip
 
+SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
+"""What depth and optical flow tell together."""
 OF_COLOUR: frozenset[Product] = frozenset({"flow", "traction", "slip", "texture"})
 """Products that the colour image of a frame is decoded for."""
 

@@ -54,14 +54,21 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @solver_option
 @click.option("--object", "object_name", help="Object to track: a mesh or a preset.")
 @click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
+@click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
+@click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
-    """Solve a live source without a window, and publish or record the results."""
+    """Solve a live source without a window, and publish or record the results.
+
+    Shear is measured against the first colour images without contact: touch nothing at the start.
+    """
     from bubbleviz.commands.watch import WatchOptions, watch_source
     from bubbleviz.live.sources.auto_sensor import sensor_for_source
     from bubbleviz.live.sources.open_stream import patience_s
     from bubbleviz.sensor import load_sensor
 
+    if choices["friction"] is not None and not choices["shear"]:
+        raise click.UsageError("--friction bounds shear; give --shear, too")
     options = WatchOptions(
         out=choices["out"],
         publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"], choices),
@@ -69,6 +76,8 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
         solver=choices["solver"],
         object_name=choices["object_name"],
         zero=zero,
+        shear=choices["shear"],
+        friction=choices["friction"],
     )
     name = sensor_for_source(source, sensor, patience_s(source))
     summary = watch_source(source, load_sensor(name), options)

@@ -24,14 +24,13 @@ from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor, gas_warning
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.result import Result, Status
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.shear.recorded_texture import watch_recorded_texture
 from bubbleviz.wording import count_of
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
-SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
 
 
 @dataclass(frozen=True)

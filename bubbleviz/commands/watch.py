@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -19,6 +19,7 @@ from tqdm import tqdm
 from bubbleviz.calibration.pressure_zero import PressureZero, zeroed
 from bubbleviz.commands.stop_signals import stopped_by_signals
 from bubbleviz.commands.summary import Summary
+from bubbleviz.diagnostics.shear_tally import ShearSummary, ShearTally, shear_line
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import RESULTS
 from bubbleviz.frames.frame import Frame
@@ -33,10 +34,13 @@ from bubbleviz.live.sinks.result_messages import ResultMessages
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.open_stream import open_stream, patience_s
 from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
+
+if TYPE_CHECKING:
+    from bubbleviz.shear.passing_texture import PassingTexture
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """There is a pose only where the pipeline follows an object."""
@@ -62,6 +66,10 @@ class WatchOptions:
         Object to track, a mesh file or preset.
     zero : bool
         Whether the gas pressure is zeroed on the first contact-free frames.
+    shear : bool
+        Traction with friction and slip, too, from the source's colour images.
+    friction : float or None
+        Coulomb's bound μ of the traction along the membrane over that across it.
     """
 
     out: Path | None = None
@@ -70,6 +78,8 @@ class WatchOptions:
     solver: str | None = None
     object_name: str | None = None
     zero: bool = True
+    shear: bool = False
+    friction: float | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +99,8 @@ class WatchSummary(Summary):
         Stamp, or arrival where the stamps are of another clock, to result.
     pressure_offset_pa : float or None
         Taken from the measured gas pressure.
+    shear : ShearSummary or None
+        None where it was not asked for.
     counters : dict
     warning : str or None
         What does not fit together, but was solved all the same.
@@ -101,6 +113,7 @@ class WatchSummary(Summary):
     latency_median_s: float | None
     latency_p95_s: float | None
     pressure_offset_pa: float | None
+    shear: ShearSummary | None
     counters: dict[str, Any]
     warning: str | None
 
@@ -110,6 +123,8 @@ class WatchSummary(Summary):
         lines = [f"frames   {self.frames}: {status}; {self.rate_hz:.1f} Hz"]
         if self.max_force_n is not None:
             lines.append(f"force    {self.max_force_n:.3g} N highest")
+        if self.shear is not None:
+            lines.append(self.shear.to_text())
         if self.latency_median_s is not None and self.latency_p95_s is not None:
             lines.append(
                 f"latency  {1e3 * self.latency_median_s:.1f} ms median, "
@@ -132,6 +147,8 @@ class Watcher:
     options : FrameOptions, optional
     first : Frame, optional
         Taken from the stream already; solved where no newer one has come.
+    texture : PassingTexture, optional
+        Of the pipeline: traction with friction and slip, too.
     """
 
     def __init__(
@@ -141,8 +158,11 @@ class Watcher:
         zero: PressureZero | None,
         options: FrameOptions | None = None,
         first: Frame | None = None,
+        texture: PassingTexture | None = None,
     ) -> None:
         self.stream, self.pipeline, self.zero = stream, pipeline, zero
+        self.texture = texture
+        self._products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self._options = options
         self._first = first
         self._measured_pa: float | None = None
@@ -162,6 +182,8 @@ class Watcher:
         zero: bool = True,
         options: FrameOptions | None = None,
         stop: threading.Event | None = None,
+        shear: bool = False,
+        friction: float | None = None,
     ) -> Watcher:
         """Watcher of a stream, once the first frame tells the camera.
 
@@ -182,11 +204,16 @@ class Watcher:
         options : FrameOptions, optional
         stop : Event, optional
             Ends the waiting.
+        shear : bool
+            Traction with friction and slip, too, where the stream's colour images are followed.
+        friction : float, optional
+            Coulomb's bound μ of the traction along the membrane over that across it.
 
         Raises
         ------
         InputError
-            No depth image came, or it is not of the sensor's camera.
+            No depth image came, or it is not of the sensor's camera; shear was asked for and the
+            estimator is not of the exact membrane.
         """
         check = partial(stream.check_size, f"--source {source}", sensor.name)
         first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
@@ -196,7 +223,8 @@ class Watcher:
         pipeline.prepare(PRODUCTS)
         pipeline.follow(obj, start)
         known = PressureZero(pipeline.model.gas.P0) if zero else None
-        return cls(stream, pipeline, known, options, first)
+        texture = _texture(pipeline, friction) if shear else None
+        return cls(stream, pipeline, known, options, first, texture)
 
     @property
     def ended(self) -> bool:
@@ -213,7 +241,9 @@ class Watcher:
             self._measured_pa = frame.gas_pressure_pa
         if self.zero is not None:
             frame = zeroed(frame, self.zero, self.pipeline)
-        self.last = self.pipeline.process(frame, PRODUCTS, self._options)
+        self.last = self.pipeline.process(frame, self._products, self._options)
+        if self.texture is not None:
+            self.texture.take(self.last)
         self.latency.add(frame, time.time_ns())
         return self.last
 
@@ -238,6 +268,8 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
         stream = open_stream(source, sensor)
         obj = None if options.object_name is None else load_object(options.object_name)
         recorder = _recorder(stack, stream, options.out)
+        if options.shear:
+            stream.follow_colour()
         publisher = _publisher(stack, options.publish)
         stack.enter_context(stream)
         watcher = Watcher.on(
@@ -248,6 +280,8 @@ def watch_source(source: str, sensor: Sensor, options: WatchOptions) -> WatchSum
             obj=obj,
             zero=options.zero,
             stop=stop,
+            shear=options.shear,
+            friction=options.friction,
         )
         out = _Out(ResultMessages(watcher.pipeline.mesh, RESULTS), publisher, recorder)
         return _watch(watcher, out, stop, options.duration_s)
@@ -275,6 +309,7 @@ class _Out:
 def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> WatchSummary:
     statuses: Counter[str] = Counter()
     forces: list[float] = []
+    shear = None if watcher.texture is None else ShearTally()
     began = told = time.monotonic()
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
         while not stop.is_set():
@@ -289,6 +324,8 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
                 trusted = result.trusted_patch
                 if trusted is not None:
                     forces.append(float(np.linalg.norm(trusted.force_n)))
+                if shear is not None:
+                    shear.add(result)
                 for message in out.messages.of(result):
                     out.send(message)
                 bar.update()
@@ -296,7 +333,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
                 told = time.monotonic()
                 status, counters = watcher.stream.status(), watcher.stream.counters()
                 out.send(out.messages.diagnostics(time.time_ns(), status, counters, watcher.last))
-                newest = (_force_text(watcher.last), status.text)
+                newest = (_force_text(watcher.last), *_shear_texts(watcher), status.text)
                 bar.set_postfix_str(", ".join(filter(None, newest)))
     elapsed = time.monotonic() - began
     latency = watcher.latency.report()
@@ -308,6 +345,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
         latency_median_s=None if latency is None else latency.median_s,
         latency_p95_s=None if latency is None else latency.p95_s,
         pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,
+        shear=None if shear is None else shear.summary(_reference(watcher)),
         counters=watcher.stream.counters().as_dict(),
         warning=watcher.warning() or None,
     )
@@ -319,6 +357,25 @@ def _force_text(result: Result | None) -> str:
         return ""
     patch = result.trusted_patch
     return result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
+
+
+def _texture(pipeline: Pipeline, friction: float | None) -> PassingTexture:
+    from bubbleviz.shear.passing_texture import PassingTexture  # only for shear
+
+    texture = PassingTexture(pipeline, friction)
+    pipeline.prepare(SHEAR)
+    return texture
+
+
+def _shear_texts(watcher: Watcher) -> tuple[str, ...]:
+    """Shear of the newest frame, and what it is measured against while that is not there."""
+    if watcher.texture is None or watcher.last is None:
+        return ()
+    return (shear_line(watcher.last), watcher.texture.words)
+
+
+def _reference(watcher: Watcher) -> str:
+    return "" if watcher.texture is None else watcher.texture.words
 
 
 def _first_frame(

@@ -83,6 +83,8 @@ class ResultMessages:
         if estimate is not None and result is not None:
             values["residual_rms_m"] = f"{estimate.residual_rms_m:.3g}"
             values["total_ms"] = f"{result.times_ms.get('total', np.nan):.3g}"
+        if result is not None and (traction := result.traction) is not None:
+            values["traction"] = ": ".join(filter(None, (traction.status, traction.reason)))
         level, text = _level(status, estimate)
         body = entry(
             level=level,

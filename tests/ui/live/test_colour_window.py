@@ -13,9 +13,9 @@ from live_bench import Bench
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz.shear.passing_texture import COLLECTED
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.shear.shear_reference import COLLECTED
 
 Open = Callable[[], Bench]
 COLOUR = "/bubble/color/image_raw"

@@ -17,12 +17,13 @@ from window_driver import Driver, drawn_points
 from bubbleviz.diagnostics.shear_numbers import ShearEllipse
 from bubbleviz.result import Result, Slip, Traction
 from bubbleviz.sensor import Sensor
+from bubbleviz.shear.passing_texture import COLLECTED
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shear.shear_plot import ShearPlot
-from bubbleviz_ui.shear.shear_reference import COLLECTED, NO_RUBBER
+from bubbleviz_ui.shear.shear_reference import NO_RUBBER
 from bubbleviz_ui.shear.shear_text import copied_shear, shear_words
 
 Drive = Callable[..., Driver]

@@ -293,7 +293,7 @@ def _process(
         pipeline.settle(frame)
     result = pipeline.process(frame, products, demand.options)
     if products & SHEAR:
-        shear.collect(pipeline, result)
+        shear.collect(result)
     return result
 
 

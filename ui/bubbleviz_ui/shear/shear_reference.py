@@ -13,12 +13,8 @@ from bubbleviz.result import Result
 from bubbleviz_ui.model.demand import Demand, ShearOptions
 
 if TYPE_CHECKING:
-    import numpy as np
+    from bubbleviz.shear.passing_texture import PassingTexture
 
-    from bubbleviz.colour.colour_image import ColourCamera
-
-COLLECTED = 15
-"""Images that are collected of frames that pass: half a second at 30 Hz."""
 LONG = 3000
 """Frames beyond which a recording is not searched: the solver would wait for minutes."""
 SHEAR: frozenset[Product] = frozenset({"flow", "traction", "slip"})
@@ -43,7 +39,7 @@ class ShearReference:
         self.words = ""
         self._options: ShearOptions | None = None
         self._possible = True
-        self._images: dict[int, np.ndarray] | None = None  # while they are collected
+        self._passing: PassingTexture | None = None
         self._frame = 0
 
     def forget(self) -> None:
@@ -57,37 +53,22 @@ class ShearReference:
         if not demand.products & SHEAR:
             return demand.products
         if demand.shear != self._options:
-            self._options, self._images = demand.shear, None
+            self._options, self._passing = demand.shear, None
             self._begin(source, pipeline, demand.shear)
         elif index < self._frame:
             pipeline.restart()  # what slipped is told by frames that follow one another
         self._frame = index
         return demand.products if self._possible else demand.products - SHEAR
 
-    def collect(self, pipeline: Pipeline, result: Result) -> None:
+    def collect(self, result: Result) -> None:
         """Take the colour image of a frame without contact, until there are enough."""
-        images, estimate, options = self._images, result.estimate, self._options
-        if images is None or options is None or estimate is None:
-            return
-        if result.frame.find_colour is None:
-            self.words = f"Depth alone: {result.frame.no_colour}"
-            return
-        colour = result.frame.colour if estimate.status == "no_contact" else None
-        if colour is not None:
-            try:
-                grey = colour.grey()
-            except InputError as error:
-                self.words = str(error)
-                return
-            if any(grey.shape != other.shape for other in images.values()):
-                images.clear()  # another camera mode
-            images[result.frame.index] = grey
-        self.words = f"Collecting images without contact: {len(images)} of {COLLECTED}"
-        if colour is not None and len(images) >= COLLECTED:
-            self._learn(pipeline, colour.camera, options)
+        if self._passing is not None:
+            self._passing.take(result)
+            self.words = self._passing.words
 
     def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
         # what shear needs takes long to load, and nobody else needs it
+        from bubbleviz.shear.passing_texture import PassingTexture
         from bubbleviz.shear.recorded_texture import watch_recorded_texture
         from bubbleviz.shear.traction_estimator import TractionOptions
 
@@ -95,29 +76,11 @@ class ShearReference:
         if not self._possible:
             self.words = NO_RUBBER
             return
-        pipeline.watch_texture(None, options=TractionOptions(options.friction))
         if not isinstance(source, Recording) or len(source) > LONG:
-            self._images = {}
+            self._passing = PassingTexture(pipeline, options.friction, options.flow)
             return
+        pipeline.watch_texture(None, options=TractionOptions(options.friction))
         try:
             self.words = watch_recorded_texture(pipeline, source, options.friction, options.flow)
         except InputError as error:
             self.words = f"Depth alone: {error}"
-
-    def _learn(self, pipeline: Pipeline, colour: ColourCamera, options: ShearOptions) -> None:
-        from bubbleviz.colour.optical_flow import OpticalFlow  # OpenCV, for shear alone
-        from bubbleviz.shear.texture_flow import TextureFlow, flow_camera
-        from bubbleviz.shear.traction_estimator import TractionOptions
-
-        images, self._images = self._images or {}, None
-        count = len(images)
-        said = f"{count} images without contact; the lag of colour behind depth is not known"
-        try:
-            camera = flow_camera(colour, pipeline.camera, "colour camera")
-            flow = OpticalFlow.of(images.values(), options.flow)
-            texture = TextureFlow(flow, learned_from=said, granted=colour.remark)
-            texture.watched_by(pipeline, camera, TractionOptions(options.friction))
-        except InputError as error:
-            self.words = f"Depth alone: {error}"
-            return
-        self.words = texture.remark

@@ -1,0 +1,86 @@
+"""Flow against contact-free colour images that are taken of frames as they pass."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bubbleviz.colour.colour_image import ColourCamera
+from bubbleviz.errors import InputError
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Result
+from bubbleviz.shear.texture_flow import TextureFlow, flow_camera
+from bubbleviz.shear.traction_estimator import TractionOptions
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bubbleviz.colour.optical_flow import FlowPreset
+
+COLLECTED = 15
+"""Images that are collected of frames that pass: half a second at 30 Hz."""
+
+
+class PassingTexture:
+    """Has a pipeline make traction once it has seen enough frames without contact.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        By depth alone until then.
+    friction : float, optional
+        Coulomb's bound μ of the traction along the membrane over that across it.
+    preset : {"fast", "balanced", "fine"}
+
+    Attributes
+    ----------
+    words : str
+        What flow is measured against, or why there is nothing, in one sentence.
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        friction: float | None = None,
+        preset: FlowPreset = "balanced",
+    ) -> None:
+        self.words = ""
+        self._pipeline, self._options, self._preset = pipeline, TractionOptions(friction), preset
+        self._images: dict[int, np.ndarray] | None = {}  # while they are collected
+        pipeline.watch_texture(None, options=self._options)
+
+    def take(self, result: Result) -> None:
+        """Take the colour image of a frame without contact, until there are enough."""
+        images, estimate = self._images, result.estimate
+        if images is None or estimate is None:
+            return
+        if result.frame.find_colour is None:
+            self.words = f"Depth alone: {result.frame.no_colour}"
+            return
+        colour = result.frame.colour if estimate.status == "no_contact" else None
+        if colour is not None:
+            try:
+                grey = colour.grey()
+            except InputError as error:
+                self.words = str(error)
+                return
+            if any(grey.shape != other.shape for other in images.values()):
+                images.clear()  # another camera mode
+            images[result.frame.index] = grey
+        self.words = f"Collecting images without contact: {len(images)} of {COLLECTED}"
+        if colour is not None and len(images) >= COLLECTED:
+            self._images = None
+            self._learn(images, colour.camera)
+
+    def _learn(self, images: dict[int, np.ndarray], colour: ColourCamera) -> None:
+        from bubbleviz.colour.optical_flow import OpticalFlow  # OpenCV, for shear alone
+
+        said = f"{len(images)} images without contact; the lag of colour behind depth is not known"
+        try:
+            camera = flow_camera(colour, self._pipeline.camera, "colour camera")
+            flow = OpticalFlow.of(images.values(), self._preset)
+            texture = TextureFlow(flow, learned_from=said, granted=colour.remark)
+            texture.watched_by(self._pipeline, camera, self._options)
+        except InputError as error:
+            self.words = f"Depth alone: {error}"
+            return
+        self.words = texture.remark

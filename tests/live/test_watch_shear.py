@@ -1,0 +1,169 @@
+"""`watch --shear`: traction, torque and slip of a live source, or why there is depth alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+
+from bubbleviz.cli.command_line import main
+from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
+from bubbleviz.commands.watch import Watcher
+from bubbleviz.diagnostics.shear_tally import ShearTally, shear_line
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_encoding import FrameMessages
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
+from bubbleviz.result import Result
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.shear.passing_texture import COLLECTED
+from tests.shear.drag import Eyes, sensor, stuck
+from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, images, write_texture_press
+from tests.small_press import write_press, write_small_sensor
+
+NOW = 1_700_000_000_000_000_000
+
+
+class HandedSource:
+    """Delivers the frames that it is handed."""
+
+    name = "handed"
+
+    def __init__(self) -> None:
+        self._deliver: Deliver = lambda _: None
+        self._messages = FrameMessages()
+        self._topics: dict[OfferedTopic, None] = {}
+
+    def start(self, deliver: Deliver) -> None:
+        self._deliver = deliver
+
+    def hand(self, frame: Frame) -> None:
+        stamp = NOW + round(1e9 * frame.time_s)
+        for topic, kind, payload, at in self._messages.of(frame, stamp):
+            self._topics[OfferedTopic(topic, kind)] = None
+            self._deliver(RawMessage(topic, kind, payload, at, stamp))
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        return tuple(self._topics)
+
+    def stop(self) -> None: ...
+
+    def follow_colour(self, on: bool = True) -> None: ...
+
+    def link(self) -> Link:
+        return "up"
+
+    def missed(self) -> int:
+        return 0
+
+    def problem(self) -> str:
+        return ""
+
+
+def frame_of(k: int) -> Frame:
+    """What both cameras see of the puck at frame k."""
+    depth, grey = images()[k]
+    height, width = grey.shape
+    encoded = EncodedImage("mono8", grey.tobytes(), width, height, width)
+    lens = SensorModel.of(sensor()).camera.intrinsics
+    image = ColourImage(lambda: encoded, time_s=k / 30.0, camera=ColourCamera(lens))
+    return Frame(k, k / 30.0, depth, lens, find_colour=lambda _: image)
+
+
+def watched(*frames: Frame) -> Iterator[tuple[Watcher, Result]]:
+    """Results of frames, one after the other."""
+    source = HandedSource()
+    with LiveStream(source) as stream:
+        stream.follow_colour()
+        source.hand(frames[0])
+        watcher = Watcher.on(stream, "handed", sensor(), zero=False, shear=True)
+        for k, frame in enumerate(frames):
+            if k:
+                source.hand(frame)
+            result = watcher.step(30.0)
+            assert result is not None
+            yield watcher, result
+
+
+@pytest.mark.long
+def test_force_torque_and_slip_are_those_of_the_puck() -> None:
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    tally, truth, said = ShearTally(), stuck("puck", 0.004, 0.001, 8.0), []
+    free = range(COLLECTED + 1)  # at the first the source is not known to have colour
+    for watcher, result in watched(*(frame_of(k) for k in (*free, *range(TOUCHED, HELD + 3)))):
+        tally.add(result)
+        said.append(watcher.texture.words)
+    assert said[1].endswith(f"Collecting images without contact: 1 of {COLLECTED}")
+    assert watcher.texture.words.startswith(f"{COLLECTED} images without contact; the lag of")
+    np.testing.assert_allclose(
+        result.traction.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
+    )
+    summary = tally.summary(watcher.texture.words)
+    assert summary.status["no_contact"] >= COLLECTED and summary.status["ok"] >= 3
+    assert summary.max_force_n == pytest.approx(np.linalg.norm(truth.force_n), rel=0.05)
+    assert 0.0 < summary.max_force_sigma_n < 0.1 * summary.max_force_n
+    assert summary.torque_sigma_nm > 0.0
+    assert summary.slip_share == pytest.approx(0.0, abs=0.05)
+    assert "N with friction, torque" in shear_line(result) and "slip 0 ±" in shear_line(result)
+    text = summary.to_text()
+    assert "± " in text and "its direction has not been verified" in text
+    assert "the lag of colour behind depth is not known" in text
+
+
+def test_without_colour_it_is_depth_alone_and_says_so() -> None:
+    eyes, tally, truth = Eyes(), ShearTally(), stuck("puck", 0.004, 0.001, 8.0)
+    seen = [eyes.rest(), eyes.see(truth), eyes.see(truth, 1)]
+    lens = eyes.pipeline.camera.intrinsics
+    for watcher, result in watched(*(replace(frame, intrinsics=lens) for frame in seen)):
+        tally.add(result)
+        assert watcher.texture.words == "Depth alone: no colour images in this source"
+    assert result.traction.status == "depth_alone"
+    assert shear_line(result).startswith("depth alone: no optical flow")
+    summary = tally.summary(watcher.texture.words)
+    assert summary.status == {"no_contact": 1, "depth_alone": 2}
+    assert summary.max_force_n is None
+    assert summary.to_text().endswith("Depth alone: no colour images in this source")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--friction", "0.5"], "--friction bounds shear; give --shear, too"),
+        (["--shear"], "shear takes the exact membrane; choose --solver rubber"),
+    ],
+)
+def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said: str) -> None:
+    own = write_small_sensor(tmp_path / "small.toml")
+    press = write_press(tmp_path / "press.mcap", own)
+    found = CliRunner().invoke(
+        main, ["watch", "--source", f"replay:{press}", "--sensor", str(own), *options]
+    )
+    assert found.exit_code == 2
+    assert said in found.output
+
+
+@pytest.mark.long
+def test_the_command_records_the_wrench_with_friction(tmp_path: Path) -> None:
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    press, own = write_texture_press(tmp_path, {})
+    out = tmp_path / "out.mcap"
+    command = ["watch", "--source", f"replay:{press}?speed=0.1", "--sensor", str(own), "--shear"]
+    found = CliRunner().invoke(main, [*command, "--out", str(out), "--json"])
+    assert found.exit_code == 0, found.output
+    shear = json.loads(found.stdout)["shear"]
+    assert shear["status"]["ok"] > 3
+    truth = np.linalg.norm(stuck("puck", 0.004, 0.001, 8.0).force_n)
+    assert shear["max_force_n"] == pytest.approx(truth, rel=0.05)
+    assert "no camera info: that of the depth camera counts" in shear["reference"]
+    with out.open("rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert {"/bubbleviz/traction_wrench", "/bubbleviz/traction_wrench_sigma"} <= topics
+    assert "/bubbleviz/slip_share" in topics
+    assert shear["status"]["ok"] < FRAMES
