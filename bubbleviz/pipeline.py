@@ -207,6 +207,8 @@ class Pipeline:
             _ = self.estimator
         if "patch" in needed:
             _ = self._finder, self.model.view
+        if "residual" in needed:
+            _ = self.model.view.at_rest
         if "traction" in needed:
             _ = self.traction_estimator
 
@@ -342,9 +344,7 @@ class Pipeline:
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
         """Measured minus modelled range of the cloud's pixels, m."""
         pixels = _made(result.cloud_pixels)
-        modelled = np.full(len(pixels), np.nan)
-        hits = self.model.view.hits(_made(result.estimate).motion_m, pixels)
-        modelled[np.searchsorted(pixels, hits.ray)] = hits.range_m
+        modelled = self.model.view.ranges(_made(result.estimate).motion_m, pixels)
         measured = self.model.range_image(result.frame.depth_m).ravel()[pixels]
         return replace(result, cloud_residual_m=measured - modelled)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
@@ -28,6 +30,19 @@ class MembraneView:
     def hits(self, displacement_m: np.ndarray, pixels: np.ndarray | None = None) -> Hits:
         """Where the rays of all pixels, or of those with flat indices (k,), meet the membrane."""
         return self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals, pixels)
+
+    @cached_property
+    def at_rest(self) -> np.ndarray:
+        """Triangle that each pixel sees at rest, (H·W,) int32; −1 for none."""
+        return self._caster.first(self.mesh.nodes).astype(np.int32)
+
+    def ranges(self, displacement_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """Modelled ranges (k,) of pixels with flat indices (k,), m; NaN where they miss.
+
+        For every frame: each walks from the triangle that it sees at rest.
+        """
+        nodes = self.mesh.deformed(displacement_m)
+        return self._caster.ranges(nodes, pixels, self.at_rest[pixels])
 
     def range_image(self, displacement_m: np.ndarray) -> np.ndarray:
         """Modelled range (H, W) in m; NaN where a ray misses the membrane."""

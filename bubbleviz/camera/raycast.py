@@ -13,6 +13,8 @@ from bubbleviz.membrane.mesh import cross, faces_from, triangles_across
 
 _WALK = 4
 """Triangles that a ray may walk over; it is cast again before more are needed."""
+_FAR_WALK = 64
+"""The same where it is not cast again: more than there are across a dent."""
 
 _OUTSIDE = 1e-6
 """Barycentric coordinate below which a ray has left its triangle."""
@@ -115,13 +117,54 @@ class RayCaster:
             Reference node normals, the directions in which nodes move.
         rays : (j,) int array, optional
         """
-        local = nodes - self.origin
-        scene = TriangleScene(local, self._indices)
-        found = scene.cast(self._rays if rays is None else self._rays[rays])
-        hit = np.flatnonzero(np.isfinite(found.distance))
+        first = self.first(nodes, rays)
+        hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
-        return self._meet(local, normals, ray, found.triangle[hit])
+        return self._meet(nodes - self.origin, normals, ray, first[hit])
+
+    def first(self, nodes: np.ndarray, rays: np.ndarray | None = None) -> np.ndarray:
+        """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
+        scene = TriangleScene(nodes - self.origin, self._indices)
+        found = scene.cast(self._rays if rays is None else self._rays[rays])
+        return np.where(np.isfinite(found.distance), found.triangle, -1)
+
+    def ranges(self, nodes: np.ndarray, rays: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+        """Ranges (j,) of some rays, each of which walks to its triangle from one close by.
+
+        On a surface without folds the same as `cast` finds, in a fraction of the time.
+
+        Parameters
+        ----------
+        nodes : (n, 3) array
+        rays, triangle : (j,) int array
+            Triangles of −1 are none.
+
+        Returns
+        -------
+        (j,) array
+            m; NaN where there is no triangle, and where the ray leaves the mesh.
+        """
+        local = nodes - self.origin
+        faces = faces_from(local, self.triangles)
+        single = faces.astype(np.float32)
+        there, walking = triangle.copy(), np.flatnonzero(triangle >= 0)
+        ray = self._rays[rays, 3:]
+        for _ in range(_FAR_WALK):
+            seen = single.take(there[walking], axis=0)
+            volumes = np.einsum("rkj,rj->kr", seen, ray[walking])
+            lowest = np.minimum(np.minimum(volumes[0], volumes[1]), volumes[2])
+            leaving = np.flatnonzero(lowest < -_OUTSIDE * volumes.sum(axis=0))
+            walking, out = walking[leaving], volumes[:, leaving].argmin(axis=0)
+            there[walking] = self._across[there[walking], out]
+            walking = walking[there[walking] >= 0]
+            if not len(walking):
+                break
+        there[walking] = -1
+        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
+        offset = np.einsum("mj,mj->m", local[self.triangles[:, 0]], facet)
+        along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
+        return np.where(there >= 0, offset[there] / along, np.nan)
 
     @cached_property
     def _across(self) -> np.ndarray:

@@ -122,8 +122,8 @@ def triangles_across(triangles: np.ndarray) -> np.ndarray:
 
 def faces_from(local: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Cross products b×c, c×a and a×b of the corners of triangles (m, 3), (m, 3, 3)."""
-    second, third = (
-        local[triangles[:, turned]].reshape(-1, 3) for turned in ([1, 2, 0], [2, 0, 1])
+    second, third = (  # `take`: a third of the time of indexing
+        local.take(triangles[:, turned].ravel(), axis=0) for turned in ([1, 2, 0], [2, 0, 1])
     )
     return cross(second, third).reshape(-1, 3, 3)
 

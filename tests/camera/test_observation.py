@@ -236,6 +236,21 @@ def test_a_field_seen_by_the_camera_is_cast_on_the_deformed_membrane(model, dist
     assert not view.above(displacement, field, 2.0).any()
 
 
+@pytest.mark.parametrize("depth_m", [0.0, 0.003, 0.02])
+def test_ranges_are_found_where_rays_that_are_cast_find_them(depth_m):
+    """By Open3D's bounding volumes, which know nothing of neighbours."""
+    own = replace(CAMERA.intrinsics, cx=CAMERA.intrinsics.cx + 90.0)  # some miss the membrane
+    view = MembraneView(DepthCamera(own, CAMERA.T_B_C), MESH)
+    displacement = smooth_dent(depth_m)
+    pixels = np.arange(0, own.width * own.height, 7)
+    hits = view.hits(displacement, pixels)
+    expected = np.full(own.width * own.height, np.nan)
+    expected[hits.ray] = hits.range_m
+    assert 1000 < np.isfinite(expected[pixels]).sum() < len(pixels)
+    found = view.ranges(displacement, pixels)
+    np.testing.assert_allclose(found, expected[pixels], rtol=0, atol=1e-7)
+
+
 def test_a_field_that_reaches_beyond_the_image_is_drawn_up_to_its_border():
     """Part of the membrane is outside the image of a camera that looks aside."""
     own = replace(CAMERA.intrinsics, cx=CAMERA.intrinsics.cx + 90.0, cy=20.0)
