@@ -124,11 +124,14 @@ class ColourCamera:
         Pose of the colour camera in the depth camera, both in the optical convention.
     remark : str
         What of it was not recorded and is taken for granted; empty for nothing.
+    placed : bool
+        Whether `T_D_C` is known, and not only taken for granted.
     """
 
     intrinsics: Intrinsics | None = None
     T_D_C: np.ndarray = field(default_factory=lambda: np.eye(4))
     remark: str = ""
+    placed: bool = True
 
 
 @dataclass(frozen=True)

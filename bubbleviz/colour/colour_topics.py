@@ -6,10 +6,10 @@ import re
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourCamera, EncodedImage
+from bubbleviz.colour.static_poses import STATIC_TRANSFORMS, TRANSFORMS, StaticPoses, pose_of
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Topic
 from bubbleviz.frames.depth_topics import (
@@ -21,13 +21,11 @@ from bubbleviz.frames.depth_topics import (
     of_type,
 )
 
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-STATIC_TRANSFORMS = "/tf_static"
-"""Topic of the poses of frames of reference that do not move."""
+TRANSFORM = "geometry_msgs/msg/Transform"
 
 _COLOUR_WORDS = ("color", "colour", "rgb")
-_MOST_LINKS = 100
-"""Between a frame of reference and its root; more are a loop."""
+_REALSENSE_STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/image/data")
+"""Topic of images in a `.bag` of the RealSense library."""
 
 
 def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None:
@@ -84,8 +82,7 @@ def find_camera(bag: Bag, colour: Topic, depth: Topic) -> ColourCamera:
     first = bag.messages(colour).message(0)
     size = size_of(first)
     intrinsics = None if size is None else find_intrinsics(bag, colour, size)
-    frames = first.header.frame_id, bag.messages(depth).message(0).header.frame_id
-    pose = np.eye(4) if frames[0] == frames[1] else _relative_pose(bag, *frames)
+    pose = _relative_pose(bag, colour, depth)
     own = any(
         common_prefix(info.name, colour.name) >= common_prefix(info.name, depth.name)
         for info in of_type(bag, CAMERA_INFO)
@@ -104,44 +101,40 @@ def colour_camera(
         remarks.append("no camera info: that of the depth camera counts")
     if T_D_C is None:
         remarks.append(f"no pose in {STATIC_TRANSFORMS}: taken to be where the depth camera is")
-    return ColourCamera(intrinsics, np.eye(4) if T_D_C is None else T_D_C, "; ".join(remarks))
+    pose = np.eye(4) if T_D_C is None else T_D_C
+    return ColourCamera(intrinsics, pose, "; ".join(remarks), placed=T_D_C is not None)
 
 
-def _relative_pose(bag: Bag, frame: str, base: str) -> np.ndarray | None:
-    """T_base_frame (4, 4) by the static transforms; None where they do not connect the two."""
-    parents: dict[str, tuple[str, np.ndarray]] = {}
+def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
+    """T_D_C (4, 4) by what was recorded of it; None where that does not connect the two."""
+    if any(_REALSENSE_STREAM.fullmatch(topic.name) for topic in (colour, depth)):
+        return _pose_by_extrinsics(bag, colour, depth)
+    poses = StaticPoses()
     for topic in of_type(bag, TRANSFORMS, STATIC_TRANSFORMS):
         messages = bag.messages(topic)
         for k in range(len(messages)):
-            for each in messages.message(k).transforms:
-                pose = _matrix(each.transform)
-                parents[_bare(each.child_frame_id)] = (_bare(each.header.frame_id), pose)
-    to_root, to_base = _chain(_bare(frame), parents), _chain(_bare(base), parents)
-    for name, pose in to_root.items():
-        if name in to_base:
-            return np.asarray(np.linalg.solve(to_base[name], pose))
+            poses = poses.after(messages.message(k))
+    frames = (bag.messages(topic).message(0).header.frame_id for topic in (colour, depth))
+    return poses.pose(*frames)
+
+
+def _pose_by_extrinsics(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
+    """The same of a `.bag` of the RealSense library, whose images name no frame of reference.
+
+    Each stream has the pose of a common reference in its camera.
+    """
+    ours, depths = (_extrinsics(bag, topic) for topic in (colour, depth))
+    for reference in ours.keys() & depths.keys():
+        return np.asarray(depths[reference] @ np.linalg.inv(ours[reference]))
     return None
 
 
-def _chain(frame: str, parents: dict[str, tuple[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Pose of a frame in itself and in each of those above it."""
-    found = {frame: np.eye(4)}
-    for _ in range(_MOST_LINKS):
-        if frame not in parents:
-            break
-        above, pose = parents[frame]
-        found[above] = pose @ found[frame]
-        frame = above
-    return found
-
-
-def _bare(frame_id: str) -> str:
-    return frame_id.lstrip("/")
-
-
-def _matrix(transform: Any) -> np.ndarray:
-    q, t = transform.rotation, transform.translation
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    pose[:3, 3] = t.x, t.y, t.z
-    return pose
+def _extrinsics(bag: Bag, image: Topic) -> dict[str, np.ndarray]:
+    """Pose (4, 4) of each reference, by its number, in the camera of a stream."""
+    stream = _REALSENSE_STREAM.fullmatch(image.name)
+    prefix = f"{stream[1]}/tf/" if stream else "\0"
+    return {
+        topic.name.removeprefix(prefix): pose_of(bag.messages(topic).message(0))
+        for topic in of_type(bag, TRANSFORM)
+        if topic.name.startswith(prefix)
+    }

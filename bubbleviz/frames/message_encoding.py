@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import COMPRESSED_ENCODINGS, ColourImage, EncodedImage
-from bubbleviz.colour.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
+from bubbleviz.colour.static_poses import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.frames.bags.bag import typestore
 from bubbleviz.frames.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
 from bubbleviz.frames.frame import Frame
@@ -128,11 +128,15 @@ class FrameMessages:
         yield self._message(IMAGE, self._image(header, frame.depth_m), stamp)
 
     def of_colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
-        """Image, camera info, and the pose of the colour camera where it is not the depth's."""
+        """Image, camera info, and the pose of the colour camera where it is not the depth's.
+
+        Where that is not known, the image is in a frame of reference that nothing places.
+        """
         camera, frame_id = colour.camera, self._frame_id
-        if not np.array_equal(camera.T_D_C, np.eye(4)):
+        if not (camera.placed and np.array_equal(camera.T_D_C, np.eye(4))):
             frame_id = f"{frame_id}_color"
-            pose = _transforms(make_header(stamp, self._frame_id), frame_id, camera.T_D_C)
+        if camera.placed and frame_id != self._frame_id:
+            pose = _transforms(make_header(0, self._frame_id), frame_id, camera.T_D_C)
             yield Message(STATIC_TRANSFORMS, TRANSFORMS, serialise(pose, TRANSFORMS), stamp)
         header = make_header(stamp, frame_id)
         if camera.intrinsics is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourImage
 from bubbleviz.colour.colour_topics import belongs_to
+from bubbleviz.colour.static_poses import StaticPoses, are_static_poses
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     IMAGE,
@@ -28,7 +29,7 @@ from bubbleviz.frames.message_decoding import (
 )
 from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import NEAREST_NS
-from bubbleviz.live.colour_buffer import ColourBuffer
+from bubbleviz.live.colour_buffer import ColourBuffer, DepthPlace
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
@@ -100,11 +101,12 @@ class FrameAssembler:
         self._names = names or TopicNames()
         self.size, self._camera = size, camera
         self.other_size: tuple[int, int] | None = None
+        self._poses = StaticPoses()
         self._begin()
 
     def _begin(self) -> None:
         """Forget the stream, keep the counts."""
-        self._depth = self._names.depth or ""
+        self._depth, self._depth_frame = self._names.depth or "", ""
         self._types: dict[str, str] = {}
         self._cameras: dict[str, Intrinsics] = {}
         self._series: dict[str, _Series] = {}
@@ -146,6 +148,9 @@ class FrameAssembler:
     def _push(self, message: RawMessage) -> list[Frame]:
         """As `push`, uncounted and within one round."""
         try:
+            if are_static_poses(message.topic, message.type):
+                self._poses = self._poses.after(decode(message))
+                return []
             if not self._is_ours(message):
                 return []
             if self._names.is_colour(message.topic, message.type):
@@ -279,6 +284,7 @@ class FrameAssembler:
 
     def _decoded_depth(self, message: RawMessage) -> np.ndarray:
         content: Any = decode(message)
+        self._depth_frame = content.header.frame_id
         if message.type == POINT_CLOUD:
             camera = next(iter(self._cameras.values()), self._camera)
             depth = decode_cloud(content, camera)
@@ -342,7 +348,7 @@ class FrameAssembler:
             pending.time_ns,
             pending.frame.time_s,
             pending.half_period_ns,
-            self._depth,
+            DepthPlace(self._depth, self._depth_frame, self._poses),
             self._cameras,
         )
 

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.colour.colour_topics import belongs_to, colour_camera, size_of
+from bubbleviz.colour.static_poses import StaticPoses
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import common_prefix
 from bubbleviz.frames.time_series import NEAREST_NS
@@ -25,6 +28,18 @@ KEPT_NS = 500_000_000
 class _Arrived(NamedTuple):
     time_ns: int
     message: RawMessage
+
+
+class DepthPlace(NamedTuple):
+    """Topic of the depth images, their frame of reference, and where others are."""
+
+    topic: str
+    frame_id: str
+    poses: StaticPoses
+
+    def pose_of(self, frame_id: str) -> np.ndarray | None:
+        """Pose (4, 4) of another frame of reference in it; None where it is not known."""
+        return self.poses.pose(frame_id, self.frame_id)
 
 
 class ColourBuffer:
@@ -67,7 +82,12 @@ class ColourBuffer:
         return newest >= time_ns or newest < time_ns - 10 * NEAREST_NS
 
     def around(
-        self, time_ns: int, time_s: float, within_ns: int, depth: str, infos: dict[str, Intrinsics]
+        self,
+        time_ns: int,
+        time_s: float,
+        within_ns: int,
+        depth: DepthPlace,
+        infos: dict[str, Intrinsics],
     ) -> Callable[[float], ColourImage | None]:
         """What finds the image of a frame after a lag, s, among those that are here now.
 
@@ -77,8 +97,7 @@ class ColourBuffer:
             Of the frame, on its publisher's clock and from the start of the stream.
         within_ns : int
             An image further off is none of that moment.
-        depth : str
-            Topic of the depth images.
+        depth : DepthPlace
         infos : dict of Intrinsics
             What camera infos told, by topic.
         """
@@ -93,7 +112,7 @@ class _Moment:
     time_ns: int
     time_s: float
     within_ns: int
-    depth: str
+    depth: DepthPlace
     infos: dict[str, Intrinsics]
 
     def image(self, lag_s: float) -> ColourImage | None:
@@ -107,15 +126,16 @@ class _Moment:
 
     def _camera(self, message: RawMessage) -> ColourCamera:
         try:
-            size = size_of(decode(message))
+            content = decode(message)
         except ValueError:  # said when the image is read
-            size = None
+            return colour_camera(None, None, own=False)
+        size, pose = size_of(content), self.depth.pose_of(content.header.frame_id)
         fitting = [topic for topic, c in self.infos.items() if (c.width, c.height) == size]
         if not fitting:
-            return colour_camera(None, None, own=False)
+            return colour_camera(None, pose, own=False)
         topic = max(fitting, key=lambda topic: common_prefix(topic, message.topic))
-        own = common_prefix(topic, message.topic) >= common_prefix(topic, self.depth)
-        return colour_camera(self.infos[topic], None, own=own)
+        own = common_prefix(topic, message.topic) >= common_prefix(topic, self.depth.topic)
+        return colour_camera(self.infos[topic], pose, own=own)
 
 
 def _read(message: RawMessage) -> EncodedImage:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bubbleviz.colour.colour_topics import is_called_colour
+from bubbleviz.colour.static_poses import are_static_poses
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -56,6 +57,8 @@ class TopicNames:
 
     def wants(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic and type can be this sensor's."""
+        if are_static_poses(topic, kind):  # of every sensor; they tell where the colour camera is
+            return self.with_colour
         if not topic.startswith(self.prefix):
             return False
         if self.is_colour(topic, kind):

@@ -41,7 +41,7 @@ class PassingTexture:
         self,
         pipeline: Pipeline,
         friction: float | None = None,
-        preset: FlowPreset = "balanced",
+        preset: FlowPreset = "fast",
     ) -> None:
         self.words = ""
         self._pipeline, self._options, self._preset = pipeline, TractionOptions(friction), preset

@@ -14,6 +14,7 @@ from bubbleviz.frames.bags import Messages
 from bubbleviz.frames.recording import Recording
 from tests.colour.colour_bag import COLOUR, add_colour, add_compressed, add_pose, encoded, picture
 from tests.frames.bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
+from tests.frames.realsense_bag import write_realsense_bag
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -148,6 +149,24 @@ def test_what_is_not_known_of_the_camera_is_said(tmp_path: Path) -> None:
     assert "no camera info" in camera.remark
     assert "where the depth camera is" in camera.remark
     np.testing.assert_array_equal(camera.T_D_C, np.eye(4))
+
+
+def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_path: Path) -> None:
+    rs = pytest.importorskip("pyrealsense2")
+    turns = Rotation.from_euler("xyz", [[10, 20, 30], [3, -5, 2]], degrees=True).as_quat()
+    poses = {"Color_0": ((0.015, -0.01, 0.02), turns[0]), "Depth_0": ((1e-3, 2e-3, 3e-3), turns[1])}
+    path = tmp_path / "camera.bag"
+    write_realsense_bag(path, 1e-4, extrinsics=poses)
+    device = rs.context().load_device(str(path))
+    streams = [p for sensor in device.query_sensors() for p in sensor.get_stream_profiles()]
+    by_name = {stream.stream_name(): stream for stream in streams}
+    said = by_name["Color"].get_extrinsics_to(by_name["Depth"])
+    with Recording(path) as recording:
+        assert recording.colour is not None
+        camera = recording.colour.camera
+    np.testing.assert_allclose(camera.T_D_C[:3, :3].T.ravel(), said.rotation, atol=1e-6)
+    np.testing.assert_allclose(camera.T_D_C[:3, 3], said.translation, atol=1e-7)
+    assert "where the depth camera is" not in camera.remark
 
 
 def test_depth_alone_reads_nothing_of_the_colour_images(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,19 @@ def depth_units(k: int) -> np.ndarray:
     return units
 
 
-def write_realsense_bag(path: Path, unit_m: float | None, option: str = "Depth_Units") -> None:
-    """Four frames of depth and infrared.
+Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
+"""Position, m, and quaternion xyzw."""
+
+
+def write_realsense_bag(
+    path: Path,
+    unit_m: float | None,
+    option: str = "Depth_Units",
+    extrinsics: Mapping[str, Pose] | None = None,
+) -> None:
+    """Four frames of depth and infrared, and of colour with `extrinsics`, then uncompressed.
+
+    The library itself does not read what rosbags compresses.
 
     Parameters
     ----------
@@ -37,13 +49,16 @@ def write_realsense_bag(path: Path, unit_m: float | None, option: str = "Depth_U
         Of the depth images, m; None: the option is not recorded.
     option : str
         What its topic calls it; the older library had the space of its name.
+    extrinsics : dict, optional
+        Of `Depth_0` and `Color_0`: the pose of a common reference in their cameras.
     """
     store = get_typestore(Stores.ROS1_NOETIC)
     for name, text in OWN_TYPES.items():
         store.register(get_types_from_msg(text, name))
     types, connections = store.types, dict[str, Any]()
     writer = Writer(path)
-    writer.set_compression(Writer.CompressionFormat.LZ4)
+    if not extrinsics:
+        writer.set_compression(Writer.CompressionFormat.LZ4)
 
     def write(topic: str, kind: str, log_ns: int, **fields: Any) -> None:
         if topic not in connections:
@@ -55,10 +70,17 @@ def write_realsense_bag(path: Path, unit_m: float | None, option: str = "Depth_U
         stamp = types["builtin_interfaces/msg/Time"](*divmod(round(1e6 * stamp_ms), 10**9))
         return types["std_msgs/msg/Header"](number, stamp, "0")
 
+    def placed(stream: str, position_m: Any, quaternion: Any) -> None:
+        kind = "geometry_msgs/msg/Transform"
+        vector = types["geometry_msgs/msg/Vector3"](*position_m)
+        turn = types["geometry_msgs/msg/Quaternion"](*quaternion)
+        write(f"{SENSOR}/{stream}/tf/0", kind, STATIC, translation=vector, rotation=turn)
+
     def image(stream: str, encoding: str, pixels: np.ndarray, k: int) -> None:
         data = np.frombuffer(pixels.tobytes(), np.uint8)
         log = round(1e6 * PERIOD_MS * k) + 5_000_000
-        rows = {"height": HEIGHT, "width": WIDTH, "step": 2 * WIDTH, "is_bigendian": 0}
+        step = pixels.nbytes // HEIGHT
+        rows = {"height": HEIGHT, "width": WIDTH, "step": step, "is_bigendian": 0}
         head, topic = header(k, CLOCK_MS + PERIOD_MS * k), f"{SENSOR}/{stream}/image"
         kind = "sensor_msgs/msg/Image"
         write(f"{topic}/data", kind, log, header=head, encoding=encoding, data=data, **rows)
@@ -90,6 +112,12 @@ def write_realsense_bag(path: Path, unit_m: float | None, option: str = "Depth_U
             write(f"{topic}/value", "std_msgs/msg/Float32", STATIC, data=unit_m)
             said = "Number of meters represented by a single depth unit"
             write(f"{topic}/description", "std_msgs/msg/String", STATIC, data=said)
+        for stream, pose in (extrinsics or {}).items():
+            placed(stream, *pose)
+        if extrinsics:
+            streaming("Color_0", "rgb8", "None", 5 * [0.0])
         for k in range(4):
+            if extrinsics:
+                image("Color_0", "rgb8", np.full((HEIGHT, WIDTH, 3), k, np.uint8), k)
             image("Infrared_1", "16UC1", depth_units(k)[::-1], k)
             image("Depth_0", "mono16", depth_units(k), k)

@@ -53,6 +53,7 @@ def open_session(port: str, role: str = "robot") -> zenoh.Session:
     config.insert_json5("listen/endpoints", json.dumps([listen]))
     config.insert_json5("connect/endpoints", json.dumps([place] if role == "node" else []))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("timestamping/enabled", "true")  # as rmw_zenoh has it
     return zenoh.open(config)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,18 @@ import pytest
 from robot import HASH, open_session
 from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, cdr, depth, header
 from wire import image as wire_image
+from zenoh import ext
 
+from bubbleviz.colour.static_poses import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.bench.live_soak import free_port
@@ -253,6 +258,114 @@ def test_colour_comes_until_the_last_who_asked_lets_go(
         assert any(message.topic == COLOUR for message in heard) is comes
 
 
+def static_pose(parent: str, child: str, at_m: tuple[float, float, float]) -> RawMessage:
+    """T_parent_child: a quarter turn about z, on /tf_static."""
+    kinds = STORE.types
+    turn = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.5**0.5, 0.5**0.5)
+    transform = kinds["geometry_msgs/msg/Transform"](
+        kinds["geometry_msgs/msg/Vector3"](*at_m), turn
+    )
+    head = header(NOW)
+    head.frame_id = parent
+    stamped = kinds["geometry_msgs/msg/TransformStamped"](head, child, transform)
+    message = kinds[TRANSFORMS]([stamped])
+    return arrived(STATIC_TRANSFORMS, TRANSFORMS, cdr(message, TRANSFORMS), 0)
+
+
+def framed(stamp: int, k: int, frame_id: str) -> RawMessage:
+    """A colour image in a frame of reference."""
+    head = header(stamp)
+    head.frame_id = frame_id
+    return colour(stamp, k, header=head)
+
+
+POSE = np.array(
+    [[0.0, -1.0, 0.0, 0.01], [1.0, 0.0, 0.0, 0.02], [0.0, 0.0, 1.0, 0.03], [0, 0, 0, 1]]
+)
+"""Of `static_pose` at (0.01, 0.02, 0.03)."""
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "pose", "remark"),
+    [
+        ("lens", POSE, False),
+        (header(NOW).frame_id, np.eye(4), False),
+        ("elsewhere", np.eye(4), True),
+    ],
+)
+def test_the_pose_of_the_colour_camera_is_that_of_tf_static(
+    frame_id: str, pose: np.ndarray, remark: bool
+) -> None:
+    """Sent once, before anybody asks for colour; what nothing places is said."""
+    assembler = FrameAssembler()
+    assembler.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
+    assembler.follow_colour()
+    stamps = [NOW + k * PERIOD for k in range(3)]
+    messages = [
+        m for s in stamps for m in (depth(s, topic="/cam/depth/image"), framed(s, 1, frame_id))
+    ]
+    camera = frames_of(assembler, *messages)[-1].colour.camera
+    np.testing.assert_allclose(camera.T_D_C, pose, atol=1e-12)
+    assert ("where the depth camera is" in camera.remark) is remark
+
+
+def test_a_recording_and_its_replay_have_the_pose(tmp_path: Path, small_sensor: Sensor) -> None:
+    """Although it was sent before the recording began."""
+    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
+    recorder.start(path)
+    for k in range(5):
+        recorder.push(depth(NOW + k * PERIOD, k, topic="/cam/depth/image"))
+        recorder.push(framed(NOW + k * PERIOD, k, "lens"))
+    recorder.stop()
+    with Recording(path) as recording:
+        assert recording.colour is not None
+        np.testing.assert_allclose(recording.colour.camera.T_D_C, POSE, atol=1e-12)
+    stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
+    stream.follow_colour()
+    with stream:
+        frame = None
+        while (newer := stream.take(5.0)) is not None:
+            frame = newer
+    np.testing.assert_allclose(frame.colour.camera.T_D_C, POSE, atol=1e-12)
+
+
+@pytest.mark.parametrize("ours", [False, True])
+def test_a_robot_that_told_the_pose_long_ago_tells_it_again(
+    ours: bool, small_sensor: Sensor
+) -> None:
+    """As rmw_zenoh does for transient-local topics; our own publisher does the same."""
+    port, pose = free_port(), static_pose("", "lens", (0.01, 0.02, 0.03))
+    place, held = f"tcp/127.0.0.1:{port}", ExitStack()
+    heard: list[RawMessage] = []
+    with held:
+        if ours:
+            out = held.enter_context(ZenohPublisher(SessionOptions("out", listen=place)))
+            out.put(pose.topic, pose.type, pose.payload)
+        else:
+            robot, kind = (
+                held.enter_context(open_session(str(port))),
+                "tf2_msgs::msg::dds_::TFMessage_",
+            )
+            key = f"0/tf_static/{kind}/{HASH}"
+            cached = ext.declare_advanced_publisher(
+                robot, key, cache=ext.CacheConfig(1), publisher_detection=True
+            )
+            cached.put(pose.payload)
+            token = robot.liveliness().declare_token(
+                f"@ros2_lv/0/b3f7/0/11/MP/%/%/camera/%tf_static/{kind}/{HASH}/::,5:,:,:,,"
+            )
+        with open_stream(f"zenoh:{place}", small_sensor) as stream:
+            stream.listen(heard.append)
+            stream.follow_colour()
+            deadline = time.monotonic() + 60.0
+            while not heard and time.monotonic() < deadline:
+                stream.take(0.1)
+        if not ours:
+            del token
+    assert [(m.topic, m.payload) for m in heard] == [(pose.topic, pose.payload)]
+
+
 @pytest.fixture(scope="module")
 def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Depth and colour of two sensors, recorded by the SDK from its own software device."""
@@ -274,6 +387,9 @@ def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         profiles[name] = sensor, sensor.add_video_stream(stream), size
         if name == "Depth":
             sensor.add_read_only_option(rs.option.depth_units, 1e-4)
+    placed = rs.extrinsics()
+    placed.rotation, placed.translation = POSE[:3, :3].T.ravel().tolist(), POSE[:3, 3].tolist()
+    profiles["Color"][1].register_extrinsics_to(profiles["Depth"][1], placed)
     recorder, queue = rs.recorder(str(path), device), rs.frame_queue(50)
     recorded = recorder.query_sensors()
     for sensor in recorded:
@@ -312,14 +428,15 @@ def test_colour_of_a_realsense_camera_when_asked(
                 frames.append(frame)
         assert any("color" in message.topic for message in heard) is asked
         assert stream.counters().undecodable == 0
-        last = frames[-1]
-        k = round(1e4 * float(last.depth_m[5, 5])) - 1000
-        if asked:
-            image = last.colour
+        if asked:  # the last may have been waited for no longer than there is patience
+            last, image = [(frame, frame.colour) for frame in frames if frame.colour][-1]
+            k = round(1e4 * float(last.depth_m[5, 5])) - 1000
             assert image is not None
             assert image.rgb()[5, 5].tolist() == [10 * k, 20 * k, 30 * k]
             assert image.camera.intrinsics is not None
             assert image.camera.intrinsics.fx == 61
+            np.testing.assert_allclose(image.camera.T_D_C, POSE, atol=1e-6)
+            assert image.camera.remark == ""
 
 
 def test_colour_of_a_realsense_camera_asked_for_later(

@@ -6,9 +6,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bubbleviz.colour.static_poses import are_static_poses
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.depth_topics import MARKERS, STRING
@@ -67,6 +68,7 @@ class Recorder:
         self.pre_roll_s = pre_roll_s
         self._before: deque[RawMessage] = deque()
         self._before_bytes = 0
+        self._static: dict[bytes, RawMessage] = {}
         self._session: _Session | None = None
         self._streams: list[LiveStream] = []
         self._let_go_of_colour: list[Callable[[], None]] = []
@@ -87,6 +89,8 @@ class Recorder:
     def push(self, message: RawMessage) -> None:
         """Take a message; from any thread. Does not raise, and waits only for a disk too slow."""
         with self._lock:
+            if are_static_poses(message.topic, message.type):
+                self._static[message.payload] = message  # sent once: every recording needs it
             session = self._session
             if session is None:
                 self._keep(message)
@@ -104,7 +108,7 @@ class Recorder:
         with self._lock:
             if self._session is not None:
                 raise InputError(f"{path}: something is being recorded already; stop it first")
-            session = _Session(McapFile(path))
+            session = _Session(McapFile(path), tuple(self._static.values()))
             for message in self._before:
                 session.put(message)
             self._before.clear()
@@ -145,12 +149,17 @@ class Recorder:
 
 
 class _Session:
-    """One recording: a queue, and a thread that writes it down."""
+    """One recording: a queue, and a thread that writes it down.
 
-    def __init__(self, file: McapFile) -> None:
+    The messages `before`, however old, are logged with the first one.
+    """
+
+    def __init__(self, file: McapFile, before: tuple[RawMessage, ...]) -> None:
         self._file = file
         self._queue: deque[RawMessage] = deque()
-        self._bytes = self._most = self._stalls = 0
+        self._before = before
+        self._bytes = sum(len(message.payload) for message in before)
+        self._most = self._stalls = 0
         self._ending = False
         self._problem = ""
         self._changed = threading.Condition()
@@ -214,7 +223,7 @@ class _Session:
         synced, unflushed = time.monotonic(), 0
         while True:
             messages, ending = self._take(SYNC_S / 2)
-            for message in messages:
+            for message in self._with_before(messages):
                 row = (message.topic, message.type, message.payload, message.stamp_ns)
                 self._file.write(row, message.arrival_ns, message.sequence or 0)
                 unflushed += len(message.payload)
@@ -229,6 +238,13 @@ class _Session:
             if time.monotonic() - synced >= SYNC_S:
                 self._file.sync()
                 synced = time.monotonic()
+
+    def _with_before(self, messages: list[RawMessage]) -> list[RawMessage]:
+        if not messages or not self._before:
+            return messages
+        at_ns, before = messages[0].arrival_ns, self._before
+        self._before = ()
+        return [*(replace(message, arrival_ns=at_ns) for message in before), *messages]
 
     def _take(self, timeout_s: float) -> tuple[list[RawMessage], bool]:
         with self._changed:

@@ -7,7 +7,9 @@ import time
 from typing import Any
 
 import zenoh
+from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publisher
 
+from bubbleviz.colour.static_poses import are_static_poses
 from bubbleviz.frames.message_encoding import ros2_types
 from bubbleviz.live.sources.zenoh_keys import (
     Attachment,
@@ -17,6 +19,10 @@ from bubbleviz.live.sources.zenoh_keys import (
     publication,
 )
 from bubbleviz.live.sources.zenoh_session import SessionOptions, connected, open_session
+
+_STATIC_KEPT = 100  # messages of a topic; chosen: robots have a few
+_COUNTED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
+"""Of what is kept for later subscribers; without, Zenoh would have to stamp all messages."""
 
 
 class ZenohPublisher:
@@ -61,10 +67,20 @@ class ZenohPublisher:
             return
         type_hash = ros2_types().hash_rihs01(kind)
         control = zenoh.CongestionControl.BLOCK if self._wait else zenoh.CongestionControl.DROP
-        self._publishers[topic, kind] = self._session.declare_publisher(
-            publication(topic, kind, type_hash, self._layout, self._domain),
-            congestion_control=control,
-        )
+        key = publication(topic, kind, type_hash, self._layout, self._domain)
+        if are_static_poses(topic, kind):  # who subscribes later gets them, too
+            self._publishers[topic, kind] = declare_advanced_publisher(
+                self._session,
+                key,
+                congestion_control=control,
+                cache=CacheConfig(_STATIC_KEPT),
+                sample_miss_detection=_COUNTED,
+                publisher_detection=True,
+            )
+        else:
+            self._publishers[topic, kind] = self._session.declare_publisher(
+                key, congestion_control=control
+            )
         number = len(self._publishers)
         session = str(self._session.zid())
         token = announcement(topic, kind, type_hash, self._layout, self._domain, session, number)
@@ -82,7 +98,11 @@ class ZenohPublisher:
     @property
     def subscribed(self) -> int:
         """To how many of the announced topics somebody subscribes."""
-        return sum(each.matching_status.matching for each in self._publishers.values())
+        return sum(
+            each.matching_status.matching
+            for place, each in self._publishers.items()
+            if not are_static_poses(*place)
+        )
 
     @property
     def connected(self) -> bool:

@@ -273,18 +273,21 @@ class _Colour(NamedTuple):
             encoding = _ENCODINGS.get(str(profile.format()).rsplit(".", 1)[-1])
             if encoding is not None:
                 lens = _intrinsics(profile.as_video_stream_profile().intrinsics)
-                camera = ColourCamera(lens, _pose(profile, depth))
+                pose = _pose(profile, depth)
+                camera = ColourCamera(
+                    lens, np.eye(4) if pose is None else pose, placed=pose is not None
+                )
                 return cls(sensor, profile, encoding, camera)
         return None
 
 
-def _pose(profile: Any, base: Any) -> np.ndarray:
-    """Pose (4, 4) of a stream's camera in another's; that of the other where it is not known."""
+def _pose(profile: Any, base: Any) -> np.ndarray | None:
+    """Pose (4, 4) of a stream's camera in another's; None where it is not known."""
     pose = np.eye(4)
     try:
         found = profile.get_extrinsics_to(base)
     except RuntimeError:
-        return pose
+        return None
     pose[:3, :3] = np.reshape(found.rotation, (3, 3)).T  # columns first
     pose[:3, 3] = found.translation
     return pose

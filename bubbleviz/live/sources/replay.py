@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bubbleviz.colour.static_poses import are_static_poses
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Messages
 from bubbleviz.frames.bags.bag import typestore
@@ -44,9 +45,11 @@ class Replay:
         self._names = TopicNames()
         self._thread: PacedThread | None = None
         self._streams: list[Messages] = [
-            self._bag.messages(topic) for topic in self._bag.topics if topic.type in TYPES
+            self._bag.messages(topic)
+            for topic in self._bag.topics
+            if topic.type in TYPES or are_static_poses(topic.name, topic.type)
         ]
-        if not any(len(stream) for stream in self._streams):
+        if not any(len(stream) for stream in self._streams if stream.topic.type in TYPES):
             self._bag.close()
             raise InputError(f"{path}: has none of the messages used here; see bubbleviz info")
 

@@ -9,7 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 import zenoh
+from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
+from bubbleviz.colour.static_poses import are_static_poses
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
@@ -234,7 +236,13 @@ class ZenohSource:
         def receive(sample: Any) -> None:
             self._on_sample(sample, announced)
 
-        subscriber = self._session.declare_subscriber(key, receive)
+        if are_static_poses(announced.topic, announced.type):  # sent once, perhaps long ago
+            history = HistoryConfig(detect_late_publishers=True)
+            subscriber: Any = declare_advanced_subscriber(
+                self._session, key, receive, history=history
+            )
+        else:
+            subscriber = self._session.declare_subscriber(key, receive)
         self._subscribers[place] = (announced.type, subscriber)
 
     def _let_go_of_colour(self) -> None:
