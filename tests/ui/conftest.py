@@ -122,4 +122,4 @@ def _close(window: MainWindow) -> None:
     from shiboken6 import isValid
 
     if isValid(window):
-        window.close()
+        window.end()

@@ -162,6 +162,7 @@ class MainWindow(QMainWindow):
         self.picture_age = PictureAge(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
+        self._asks = True
         self._export: ExportDialog | None = None
         self.importing, self._reading = Jobs("import"), Jobs("information")
         self._import: ImportDialog | None = None
@@ -259,8 +260,16 @@ class MainWindow(QMainWindow):
         if isinstance(application, QApplication):
             theme.apply(application, theme.chosen(self.state.choices.theme, scheme))
 
+    def end(self) -> None:
+        """Close without a question about what is not saved."""
+        self._asks = False
+        self.close()
+
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Stop the timers and the solver thread, then let go of VTK."""
+        """Ask about what is not saved, stop the timers and the solver, then let go of VTK."""
+        if self._asks and not self.gamma0.may_be_left():
+            event.ignore()
+            return
         self.session_saver.close()
         self.open_panels.close()
         self._rates.stop()

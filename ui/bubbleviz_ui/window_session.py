@@ -212,12 +212,12 @@ class WindowSession:
         return EXIT_CODE if self.interrupt.came else self.application.exec()
 
     def close(self) -> None:
-        """Close the window and let go of it."""
+        """Close the window, whatever is not saved, and let go of it."""
         from PySide6.QtCore import QEvent
         from shiboken6 import isValid
 
         if isValid(self.window):
-            self.window.close()
+            self.window.end()
         self.controller.worker.wait(PATIENCE_S)  # for a long step that closing did not wait for
         self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
         self.application.processEvents()

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fakes import small_sensor
 from PySide6.QtCore import QPoint, Qt, QTimer
-from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
-from resting import REST, TENSION, RestingSource
+from PySide6.QtWidgets import QApplication, QMessageBox, QProgressDialog, QPushButton, QWidget
+from resting import REST, TENSION, RestingSource, never_written
 from window_driver import Driver
 
 from bubbleviz.calibration.identification import Identification
@@ -22,7 +24,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
-from bubbleviz_ui.calibration import report_page
+from bubbleviz_ui.calibration import calibration_panel, report_page
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.frame_collector import FIRST_LOOK
 from bubbleviz_ui.engine.source_openers import recording
@@ -345,7 +347,7 @@ def test_the_new_sensor_is_used_undone_and_sent_with_the_session(
     assert used.calibration is not None
     assert not any(str(used.folder) in path for path in window.session_saver.recent)
     window.session_saver.save_as(mine / "look.bubbleviz")
-    window.close()
+    answered(bench, window.close, "Discard")
     assert not used.folder.exists()
     mine.rename(tmp_path / "theirs")
     other = drive()
@@ -534,6 +536,24 @@ def answered(bench: Bench, start: Callable[[], object], button: str) -> str:
     return asked[0]
 
 
+@contextmanager
+def cancelling(bench: Bench) -> Iterator[None]:
+    """Click Cancel of what waits for the report."""
+    timer, clicked = QTimer(interval=20), list[QWidget]()
+
+    def cancel() -> None:
+        waiting = QApplication.activeModalWidget()
+        if isinstance(waiting, QProgressDialog) and not clicked:
+            clicked.append(waiting)
+            bench.driver.bot.mouseClick(waiting.findChild(QPushButton), LEFT)
+
+    timer.timeout.connect(cancel)
+    timer.start()
+    yield
+    assert clicked
+    timer.stop()
+
+
 def two_recordings(resting: RestingSource, folder: Path) -> None:
     """The same frames as rest.mcap and as other.mcap."""
     for name in ("rest", "other"):
@@ -570,11 +590,41 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     bench.driver.settle()
     assert title() == "rest.mcap" and panel.calibration.answer is answer
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
+    with monkeypatch.context() as slowly, cancelling(bench):
+        slowly.setattr(calibration_panel, "save", never_written)
+        answered(bench, other, "Save…")
+    bench.driver.settle()
+    assert title() == "rest.mcap" and panel.calibration.answer is answer and not out.exists()
     answered(bench, other, "Save…")
     bench.driver.wait(lambda: title() == "other.mcap")
     found = answer.draft.found.tension_n_per_m
     assert load_sensor(out).pneumatics.tension_n_per_m == pytest.approx(found, abs=1e-3)
     assert panel.calibration.answer.draft.found is None
+
+
+def test_closing_asks_and_a_session_that_is_refused_changes_nothing(
+    drive: Drive, resting: RestingSource, tmp_path: Path
+) -> None:
+    two_recordings(resting, tmp_path)
+    other = drive(recording(tmp_path / "other.mcap"))
+    other.state.choose(layers=frozenset({"rim"}))
+    other.window.session_saver.save_as(tmp_path / "look.bubbleviz")
+    bench = Bench(drive(recording(tmp_path / "rest.mcap")))
+    bench.identify()
+    window, state = bench.driver.window, bench.driver.state
+    before = state.choices, window.open_panels.names, state.facts
+    look = partial(window.open_file, tmp_path / "look.bubbleviz")
+    assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
+    bench.driver.settle()
+    assert (state.choices, window.open_panels.names, state.facts) == before
+    close = window.shortcuts.actions["File › Quit"].trigger
+    assert "rest.mcap is not saved" in answered(bench, close, "Cancel")
+    assert window.isVisible() and bench.panel.calibration.unsaved
+    answered(bench, look, "Discard")
+    bench.driver.wait(lambda: state.facts.title == "other.mcap")
+    assert state.choices.layers == {"rim"}
+    window.close()  # nothing to ask
+    assert not window.isVisible()
 
 
 @pytest.mark.long

@@ -7,12 +7,13 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtCore import QEvent, QEventLoop, Signal
+from PySide6.QtCore import QEvent, Signal
 from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QProgressBar,
+    QProgressDialog,
     QPushButton,
     QScrollArea,
     QStackedWidget,
@@ -136,6 +137,14 @@ class Gamma0Panel(QWidget):
 
         self.calibration.start(job, told)
 
+    def may_be_left(self) -> bool:
+        """Ask what becomes of an identification that is not saved; whether it may be lost now."""
+        if not self.calibration.unsaved:
+            return True
+        text = f"The sensor identified from {self.calibration.name} is not saved."
+        choice = unsaved(self, "Calibration", text)
+        return choice == "discard" or (choice == "save" and self._is_saved())
+
     def use_it(self) -> None:
         """Open the identified sensor on the present source; undo opens the one before."""
         found, present = self.calibration.answer.draft.found, self.calibration.controller.sensor
@@ -218,21 +227,22 @@ class Gamma0Panel(QWidget):
 
     def _on_wanted(self, request: OpenRequest) -> None:
         """Ask before something is opened that an unsaved identification would be lost by."""
-        if not self.calibration.loses(request):
-            return
-        text = f"The sensor identified from {self.calibration.name} is not saved."
-        choice = unsaved(self, "Calibration", text)
-        if choice == "cancel" or (choice == "save" and not self._is_saved()):
+        if self.calibration.loses(request) and not self.may_be_left():
             request.cancelled.set()
 
     def _is_saved(self) -> bool:
         """Have it saved, under a name that is asked for; whether it was."""
+        calibration = self.calibration
         self.report.choose_file()
-        written = QEventLoop()
-        self.calibration.changed.connect(written.quit)
-        while self.calibration.busy:
-            written.exec(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
-        return not self.calibration.unsaved
+        waiting = QProgressDialog("Writing sensor file and report…", "Cancel", 0, 0, self)
+        waiting.setWindowTitle("Calibration")
+        waiting.canceled.connect(calibration.cancel)
+        calibration.changed.connect(waiting.accept)
+        while calibration.busy:
+            waiting.exec()
+        calibration.changed.disconnect(waiting.accept)
+        waiting.deleteLater()
+        return not calibration.unsaved
 
     def _on_progress(self, step: str, done: float) -> None:
         self.progress.setFormat(f"{step} %p %")

@@ -83,25 +83,32 @@ class Opening(QObject):
         frame: int = 0,
         playing: bool = True,
         live: bool = False,
+        first: Callable[[], None] | None = None,
     ) -> bool:
-        """Open a source with a sensor in the solver thread; whether that was not refused."""
-        self._number += 1
-        choices = self._state.choices
+        """Open a source with a sensor in the solver thread; whether that was not refused.
+
+        What is done `first`, unless it was, may make other choices.
+        """
         request = OpenRequest(
-            session=self._number,
+            session=0,
             what=what,
             open_source=open_source,
             open_sensor=open_sensor,
             frame=frame,
-            demand=Demand.of(choices),
-            options=choices.options,
+            demand=Demand.of(self._state.choices),
             playing=playing,
             live=live,
         )
         self.wanted.emit(request)
         if request.cancelled.is_set():
             return False
+        if first is not None:
+            first()
         self.cancel()
+        self._number += 1
+        choices = self._state.choices
+        demand, options = Demand.of(choices), choices.options
+        request = replace(request, session=self._number, demand=demand, options=options)
         self._waiting = request
         self._ask(request)
         self.changed.emit("Closing …" if open_source is NothingOpen else f"Opening {what} …")

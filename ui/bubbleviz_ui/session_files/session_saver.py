@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -186,8 +187,7 @@ class SessionSaver(QObject):
         present = plain_choices(self._window.state.choices)
         own = {name: present[name] for name in OWN_CHOICES}
         saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
-        self.use(saved, path)
-        return self.open_source(saved, path)
+        return self.open_source(saved, path, partial(self.use, saved, path))
 
     def use(self, saved: SavedSession, file: Path | None = None) -> None:
         """Take choices and layout of a session."""
@@ -205,11 +205,24 @@ class SessionSaver(QObject):
                 self._frame.restoreState(_bytes(saved.layout))
             window.status.setVisible("status" in choices.panels)
 
-    def open_source(self, saved: SavedSession, file: Path | None = None) -> bool:
+    def open_source(
+        self,
+        saved: SavedSession,
+        file: Path | None = None,
+        first: Callable[[], None] | None = None,
+    ) -> bool:
         """Ask for the source of a session, to come back to the same frame of it.
 
         What is not there, or not yet, is a message; it is asked for again at the next start,
         unless the user opens something else meanwhile.
+
+        Parameters
+        ----------
+        saved : SavedSession
+        file : Path, optional
+            It was read from.
+        first : callable, optional
+            Done before, unless what is open is to stay.
 
         Returns
         -------
@@ -218,29 +231,34 @@ class SessionSaver(QObject):
         """
         saved = located(saved, file)
         gone = missing(saved)
-        self._problems += [f"{k} {name} is not there" for k, name in gone.items() if k != "object"]
+        lacks = [f"{k} {name} is not there" for k, name in gone.items() if k != "object"]
+
+        def begin() -> None:
+            if first is not None:
+                first()
+            self._problems += lacks
+            self._pending = saved
+
         opener: Callable[[Sensor], FrameSource] | None = None
         if saved.source == SYNTHETIC:
             opener = synthetic
         elif saved.source is not None and "recording" not in gone:
             truth = None if saved.truth is None or "truth" in gone else Path(saved.truth)
             opener = recording(Path(saved.source), truth)
-        self._pending = saved
         if opener is None:
+            begin()
             self._go_without(saved)
             return False
         sensor = None if "sensor" in gone else saved.sensor
-        asked = self._window.controller.opening.open(
+        return self._window.controller.opening.open(
             saved.source or "",
             opener,
             self._sensor_opener(opener, sensor),
             frame=saved.frame,
             playing=opener is synthetic,
             live=opener is synthetic,
+            first=begin,
         )
-        if not asked:
-            self._pending = None
-        return asked
 
     def expect(self, saved: SavedSession, path: Path) -> None:
         """Take range, markers and view of a session if this is its recording."""
