@@ -7,17 +7,12 @@ from functools import cache
 import numpy as np
 
 from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
-from bubbleviz.sensor_model import SensorModel
+from bubbleviz.sensor import Sensor
 from bubbleviz.shear.traction_estimator import TractionOptions
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.press_path import touching_height
-from bubbleviz.study import object_shapes
 from bubbleviz.study.shear.flow_sighting import FlowSighting, sighting
+from bubbleviz.study.shear.shear_study import pressed, shear_sensor
 from bubbleviz.study.shear.stuck_press import Motion, StuckPress, StuckTruth
 
 NOISE = DepthNoise(absolute_m=5e-5)
@@ -25,45 +20,19 @@ FLOW_PX = 0.03
 
 
 def sensor(nodes: int = 600) -> Sensor:
-    """A dome of rubber over a camera of half the usual size."""
-    return Sensor(
-        name="dome",
-        membrane=Membrane(
-            shape="spherical_cap",
-            rim_radius_m=0.045,
-            height_m=0.020,
-            nodes=nodes,
-            prestretch=1.2,
-        ),
-        pneumatics=Pneumatics(gauge_pressure_pa=6000.0, chamber_volume_m3=3e-4),
-        camera=Camera(
-            width=400,
-            height=320,
-            fx=260.0,
-            fy=260.0,
-            cx=199.5,
-            cy=159.5,
-            position_m=(0.0, 0.0, -0.06),
-            noise_relative=6e-4,
-        ),
-    )
+    """The study's dome over a camera of fewer pixels."""
+    whole = shear_sensor(nodes)
+    fewer = {"width": 400, "height": 320, "fx": 260.0, "fy": 260.0, "cx": 199.5, "cy": 159.5}
+    return whole.model_copy(update={"camera": whole.camera.model_copy(update=fewer)})
 
 
 @cache
 def press(name: str, depth_m: float, nodes: int = 1400) -> tuple[StuckPress, np.ndarray]:
     """An object pressed in off the axis, and the distance of each node from its middle, m."""
-    model = SensorModel.of(sensor())
-    mesh = build_mesh(model.sensor, nodes)
-    rubber = build_rubber(model.sensor, mesh, model.tension_n_per_m)
-    gas = Gas.of(model.sensor.pneumatics, mesh)
-    obj, T = getattr(object_shapes, name)(), np.eye(4)
-    T[:2, 3] = 0.005, -0.003
-    T[2, 3] = touching_height(obj, T, mesh) - depth_m
-    contact = RubberForward(rubber, gas).press(obj, T)
-    touching = contact.contact_pressure_pa > 0.0
-    now = mesh.nodes + contact.displacement_3d_m
-    away = np.linalg.norm((now - now[touching].mean(axis=0))[:, :2], axis=1)
-    return StuckPress(rubber, gas, contact.displacement_3d_m, touching), away
+    found = pressed(sensor(), name, depth_m, nodes)
+    x = found.pressed_m
+    away = np.linalg.norm((x - x[found.touching].mean(axis=0))[:, :2], axis=1)
+    return found, away
 
 
 @cache

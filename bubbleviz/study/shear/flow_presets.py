@@ -54,8 +54,8 @@ def run_flow_presets(grid: ShearGrid) -> list[PresetScore]:
     """Every preset on the drag of the first object of a grid; InputError without OpenCV."""
     opencv()  # before the long work
     model = SensorModel.of(shear_sensor())
-    name, depth_m = grid.objects[0]
-    truths = list(pressed(name, depth_m, grid.truth_nodes).along(grid.paths[0]))
+    press = pressed(model.sensor, *grid.objects[0], grid.truth_nodes)
+    truths = list(press.along(grid.paths[0]))
     mesh = truths[0].mesh
     printed = PrintedMembrane(Speckle(seed=grid.seed), MembraneView(model.camera, mesh))
     rest = [printed.image(np.zeros(len(mesh.nodes)), k) for k in range(_AT_REST)]

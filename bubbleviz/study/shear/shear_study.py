@@ -157,7 +157,7 @@ def run_shear(grid: ShearGrid, done: Callable[[int], None]) -> list[ShearTrial]:
     trials: list[ShearTrial] = []
     count = 0
     for name, depth_m in grid.objects:
-        press = pressed(name, depth_m, grid.truth_nodes)
+        press = pressed(shear_sensor(), name, depth_m, grid.truth_nodes)
         for path in grid.paths:
             truths = list(press.along(path))
             for sigma in grid.flow_sigmas_px:
@@ -168,12 +168,11 @@ def run_shear(grid: ShearGrid, done: Callable[[int], None]) -> list[ShearTrial]:
     return trials
 
 
-def pressed(name: str, depth_m: float, nodes: int) -> StuckPress:
+def pressed(sensor: Sensor, name: str, depth_m: float, nodes: int) -> StuckPress:
     """An object that was pressed in beside the axis, on a mesh of so many nodes."""
-    model = SensorModel.of(shear_sensor())
-    mesh = build_mesh(model.sensor, nodes)
-    rubber = build_rubber(model.sensor, mesh, model.tension_n_per_m)
-    gas = Gas.of(model.sensor.pneumatics, mesh)
+    mesh = build_mesh(sensor, nodes)
+    rubber = build_rubber(sensor, mesh, SensorModel.of(sensor).tension_n_per_m)
+    gas = Gas.of(sensor.pneumatics, mesh)
     obj, T_B_O = made(name), np.eye(4)
     T_B_O[:2, 3] = _BESIDE_M
     T_B_O[2, 3] = touching_height(obj, T_B_O, mesh) - depth_m

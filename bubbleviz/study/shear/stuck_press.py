@@ -102,13 +102,15 @@ class StuckPress:
     Attributes
     ----------
     touching : (n,) bool array
+    pressed_m : (n, 3) array
+        Nodes before the object is moved, m.
     """
 
     def __init__(
         self, rubber: RubberMembrane, gas: Gas, displacement_m: np.ndarray, touching: np.ndarray
     ) -> None:
         self._rubber, self._gas, self.touching = rubber, gas, touching
-        self._pressed = rubber.mesh.nodes + displacement_m
+        self.pressed_m = rubber.mesh.nodes + displacement_m
         self._rest_volume = rubber.volume(rubber.mesh.nodes)
 
     def along(self, path: Iterable[Motion]) -> Iterator[StuckTruth]:
@@ -119,7 +121,7 @@ class StuckPress:
         SolveError
             No equilibrium was found.
         """
-        stuck, x, before = self.touching.copy(), self._pressed, self._pressed
+        stuck, x, before = self.touching.copy(), self.pressed_m, self.pressed_m
         for motion in path:
             goal = self._goal(motion)
             way = float(np.linalg.norm(goal - before, axis=1)[self.touching].max())
@@ -136,11 +138,11 @@ class StuckPress:
 
     def _goal(self, motion: Motion) -> np.ndarray:
         """Where the nodes are that stick, (n, 3), m."""
-        center = self._pressed[self.touching].mean(axis=0)
+        center = self.pressed_m[self.touching].mean(axis=0)
         turn = Rotation.from_rotvec([0.0, 0.0, motion.twist_rad]).as_matrix()
-        carried = (self._pressed - center) @ turn.T + center + np.asarray(motion.drag_m)
+        carried = (self.pressed_m - center) @ turn.T + center + np.asarray(motion.drag_m)
         lost = np.zeros(len(carried)) if motion.lost is None else motion.lost
-        goal: np.ndarray = carried + lost[:, None] * (self._pressed - carried)
+        goal: np.ndarray = carried + lost[:, None] * (self.pressed_m - carried)
         return goal
 
     def _holding(
