@@ -3,108 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from calibration_bench import CTRL, Bench, Drive
 from fakes import small_sensor
-from PySide6.QtCore import QPoint, Qt, QTimer
-from PySide6.QtWidgets import QApplication, QMessageBox, QProgressDialog, QPushButton, QWidget
-from resting import REST, TENSION, RestingSource, never_written
-from window_driver import Driver
+from PySide6.QtCore import QPoint, Qt
+from resting import REST, TENSION, RestingSource
 
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.workbench import Step
-from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
-from bubbleviz_ui.calibration import calibration_panel, report_page
+from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
-from bubbleviz_ui.calibration.frame_collector import FIRST_LOOK
-from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.playback.range_strip import RangeStrip
-
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
-CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-
-
-class Bench:
-    """The window with its γ0 panel open, and what a person does with it."""
-
-    def __init__(self, driver: Driver) -> None:
-        self.driver = driver
-        driver.window.use_scene(load_scene("calibrate"))
-        driver.settle()
-
-    @property
-    def undone(self) -> int:
-        return self.driver.window.undo_stack.index()
-
-    @property
-    def panel(self) -> Gamma0Panel:
-        return self.driver.window.gamma0
-
-    @property
-    def ranges(self) -> tuple[tuple[int, int], ...]:
-        return self.panel.calibration.answer.draft.ranges
-
-    def done(self) -> None:
-        self.driver.wait(lambda: not self.panel.calibration.busy)
-
-    def click(self, widget: QWidget, *, wait: bool = True) -> None:
-        assert widget.isEnabled()
-        self.driver.bot.mouseClick(widget, LEFT)
-        if wait:
-            self.done()
-
-    def identify(self) -> None:
-        self.click(self.panel.next)
-        self.click(self.panel.all)
-        assert not self.driver.window.message.isVisible()
-
-    def key(
-        self, key: Qt.Key, modifier: Qt.KeyboardModifier, widget: QWidget | None = None
-    ) -> None:
-        window = self.driver.window
-        with self.driver.bot.waitActive(window):
-            window.activateWindow()
-        self.driver.bot.keyClick(widget or window, key, modifier)
-        self.done()
-
-    def undo(self) -> None:
-        self.key(Qt.Key.Key_Z, CTRL)
-
-    def redo(self) -> None:
-        self.key(Qt.Key.Key_Z, CTRL | SHIFT)
-
-    def drag(self, strip: RangeStrip, start: int, end: int) -> None:
-        bot, y = self.driver.bot, strip.height() // 2
-        places = [QPoint(round(strip.x_of(f)), y) for f in (start, (start + end) // 2, end)]
-        bot.mousePress(strip, LEFT, pos=places[0])
-        for place in places[1:]:
-            bot.mouseMove(strip, place)
-        bot.mouseRelease(strip, LEFT, pos=places[-1])
-        self.done()
-
-
-@pytest.fixture(scope="module")
-def resting(sensor: Sensor) -> RestingSource:
-    return RestingSource(sensor)
-
-
-@pytest.fixture
-def bench(drive: Drive, resting: RestingSource) -> Iterator[Bench]:
-    made = Bench(drive(lambda _: resting))
-    yield made
-    del made.driver  # pytest keeps the fixture's value a little longer than the window may live
 
 
 def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench: Bench) -> None:
@@ -280,7 +196,7 @@ def test_undo_works_from_within_a_text_box(bench: Bench) -> None:
 
 
 def test_cancel_leaves_everything_as_it_was(drive: Drive) -> None:
-    bench = Bench(drive(lambda sensor: RestingSource(sensor, slow_s=0.05)))
+    bench = Bench(drive(lambda sensor: RestingSource(sensor, slow_s=0.02)))
     panel = bench.panel
     bench.click(panel.next)
     before, work, index = panel.calibration.answer, panel.calibration.work, bench.undone
@@ -318,45 +234,6 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench: 
     assert tips()[0] == "Contact-free frames: done"
     bench.click(panel.all)
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
-
-
-def test_the_new_sensor_is_used_undone_and_sent_with_the_session(
-    drive: Drive, sensor: Sensor, resting: RestingSource, tmp_path: Path
-) -> None:
-    """Identified and used, but saved nowhere: its files are gone when the window is."""
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    with RecordingWriter(mine / "rest.mcap") as writer:
-        for k in range(len(resting)):
-            writer.write(resting[k])
-    bench = Bench(drive(recording(mine / "rest.mcap")))
-    bench.identify()
-    window, calibration = bench.driver.window, bench.panel.calibration
-    answer = calibration.answer
-    bench.click(bench.panel.steps.button(len(bench.panel.pages) - 1))
-    bench.click(bench.panel.report.use_it)
-    bench.driver.wait(lambda: window.controller.sensor is not sensor)
-    assert f"{sensor.name}, identified (not saved)" in window.windowTitle()
-    assert bench.driver.pipeline.model.pixels is not None
-    assert calibration.answer is answer  # the same source: nothing is lost
-    bench.undo()
-    bench.driver.wait(lambda: window.controller.sensor is sensor)
-    bench.redo()
-    bench.driver.wait(lambda: window.controller.sensor is not sensor)
-    used = window.controller.sensor
-    assert used.calibration is not None
-    assert not any(str(used.folder) in path for path in window.session_saver.recent)
-    window.session_saver.save_as(mine / "look.bubbleviz")
-    answered(bench, window.close, "Discard")
-    assert not used.folder.exists()
-    mine.rename(tmp_path / "theirs")
-    other = drive()
-    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
-    other.wait(lambda: other.state.facts.frames == len(resting))
-    other.settle()
-    theirs = other.window.controller.sensor
-    assert theirs.pneumatics == used.pneumatics and theirs.calibration == used.calibration
-    assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
 def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(
@@ -420,265 +297,6 @@ def check_report(panel: Gamma0Panel, found: Identification) -> None:
     assert cells["λ"] == ("–", "–")  # the tension is constant
     assert panel.report.view.image.shape == found.pixels.mask.shape
     assert np.nanmedian(np.abs(panel.report.view.image)) < 1e-3
-
-
-def test_frames_are_collected_live_until_the_interval_is_small(drive: Drive) -> None:
-    bench = Bench(drive(lambda s: RestingSource(s, fresh=True), playing=True, live=True))
-    panel, box = bench.panel, bench.panel.frames.collect
-    assert not panel.next.isEnabled() and box.isVisible()
-    box.count.setValue(400)
-    box.target.setValue(5.0)
-    bench.click(box.button)
-    bench.driver.wait(lambda: len(box.collector.frames) >= FIRST_LOOK)
-    bench.driver.state.set_playing(False)  # no pictures while the estimate is computed
-    bench.driver.wait(lambda: not box.collector.active)
-    bench.done()
-    draft = panel.calibration.answer.draft
-    frames = len(draft.samples.frames)
-    assert 10 <= frames < 400
-    tension = draft.tension.tension
-    assert tension.half_width <= 0.05 * tension.value
-    assert tension.value == pytest.approx(TENSION, rel=0.02)
-    collected = panel.calibration.work.collected
-    assert max(collected[k].index for k in range(len(collected))) < REST + 2  # no contact
-    bench.undo()
-    assert panel.calibration.work.collected is None
-
-
-def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(
-    drive: Drive, resting: RestingSource
-) -> None:
-    frames = [resting[k] for k in range(len(resting))]
-
-    read = list[int]()
-
-    class Loop(RestingSource):
-        def __getitem__(self, index: int):
-            read.append(index)
-            return frames[index]
-
-    bench = Bench(drive(Loop, playing=True, live=True))
-    box = bench.panel.frames.collect
-    bench.click(box.button)
-    collector = box.collector
-    bench.driver.wait(lambda: len(collector.frames) >= 10)
-    before = len(read)
-    bench.driver.wait(lambda: len(read) > before + len(frames) + 5)  # more than one round
-    assert len(collector.frames) <= REST + 2
-    bench.click(box.cancel)
-    assert not collector.active and bench.panel.calibration.work.collected is None
-
-
-def test_frames_are_collected_live_again_and_replace_those_before(drive: Drive) -> None:
-    stuck = list[Frame]()  # the camera's, while it repeats one image
-
-    class Camera(RestingSource):
-        def __getitem__(self, index: int) -> Frame:
-            frame = super().__getitem__(index)
-            return replace(frame, depth_m=stuck[0].depth_m) if stuck else frame
-
-    bench = Bench(drive(lambda s: Camera(s, fresh=True), playing=True, live=True))
-    panel, box = bench.panel, bench.panel.frames.collect
-    box.count.setValue(8)
-    assert box.button.text() == "Collect 8 frames"
-    bench.click(box.button)
-    bench.driver.wait(lambda: not box.collector.active)
-    bench.done()
-    bench.click(panel.steps.button(1))
-    panel.pixels.deviations.box.setValue(4.0)
-    bench.done()
-    old, work = panel.calibration.answer, panel.calibration.work
-    bench.click(panel.steps.button(0))
-    assert (
-        box.button.text() == "Collect again: 8 frames" and box.said.text() == "8 frames collected."
-    )
-    box.count.setValue(2000)
-    bench.click(box.button)
-    bench.driver.wait(lambda: len(box.collector.frames) >= 3)
-    assert "until then the 8 frames collected before are in use" in box.said.text()
-    bench.click(box.cancel)
-    assert panel.calibration.work == work and panel.calibration.answer is old
-    stuck.append(panel.calibration.work.collected[0])
-    bench.click(box.button)
-    bench.driver.wait(lambda: len(box.collector.frames) > 0)
-    bench.click(box.stop)  # too few: refused, and nothing of the old frames passes for theirs
-    assert "at least 5" in bench.driver.window.message.label.text()
-    assert panel.verdict.text().startswith("Out of date")
-    assert panel.steps.button(0).toolTip().endswith("needs attention")
-    stuck.clear()
-    box.count.setValue(9)
-    bench.click(box.button)
-    bench.driver.wait(lambda: not box.collector.active)
-    bench.done()
-    new = panel.calibration.answer
-    assert len(new.draft.samples.frames) == 9 and new.work.settings.deviations == 4.0
-    assert new.draft.tension.tension.value != old.draft.tension.tension.value
-    assert f"{new.draft.tension.tension.value:.2f} N/m" in panel.verdict.text()
-    assert "Out of date" not in panel.verdict.text()
-
-
-def answered(bench: Bench, start: Callable[[], object], button: str) -> str:
-    """Click a button of the question that `start` asks; what was asked."""
-    asked, timer = [], QTimer(interval=20)
-
-    def answer() -> None:
-        question = QApplication.activeModalWidget()
-        if isinstance(question, QMessageBox) and not asked:
-            asked.append(question.text())
-            titles = {each.text().replace("&", ""): each for each in question.buttons()}
-            bench.driver.bot.mouseClick(titles[button], LEFT)
-
-    timer.timeout.connect(answer)
-    timer.start()
-    start()
-    bench.driver.wait(lambda: bool(asked))
-    timer.stop()
-    return asked[0]
-
-
-@contextmanager
-def cancelling(bench: Bench) -> Iterator[None]:
-    """Click Cancel of what waits for the report."""
-    timer, clicked = QTimer(interval=20), list[QWidget]()
-
-    def cancel() -> None:
-        waiting = QApplication.activeModalWidget()
-        if isinstance(waiting, QProgressDialog) and not clicked:
-            clicked.append(waiting)
-            bench.driver.bot.mouseClick(waiting.findChild(QPushButton), LEFT)
-
-    timer.timeout.connect(cancel)
-    timer.start()
-    yield
-    assert clicked
-    timer.stop()
-
-
-def two_recordings(resting: RestingSource, folder: Path) -> None:
-    """The same frames as rest.mcap and as other.mcap."""
-    for name in ("rest", "other"):
-        with RecordingWriter(folder / f"{name}.mcap") as writer:
-            for k in range(len(resting)):
-                writer.write(resting[k])
-
-
-def test_an_identification_outlives_close_and_another_recording_asks_for_it(
-    drive: Drive, resting: RestingSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    two_recordings(resting, tmp_path)
-    bench = Bench(drive(recording(tmp_path / "rest.mcap")))
-    bench.identify()
-    window, panel = bench.driver.window, bench.panel
-    answer, title = panel.calibration.answer, lambda: bench.driver.state.facts.title
-    bench.key(Qt.Key.Key_W, CTRL)
-    bench.driver.wait(lambda: bench.driver.state.facts.nothing)
-    assert panel.calibration.answer is answer and panel.verdict.isVisible()
-    assert not panel.strip.isVisible()  # there is no timeline that it is of
-    window.open_file(tmp_path / "rest.mcap")
-    bench.driver.wait(lambda: title() == "rest.mcap")
-    assert panel.calibration.answer is answer and panel.strip.isVisible()
-
-    def other() -> None:
-        window.open_file(tmp_path / "other.mcap")
-
-    assert "rest.mcap is not saved" in answered(bench, other, "Cancel")
-    bench.driver.settle()
-    assert title() == "rest.mcap" and panel.calibration.answer is answer
-    out = tmp_path / "mine.toml"
-    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (None, ""))
-    answered(bench, other, "Save…")  # and cancelled there
-    bench.driver.settle()
-    assert title() == "rest.mcap" and panel.calibration.answer is answer
-    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
-    with monkeypatch.context() as slowly, cancelling(bench):
-        slowly.setattr(calibration_panel, "save", never_written)
-        answered(bench, other, "Save…")
-    bench.driver.settle()
-    assert title() == "rest.mcap" and panel.calibration.answer is answer and not out.exists()
-    answered(bench, other, "Save…")
-    bench.driver.wait(lambda: title() == "other.mcap")
-    found = answer.draft.found.tension_n_per_m
-    assert load_sensor(out).pneumatics.tension_n_per_m == pytest.approx(found, abs=1e-3)
-    assert panel.calibration.answer.draft.found is None
-
-
-def test_closing_asks_and_a_session_that_is_refused_changes_nothing(
-    drive: Drive, resting: RestingSource, tmp_path: Path
-) -> None:
-    two_recordings(resting, tmp_path)
-    other = drive(recording(tmp_path / "other.mcap"))
-    other.state.choose(layers=frozenset({"rim"}))
-    other.window.session_saver.save_as(tmp_path / "look.bubbleviz")
-    bench = Bench(drive(recording(tmp_path / "rest.mcap")))
-    bench.identify()
-    window, state = bench.driver.window, bench.driver.state
-    before = state.choices, window.open_panels.names, state.facts
-    look = partial(window.open_file, tmp_path / "look.bubbleviz")
-    assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
-    bench.driver.settle()
-    assert (state.choices, window.open_panels.names, state.facts) == before
-    close = window.shortcuts.actions["File › Quit"].trigger
-    assert "rest.mcap is not saved" in answered(bench, close, "Cancel")
-    assert window.isVisible() and bench.panel.calibration.unsaved
-    answered(bench, look, "Discard")
-    bench.driver.wait(lambda: state.facts.title == "other.mcap")
-    assert state.choices.layers == {"rim"}
-    window.close()  # nothing to ask
-    assert not window.isVisible()
-
-
-@pytest.mark.long
-def test_an_identification_is_discarded_when_asked_and_not_asked_for_when_saved(
-    drive: Drive, resting: RestingSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    two_recordings(resting, tmp_path)
-    bench = Bench(drive(recording(tmp_path / "other.mcap")))
-    window, panel = bench.driver.window, bench.panel
-    bench.identify()
-    answered(bench, lambda: window.open_file(tmp_path / "rest.mcap"), "Discard")
-    bench.driver.wait(lambda: bench.driver.state.facts.title == "rest.mcap")
-    assert panel.calibration.answer.draft.found is None
-    bench.identify()
-    bench.click(panel.steps.button(len(panel.pages) - 1))
-    out = tmp_path / "mine.toml"
-    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
-    bench.click(panel.report.save_as)
-    window.open_file(tmp_path / "other.mcap")  # saved: nothing to ask
-    bench.driver.wait(lambda: bench.driver.state.facts.title == "other.mcap")
-
-
-def test_collected_frames_outlive_close_and_connecting_again(drive: Drive) -> None:
-    bench = Bench(drive(lambda s: RestingSource(s, fresh=True), playing=True, live=True))
-    window, panel, box = bench.driver.window, bench.panel, bench.panel.frames.collect
-    sensor = window.controller.sensor
-
-    def connect(sensor: Sensor) -> None:
-        again = lambda s: RestingSource(s, fresh=True)  # noqa: E731
-        window.controller.opening.open("resting", again, lambda: sensor, live=True)
-
-    box.count.setValue(8)
-    bench.click(box.button)
-    bench.driver.wait(lambda: not box.collector.active)
-    bench.done()
-    answer, work = panel.calibration.answer, panel.calibration.work
-    box.count.setValue(2000)
-    bench.click(box.button)
-    bench.driver.wait(lambda: len(box.collector.frames) >= 3)
-    bench.key(Qt.Key.Key_W, CTRL)
-    bench.driver.wait(lambda: bench.driver.state.facts.nothing)
-    bench.driver.settle()
-    begun = len(box.collector.frames)
-    assert panel.calibration.work is work and panel.calibration.answer is answer
-    assert "Nothing is open" in box.said.text() and not box.button.isEnabled()
-    connect(sensor)
-    bench.driver.wait(lambda: len(box.collector.frames) > begun)
-    assert panel.calibration.work is work and panel.calibration.answer is answer
-    bench.click(box.cancel)
-    assert box.said.text() == "8 frames collected." and panel.verdict.isVisible()
-    smaller = sensor.camera.model_copy(update={"width": 64, "height": 48})
-    other = sensor.model_copy(update={"camera": smaller})
-    assert "resting is not saved" in answered(bench, lambda: connect(other), "Discard")
-    bench.driver.wait(lambda: panel.calibration.work.collected is None)
 
 
 def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive: Drive) -> None:

@@ -1,0 +1,23 @@
+"""The γ0 panel on a dome known exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from calibration_bench import Bench, Drive
+from resting import RestingSource
+
+from bubbleviz.sensor import Sensor
+
+
+@pytest.fixture(scope="session")
+def resting(sensor: Sensor) -> RestingSource:
+    return RestingSource(sensor)
+
+
+@pytest.fixture
+def bench(drive: Drive, resting: RestingSource) -> Iterator[Bench]:
+    made = Bench(drive(lambda _: resting))
+    yield made
+    del made.driver  # pytest keeps the fixture's value a little longer than the window may live
