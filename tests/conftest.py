@@ -15,8 +15,9 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import settings
 
-settings.register_profile("bubbleviz", deadline=None)  # other work on this machine is no defect
-settings.load_profile("bubbleviz")
+settings.register_profile("full", deadline=None)  # other work on this machine is no defect
+settings.register_profile("quick", settings.get_profile("full"), max_examples=25)
+settings.load_profile("full" if "TEST_ALL" in os.environ else "quick")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # `nohup` and `make test &` ignore it
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line sets it
 os.environ["MPLBACKEND"] = "agg"  # a figure's window would be left to tests of windows

@@ -71,7 +71,8 @@ def test_curves_that_are_not_alike_have_no_lag() -> None:
 def make_recording(folder: Path, lead: float, frames: int = 60) -> Path:
     """Speckle dragged as far as the depth changes `lead` periods later."""
     bag, rng = BagMaker("mcap file"), np.random.default_rng(0)
-    shape = clean_image().shape
+    still = clean_image()
+    shape = still.shape
     for k in range(frames):
         stamp = START + k * PERIOD
         gone = press(np.array(k * PERIOD_S))
@@ -84,7 +85,7 @@ def make_recording(folder: Path, lead: float, frames: int = 60) -> Path:
             u, v = dragged(x, y)
             return far * u, far * v
 
-        image = camera(clean_image(moved), k)
+        image = camera(clean_image(moved) if ahead else still, k)
         bag.image(stamp, image, "mono8", topic="/cam/color/image", step=image.shape[1])
     return bag.write(folder)
 

@@ -373,10 +373,10 @@ def test_publishing_is_refused_in_one_line() -> None:
 
 def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:
     """Every image in the file, counted by the publisher; `bench live --minutes 10` is the whole."""
-    out = tmp_path / "soak.mcap"
-    report = soak(str(small_sensor_file), 4.0, 60.0, out)
+    out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5
+    report = soak(str(small_sensor_file), seconds, 60.0, out)
     assert (report.missing, report.repeated, report.stalls) == (0, 0, 0)
-    assert report.recorded == report.sent > 200
+    assert report.recorded == report.sent > 50 * seconds
     assert report.solved > 0
     counted = sequences(out)
     assert len(counted) == report.recorded

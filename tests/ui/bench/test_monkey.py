@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parents[1]
-SHORT_S, FULL_S = 3.0, 6.0
+SHORT_S, FULL_S = 1.5, 6.0
 PROGRAM = """
 import json, sys
 sys.path.insert(0, {here!r})

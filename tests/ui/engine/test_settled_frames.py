@@ -37,9 +37,9 @@ def test_opened_sought_and_stepped_to_a_frame_has_the_same_area(drive: Drive) ->
     driver = drive(frame=110)
     driver.seek(FRAME)
     sought = shown(driver)
-    driver.seek(FRAME - 6)
+    driver.seek(FRAME - 3)
     driver.window.playback.forward.setFocus()
-    for _ in range(6):
+    for _ in range(3):
         driver.bot.mouseClick(driver.window.playback.forward, Qt.MouseButton.LeftButton)
     assert driver.state.frame == FRAME
     stepped = shown(driver)
@@ -51,7 +51,7 @@ def test_opened_sought_and_stepped_to_a_frame_has_the_same_area(drive: Drive) ->
 
 def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
     """Also where closer looks, which are left out while playing, are due with it."""
-    driver = drive(frame=FRAME - 10)
+    driver = drive(frame=FRAME - 3)
     driver.window.panels["pose"].show()
     driver.window.panels["images"].show()
     driver.state.choose(every_frame=True, pose_object="sphere", pose_track=True)
@@ -74,7 +74,7 @@ def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
 
 
 def test_playback_that_pauses_settles_its_frame(drive: Drive) -> None:
-    driver = drive(frame=FRAME - 10)
+    driver = drive(frame=FRAME - 3)
     driver.state.choose(every_frame=True)
     driver.bot.mouseClick(driver.window.playback.play, Qt.MouseButton.LeftButton)
     driver.wait(lambda: driver.state.frame >= FRAME)

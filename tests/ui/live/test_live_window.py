@@ -401,8 +401,8 @@ def one_frame_everywhere(live: Bench) -> bool:
 def test_a_frozen_view_shows_one_frame_everywhere(open_bench: Open) -> None:
     live = connected(open_bench)
     live.window.panels["threshold"].show()
-    for _ in range(5):
-        live.follow(5)
+    for _ in range(3):
+        live.follow(3)
         live.window.playback.freeze.click()
         live.wait(lambda: live.state.frozen)
         live.wait(lambda: one_frame_everywhere(live))
