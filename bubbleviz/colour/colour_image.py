@@ -124,6 +124,8 @@ class ColourCamera:
         Pose of the colour camera in the depth camera, both in the optical convention.
     remark : str
         What of it was not recorded and is taken for granted; empty for nothing.
+    own : bool
+        Whether the intrinsics are its own, and not those of the depth camera.
     placed : bool
         Whether `T_D_C` is known, and not only taken for granted.
     """
@@ -131,6 +133,7 @@ class ColourCamera:
     intrinsics: Intrinsics | None = None
     T_D_C: np.ndarray = field(default_factory=lambda: np.eye(4))
     remark: str = ""
+    own: bool = True
     placed: bool = True
 
 

@@ -102,7 +102,8 @@ def colour_camera(
     if T_D_C is None:
         remarks.append(f"no pose in {STATIC_TRANSFORMS}: taken to be where the depth camera is")
     pose = np.eye(4) if T_D_C is None else T_D_C
-    return ColourCamera(intrinsics, pose, "; ".join(remarks), placed=T_D_C is not None)
+    placed = T_D_C is not None
+    return ColourCamera(intrinsics, pose, "; ".join(remarks), own=own, placed=placed)
 
 
 def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:

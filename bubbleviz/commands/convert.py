@@ -10,6 +10,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.image_folder import (
+    INTRINSICS,
     ImageFolder,
     is_image_folder,
     read_gas_pressure,
@@ -85,7 +86,7 @@ class Beside:
 
     def images_of(self, folder: Path) -> ImageFolder:
         """The images of a folder with what belongs to them."""
-        camera = self.intrinsics or _there(folder, "intrinsics.toml", "intrinsics.json")
+        camera = self.intrinsics or _there(folder, *INTRINSICS)
         times = self.times or (None if self.rate_hz else _there(folder, "times.csv"))
         pressure, wrench = self.gas_pressure, self.wrench
         return ImageFolder(

@@ -8,6 +8,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,18 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, PositiveFloat, PositiveInt, ValidationError
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.colour.colour_folder import FOLDERS, ColourFolder
+from bubbleviz.colour.colour_image import ColourImage
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.gaps import usual_step
 from bubbleviz.frames.point_cloud import project_points
 from bubbleviz.frames.time_series import NEAREST_NS
 from bubbleviz.wording import count_of
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
+INTRINSICS = ("intrinsics.toml", "intrinsics.json")
+"""Where those of the images in a folder are looked for in it."""
 NEAREST_M, FARTHEST_M = 1e-3, 10.0
 """Median depth that a camera inside a bubble can have, with ample room: else the unit is wrong."""
 LEAST_PA, MOST_PA = 20e3, 1e6
@@ -55,6 +61,9 @@ class Measured:
 
 class ImageFolder:
     """Frames of the images in a folder, in the order of the numbers in their names.
+
+    Those of a folder `color` (`colour`, `rgb`) in it, JPEG or PNG, are the colour images of the
+    depth images with the same last number; `intrinsics.toml` or `.json` there is of their camera.
 
     Parameters
     ----------
@@ -112,6 +121,7 @@ class ImageFolder:
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
             raise InputError(f"{folder}: the time of image {late} is not after the one before")
+        self._colour = self._find_colour()
         self._clock_s = np.asarray(stamps, dtype=np.float64)
         self.times_s = self._clock_s - self._clock_s[0]
         first = self._pixels(self._files[0])
@@ -129,6 +139,7 @@ class ImageFolder:
             raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
         time_s = float(self._clock_s[index])
         pressure = self._gas_pressure.at(time_s) if self._gas_pressure else None
+        find_colour = None if self._colour is None else partial(self._colour_after, index)
         return Frame(
             index=index,
             time_s=float(self.times_s[index]),
@@ -137,10 +148,35 @@ class ImageFolder:
             gas_pressure_pa=None if pressure is None else float(pressure[0]),
             wrench=self._wrench.at(time_s) if self._wrench else None,
             stamp_ns=round(time_s * 1e9),
+            find_colour=find_colour,
         )
 
     def close(self) -> None:
         """Nothing stays open."""
+
+    def _colour_after(self, index: int, lag_s: float) -> ColourImage | None:
+        """Colour image a lag after the time of a frame, within half a period."""
+        off_s = np.abs(self.times_s - self.times_s[index] - lag_s)
+        nearest = int(off_s.argmin())
+        half_s = 0.5 * (usual_step(np.diff(self.times_s)) or 0.0)
+        if self._colour is None or off_s[nearest] > half_s:
+            return None
+        number = _number(self._files[nearest].stem)
+        return self._colour.image(number, float(self.times_s[nearest]))
+
+    def _find_colour(self) -> ColourFolder | None:
+        """Those of the same numbers in a folder inside this one."""
+        folder = next((self.path / name for name in FOLDERS if (self.path / name).is_dir()), None)
+        if folder is None:
+            return None
+        told = next((path for name in INTRINSICS if (path := folder / name).is_file()), None)
+        colour = ColourFolder(folder, _number, None if told is None else read_intrinsics(told))
+        if not colour.numbers & {_number(path.stem) for path in self._files}:
+            raise InputError(
+                f"{folder}: no JPEG or PNG image has the number of a depth image in its name; "
+                "name them as those, or take the folder away"
+            )
+        return colour
 
     def _depth(self, path: Path) -> np.ndarray:
         pixels = self._pixels(path)
@@ -303,6 +339,11 @@ def _is_number(text: str) -> bool:
 
 def _numbers(stem: str) -> tuple[float, ...]:
     return tuple(float(number) for number in re.findall(r"\d+(?:\.\d+)?", stem))
+
+
+def _number(stem: str) -> float | None:
+    """The number of an image, the last one in its name."""
+    return next(reversed(_numbers(stem)), None)
 
 
 def _size(shape: Sequence[int]) -> str:

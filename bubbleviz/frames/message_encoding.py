@@ -128,7 +128,7 @@ class FrameMessages:
         yield self._message(IMAGE, self._image(header, frame.depth_m), stamp)
 
     def of_colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
-        """Image, camera info, and the pose of the colour camera where it is not the depth's.
+        """Image, its own camera info, and the colour camera's pose where it is not the depth's.
 
         Where that is not known, the image is in a frame of reference that nothing places.
         """
@@ -139,7 +139,7 @@ class FrameMessages:
             pose = _transforms(make_header(0, self._frame_id), frame_id, camera.T_D_C)
             yield Message(STATIC_TRANSFORMS, TRANSFORMS, serialise(pose, TRANSFORMS), stamp)
         header = make_header(stamp, frame_id)
-        if camera.intrinsics is not None:
+        if camera.intrinsics is not None and camera.own:
             info = _camera_info(header, camera.intrinsics)
             yield self._message(CAMERA_INFO, info, stamp, COLOUR_NAMES)
         image = _colour_image(header, colour.read())

@@ -168,6 +168,65 @@ def test_colour_is_kept_as_it_was_recorded(kind: str, tmp_path: Path) -> None:
         assert before[0].colour.camera.T_D_C[2, 3] == pytest.approx(0.03)  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_colour_images_in_a_folder_are_those_of_the_same_numbers(
+    told: bool, tmp_path: Path
+) -> None:
+    """Byte for byte; the second depth image has none. What is not known of the camera is said."""
+    images = folder_of(tmp_path / "images", ".png", ["d1", "d2", "d10"])
+    (images / "rgb").mkdir()
+    files = {1: encoded(picture(1), "jpeg"), 10: encoded(picture(3), "png")}
+    (images / "rgb" / "c_01.jpg").write_bytes(files[1])
+    (images / "rgb" / "c_10.png").write_bytes(files[10])
+    (images / "intrinsics.json").write_text(json.dumps(CAMERA))
+    if told:
+        (images / "rgb" / "intrinsics.json").write_text(json.dumps({**CAMERA, "fx": 45.0}))
+    out = tmp_path / "out.mcap"
+    assert ", colour" in converted(images, out, "--rate", 30)
+    with Recording(out) as recording:
+        assert recording.colour is not None
+        camera, found = recording.colour.camera, [frame.colour for frame in recording]
+    assert found[1] is None and camera.intrinsics is not None
+    with Recording(out) as recording:
+        read = [recording[k].colour.read() for k in (0, 2)]  # type: ignore[union-attr]
+    assert [(each.encoding, each.data) for each in read] == [("jpeg", files[1]), ("png", files[10])]
+    assert camera.intrinsics.fx == (45.0 if told else 30.0)
+    assert ("that of the depth camera counts" in camera.remark) is not told
+    assert "taken to be where the depth camera is" in camera.remark
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (["c_7.png"], "no JPEG or PNG image has the number of a depth image"),
+        (["c_1.png", "d_01.jpg"], "has the number of c_1.png; leave one"),
+    ],
+)
+def test_colour_images_that_do_not_fit_are_refused(
+    names: list[str], says: str, tmp_path: Path
+) -> None:
+    images = folder_of(tmp_path / "images", ".png", ["d1", "d2", "d10"])
+    (images / "color").mkdir()
+    for name in names:
+        (images / "color" / name).write_bytes(encoded(picture(1), "png"))
+    assert says in converted(images, tmp_path / "out.mcap", "--rate", 30)
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_path: Path) -> None:
+    """Neither its pose nor its intrinsics were recorded."""
+    bag = fill(BagMaker("mcap file"))
+    header = bag.header(START)
+    header.frame_id = "elsewhere"
+    add_colour(bag, START, 0, header=header)
+    path, out = bag.write(tmp_path), tmp_path / "out.mcap"
+    converted(path, out)
+    with Recording(path) as before, Recording(out) as after:
+        assert before.colour is not None and after.colour is not None
+        assert "where the depth camera is" in before.colour.camera.remark
+        assert after.colour.camera.remark == before.colour.camera.remark
+
+
 def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
     sensor = write_small_sensor(tmp_path / "small.toml")
     write_simulation(small_source(sensor, HEIGHTS[1:2]), tmp_path / "press.mcap")
