@@ -252,7 +252,8 @@ class Pipeline:
         self.flow_of, self._colour_camera = flow_of, camera or self.camera
         self._traction_options = options
         self._traction_start = self._slip_start = None
-        self.__dict__.pop("traction_estimator", None)
+        for name in ("traction_estimator", "_slip_finder"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def traction_estimator(self) -> TractionEstimator:
@@ -276,7 +277,8 @@ class Pipeline:
     def _slip_finder(self) -> SlipFinder:
         from bubbleviz.shear.slip import SlipFinder  # nobody else needs it
 
-        return SlipFinder(self.mesh)
+        held, resolution = self.estimator.held_pressure_pa, self.estimator.resolution_m
+        return SlipFinder(self.traction_estimator.flow_observer, self.mesh, held, resolution)
 
     def patch(
         self, estimate: Estimate, options: FrameOptions | None = None, *, pixel_mask: bool = False
@@ -330,7 +332,9 @@ class Pipeline:
         return replace(result, traction=traction)
 
     def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
-        slip, self._slip_start = self._slip_finder.find(_made(result.traction), self._slip_start)
+        slip, self._slip_start = self._slip_finder.find(
+            _made(result.traction), result.flow, self._slip_start
+        )
         return replace(result, slip=slip)
 
     def _cloud_stage(self, result: Result, options: FrameOptions) -> Result:
@@ -392,7 +396,7 @@ _STAGES: dict[Product, _Stage] = {
     "pose": _Stage(("patch",), Pipeline._pose_stage),
     "flow": _Stage((), Pipeline._flow_stage),
     "traction": _Stage(("estimate", "flow"), Pipeline._traction_stage),
-    "slip": _Stage(("traction",), Pipeline._slip_stage),
+    "slip": _Stage(("traction", "flow"), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),
     "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
     "texture": _Stage(("estimate",), Pipeline._texture_stage),

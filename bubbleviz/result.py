@@ -255,23 +255,23 @@ class Slip:
 
     Attributes
     ----------
-    slipping : (n,) bool array
-        Nodes that slipped by more than noise.
-    slip_m : (n, 3) array
-        Motion along the membrane over the object, m; NaN outside the patch.
+    points_m : (k, 3) array
+        Material points inside the patch that optical flow followed since they came into contact, m.
+    slip_m : (k, 3) array
+        Their motion along the membrane over the object, m.
+    slipping : (k,) bool array
+        Those that slipped by more than noise.
     share : float
-        Area of the nodes that slipped over that of the patch, 0 to 1.
+        Area of the points that slipped over that of all, 0 to 1.
     share_sigma : float
         Its standard deviation.
-    limit_m : float
-        Slip that noise is longer than in one of a hundred frames, m.
     """
 
-    slipping: np.ndarray
+    points_m: np.ndarray
     slip_m: np.ndarray
+    slipping: np.ndarray
     share: float
     share_sigma: float
-    limit_m: float
 
 
 PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]

@@ -64,6 +64,28 @@ class ShapeFlow:
     jacobian: sparse.csr_array
 
 
+@dataclass(frozen=True)
+class PinnedPoints:
+    """Material points of the membrane on a shape, where flow saw them.
+
+    Attributes
+    ----------
+    position : (k, 3) array
+        In B, m.
+    tangents : (k, 2, 3) array
+        Orthonormal, along the facet of each.
+    covariance : (k, 3, 3) array
+        Of the positions along the facets, by the noise of the flow, m².
+    area : (k,) array
+        That one pixel sees, m².
+    """
+
+    position: np.ndarray
+    tangents: np.ndarray
+    covariance: np.ndarray
+    area: np.ndarray
+
+
 class FlowObserver:
     """Models the flow that a camera sees of the membrane.
 
@@ -111,13 +133,36 @@ class FlowObserver:
         beside[self._corners[measured.point]] = True
         return int(np.count_nonzero(beside & nodes)) / max(1, int(np.count_nonzero(nodes)))
 
+    def interpolated(self, values: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """Values of the nodes (n,) at points (k,)."""
+        return np.einsum("ij,ij->i", self._barycentric[point], values[self._corners[point]])
+
+    def pinned(
+        self, nodes: np.ndarray, point: np.ndarray, moved_px: np.ndarray, sigma_px: np.ndarray
+    ) -> PinnedPoints:
+        """Points (k,) on a shape, nodes (n, 3) in B, m, put where flow saw them along its facets.
+
+        The shape tells where along its ray a point is, the flow (k, 2) which ray.
+        """
+        a, b, c = nodes[self._corners[point]].transpose(1, 0, 2)
+        first, normal = b - a, np.cross(b - a, c - a)
+        tangents = np.stack([first, np.cross(normal, first)], axis=1)
+        tangents /= np.linalg.norm(tangents, axis=2, keepdims=True)
+        places, pixels, slopes = self._projected(nodes, point)
+        along = np.linalg.inv(slopes @ tangents.swapaxes(1, 2))  # m/px
+        step = np.einsum("kij,kj->ki", along, moved_px + self._rest_px[point] - pixels)
+        spread = np.einsum("kji,kjx->kix", along, tangents) * sigma_px[:, None, None]
+        return PinnedPoints(
+            places + np.einsum("ki,kix->kx", step, tangents),
+            tangents,
+            np.einsum("kix,kiy->kxy", spread, spread),
+            np.abs(np.linalg.det(along)),
+        )
+
     def around(self, nodes: np.ndarray, point: np.ndarray) -> ShapeFlow:
         """Model of the motion of points (k,) around a shape, nodes (n, 3) in B, m."""
-        T, corners, barycentric = self._camera.T_B_C, self._corners[point], self._barycentric[point]
-        in_camera = (nodes - T[:3, 3]) @ T[:3, :3]
-        places = np.einsum("ij,ijk->ik", barycentric, in_camera[corners])
-        pixels, slopes = self._camera.intrinsics.projection(places)
-        slopes = slopes @ T[:3, :3].T
+        corners, barycentric = self._corners[point], self._barycentric[point]
+        _, pixels, slopes = self._projected(nodes, point)
         values = slopes[:, :, None, :] * barycentric[:, None, :, None]
         columns = 3 * corners[:, None, :, None] + np.arange(3)
         columns = np.broadcast_to(columns, values.shape)
@@ -125,3 +170,12 @@ class FlowObserver:
         shape = (2 * len(point), 3 * len(nodes))
         jacobian = sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
         return ShapeFlow(pixels - self._rest_px[point], jacobian)
+
+    def _projected(
+        self, nodes: np.ndarray, point: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Places of points in B, (k, 3), m, in the image, (k, 2), and slopes, (k, 2, 3), px/m."""
+        T = self._camera.T_B_C
+        places = np.einsum("ij,ijk->ik", self._barycentric[point], nodes[self._corners[point]])
+        pixels, slopes = self._camera.intrinsics.projection((places - T[:3, 3]) @ T[:3, :3])
+        return places, pixels, slopes @ T[:3, :3].T

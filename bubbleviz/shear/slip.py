@@ -1,29 +1,35 @@
 """Slip: parts of a contact patch that move against the rest of it.
 
-Every node of the patch has an anchor, where it was when it came into contact. The object's motion
-since then is the best rigid motion of the nodes that stick; what a node moved besides, along the
-membrane, is its slip. When all of a patch slides at once the membrane tells of no motion at all:
-only against a part that sticks can slip be seen.
+Optical flow follows some points of the membrane inside each patch, far more than it has nodes.
+Each has an anchor, where it was when it came into contact. The object's motion since then is the
+rigid motion that most of those that stick agree on; what a point moved besides, along the membrane,
+is its slip. When all of a patch slides at once the membrane tells of no motion at all: only against
+a part that sticks can slip be seen.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.patch_edge import PatchEdge
 from bubbleviz.result import Slip, Traction
+from bubbleviz.shear.flow_observer import FlowObserver, PinnedPoints
+
+if TYPE_CHECKING:
+    from bubbleviz.colour.optical_flow import FlowField
 
 _FALSE_ALARMS = 0.01
 """Share of frames without slip in which noise may look like it."""
 _LEAST_STUCK = 4
-"""Nodes that a rigid motion is fitted to; three would fit any."""
-_ROUNDS = 10
-"""Of leaving out nodes that slip, which settle in two or three."""
+"""Points that a rigid motion is fitted to; three would fit any."""
+_ROUNDS = 20
+"""Of weighing points anew, which settles in some ten."""
 
 
 @dataclass(frozen=True)
@@ -32,109 +38,170 @@ class SlipStart:
 
     Attributes
     ----------
-    anchors_m : (n, 3) array
-        Where each node was on the object when it came into contact, in B at the moment of the
-        first of them, m; NaN for nodes that do not touch.
-    stuck : (n,) bool array
-        Nodes that have not slipped since.
+    point : (k,) int array
+        Of the flow's observer, ascending: those inside the patch.
+    anchor_m : (k, 3) array
+        Where each was on the object when it came into contact, in B at the moment of the first of
+        them, m.
+    covariance : (k, 3, 3) array
+        Of the anchors, m².
+    stuck : (k,) bool array
+        Those that have not slipped since.
     """
 
-    anchors_m: np.ndarray
+    point: np.ndarray
+    anchor_m: np.ndarray
+    covariance: np.ndarray
     stuck: np.ndarray
 
 
 class SlipFinder:
-    """Finds slip in the tractions of successive frames.
+    """Finds slip in the tractions and flows of successive frames.
 
     Parameters
     ----------
+    observer : FlowObserver
     mesh : MembraneMesh
         Reference surface.
+    held_pressure_pa : float
+        Gauge pressure that a contact carries which flattens the membrane.
+    resolution_m : float
+        Width of the estimate's response to a point load, m.
     """
 
-    def __init__(self, mesh: MembraneMesh) -> None:
-        self._mesh = mesh
+    def __init__(
+        self,
+        observer: FlowObserver,
+        mesh: MembraneMesh,
+        held_pressure_pa: float,
+        resolution_m: float,
+    ) -> None:
+        self._observer, self._edge = observer, PatchEdge(mesh)
+        self._held_pa, self._resolution_m = held_pressure_pa, resolution_m
 
     def find(
-        self, traction: Traction, start: SlipStart | None = None
+        self, traction: Traction, flow: FlowField | None, start: SlipStart | None = None
     ) -> tuple[Slip | None, SlipStart | None]:
-        """Slip of one frame, None where too little sticks to tell; also what the next needs."""
-        if traction.status != "ok":
-            return None, None
-        x, inside = traction.positions_m, self._inside(traction)
-        if start is None:
-            start = SlipStart(np.full(x.shape, np.nan), np.zeros(len(x), bool))
-        known = inside & np.isfinite(start.anchors_m[:, 0])
-        if np.count_nonzero(known & start.stuck) < _LEAST_STUCK:
-            return None, SlipStart(np.where(inside[:, None], x, np.nan), inside)
-        now = MembraneMesh(x, self._mesh.triangles, self._mesh.rim)
-        nodes = np.flatnonzero(known)
-        seen = _Nodes(start.anchors_m[nodes], x[nodes], now.normals[nodes], start.stuck[nodes])
-        way = seen.against_the_rest(traction.displacement_sigma_m)
-        size, area = np.linalg.norm(way.slip_m, axis=1), now.areas[nodes]
-        slipped = size > way.limit_m
-        likely = ndtr((size - way.limit_m) / way.sigma_m)
-        slip_m, slipping = np.full(x.shape, np.nan), np.zeros(len(x), bool)
-        slip_m[nodes], slipping[nodes] = way.slip_m, slipped
-        slip = Slip(
-            slipping,
-            slip_m,
-            float(area @ slipped / area.sum()),
-            float(np.sqrt(area**2 @ (likely * (1.0 - likely))) / area.sum()),
-            way.limit_m,
-        )
-        new = inside & ~known
-        anchors = np.where(inside[:, None], start.anchors_m, np.nan)
-        anchors[new] = way.turn.inv().apply(x[new] - way.shift_m)
-        return slip, SlipStart(anchors, (known & start.stuck & ~slipping) | new)
+        """Slip of one frame, None where too little sticks to tell; also what the next needs.
 
-    def _inside(self, traction: Traction) -> np.ndarray:
-        """Nodes (n,) bool in contact with all their neighbours.
-
-        Beside its edge a coarse mesh mixes what touches with what does not.
+        Parameters
+        ----------
+        traction : Traction
+        flow : FlowField or None
+            That it was found by.
+        start : SlipStart, optional
+            Of the frame before.
         """
-        touching, triangles = traction.contact_pressure_pa > 0.0, self._mesh.triangles
-        inside = touching.copy()
-        inside[triangles[~touching[triangles].all(axis=1)]] = False
-        return inside
+        if traction.status != "ok" or flow is None:
+            return None, None
+        point, seen = self._inside(traction, flow)
+        if start is None:
+            start = SlipStart(point[:0], seen.position[:0], seen.covariance[:0], np.zeros(0, bool))
+        _, known, before = np.intersect1d(point, start.point, return_indices=True)
+        stuck = start.stuck[before]
+        if np.count_nonzero(stuck) < _LEAST_STUCK:
+            everything = np.ones(len(point), bool)
+            return None, SlipStart(point, seen.position, seen.covariance, everything)
+        moved = _Moved.of(seen, known, start.anchor_m[before], start.covariance[before])
+        way = moved.against_the_rest(stuck)
+        area = seen.area[known]
+        likely = ndtr(way.sigmas - moved.limit)
+        slip = Slip(
+            seen.position[known],
+            np.einsum("ki,kix->kx", way.slip_m, moved.tangents),
+            way.sigmas > moved.limit,
+            float(area @ (way.sigmas > moved.limit) / area.sum()),
+            float(np.sqrt(area**2 @ (likely * (1.0 - likely))) / area.sum()),
+        )
+        back, anchors = way.turn.inv(), np.empty_like(seen.position)
+        anchors[:] = back.apply(seen.position - way.shift_m)
+        anchors[known] = start.anchor_m[before]
+        covariance = seen.covariance.copy()
+        covariance[known] = start.covariance[before]
+        sticks = np.ones(len(point), bool)
+        sticks[known] = stuck & ~slip.slipping
+        return slip, SlipStart(point, anchors, covariance, sticks)
+
+    def _inside(self, traction: Traction, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
+        """Points further inside the patch than its edge is uncertain, and where they are.
+
+        Beside the edge it is not known what touches, and what does not moves against the object.
+        """
+        measured = self._observer.measure(flow)
+        level = self._edge.level_set(
+            traction.contact_pressure_pa, self._held_pa, self._resolution_m
+        )
+        depth = self._observer.interpolated(level, measured.point)
+        inside = np.flatnonzero(depth > self._edge.blur_m(self._resolution_m))
+        point = measured.point[inside]
+        return point, self._observer.pinned(
+            traction.positions_m, point, measured.moved_px[inside], measured.sigma_px[inside]
+        )
 
 
 class _Way(NamedTuple):
-    """Motion of nodes over the object, and of the object since the anchors."""
+    """Motion of points over the object, and of the object since the anchors.
+
+    Attributes
+    ----------
+    slip_m : (k, 2) array
+        Along their tangents.
+    sigmas : (k,) array
+        Its length in standard deviations.
+    turn : Rotation
+    shift_m : (3,) array
+    """
 
     slip_m: np.ndarray
-    sigma_m: float
-    limit_m: float
+    sigmas: np.ndarray
     turn: Rotation
     shift_m: np.ndarray
 
 
-class _Nodes(NamedTuple):
-    """Nodes of the patch: anchors, positions and normals (k, 3), and whether they stuck so far."""
+class _Moved(NamedTuple):
+    """Points from their anchors to where they are, (k, 3) each; covariances of both (k, 3, 3)."""
 
     anchors: np.ndarray
     positions: np.ndarray
-    normals: np.ndarray
-    stuck: np.ndarray
+    tangents: np.ndarray
+    before: np.ndarray
+    now: np.ndarray
 
-    def against_the_rest(self, displacement_sigma_m: float) -> _Way:
-        """Motion beside the best rigid one of those that stick, left out round by round."""
-        still = self.stuck
+    @classmethod
+    def of(
+        cls, seen: PinnedPoints, known: np.ndarray, anchors: np.ndarray, covariance: np.ndarray
+    ) -> _Moved:
+        position, tangents = seen.position[known], seen.tangents[known]
+        return cls(anchors, position, tangents, covariance, seen.covariance[known])
+
+    @property
+    def limit(self) -> float:
+        """Standard deviations that the longest of so many vectors of noise rarely exceeds."""
+        return float(np.sqrt(2.0 * np.log(len(self.anchors) / _FALSE_ALARMS)))
+
+    def against_the_rest(self, stuck: np.ndarray) -> _Way:
+        """Motion beside the rigid one that most of the points that stuck so far agree on.
+
+        By least absolute deviations, so that it is not between the motions of two parts.
+        """
+        weight = stuck / np.trace(self.now + self.before, axis1=1, axis2=2)
+        way = self._against(weight)
+        if (way.sigmas[stuck] <= self.limit).all():
+            return way
         for _ in range(_ROUNDS):
-            way = self._against(still, displacement_sigma_m)
-            now = self.stuck & (np.linalg.norm(way.slip_m, axis=1) <= way.limit_m)
-            if np.array_equal(now, still) or np.count_nonzero(now) < _LEAST_STUCK:
-                break
-            still = now
-        return way
+            way = self._against(weight / np.maximum(way.sigmas, 1.0))
+        still = stuck & (way.sigmas <= self.limit)
+        return self._against(weight * still) if still.sum() >= _LEAST_STUCK else way
 
-    def _against(self, still: np.ndarray, displacement_sigma_m: float) -> _Way:
-        before, now = self.anchors[still].mean(axis=0), self.positions[still].mean(axis=0)
-        turn, _ = Rotation.align_vectors(self.positions[still] - now, self.anchors[still] - before)
+    def _against(self, weight: np.ndarray) -> _Way:
+        share = weight / weight.sum()
+        before, now = share @ self.anchors, share @ self.positions
+        turn, _ = Rotation.align_vectors(self.positions - now, self.anchors - before, weights=share)
         shift = now - turn.apply(before)
         away = self.positions - turn.apply(self.anchors) - shift
-        slip = away - np.einsum("ij,ij->i", away, self.normals)[:, None] * self.normals
-        sigma = displacement_sigma_m
-        # of so many vectors of noise the longest is rarely longer
-        limit = sigma * float(np.sqrt(2.0 * np.log(len(self.stuck) / _FALSE_ALARMS)))
-        return _Way(slip, sigma, limit, turn, shift)
+        slip = np.einsum("kix,kx->ki", self.tangents, away)
+        R = turn.as_matrix()
+        both = self.now + R @ self.before @ R.T
+        noise = self.tangents @ both @ self.tangents.swapaxes(1, 2)
+        squares = np.einsum("ki,ki->k", slip, np.linalg.solve(noise, slip[:, :, None])[:, :, 0])
+        return _Way(slip, np.sqrt(squares), turn, shift)

@@ -68,7 +68,7 @@ def test_by_depth_alone_nothing_tangential_is_told():
 
 
 def test_slip_is_a_share_with_its_interval():
-    slip = Slip(np.zeros(NODES, bool), np.zeros((NODES, 3)), 0.25, 0.05, 1e-4)
+    slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.25, 0.05)
     assert ShearNumbers.of(traction(), slip).slip_share == pytest.approx((0.25, HALF))
 
 

@@ -36,6 +36,8 @@ def slips(name: str, depth_m: float, frames: int, sliding_beyond: float) -> list
 )
 def test_a_ring_that_stays_behind(name: str, depth: float) -> None:
     found = slips(name, depth, STICKING + 3, 0.55)
+    begun = found[STICKING + 1]
+    assert begun is not None and begun.share > 3.0 * begun.share_sigma > 0.0
     assert found[0] is None  # nothing to compare with
     sticking, sliding = found[1 : STICKING + 1], found[-1]
     assert all(slip is not None and slip.share == 0.0 for slip in sticking)
@@ -43,6 +45,14 @@ def test_a_ring_that_stays_behind(name: str, depth: float) -> None:
     assert sliding.share > 3.0 * sliding.share_sigma > 0.0
     slipped = np.linalg.norm(sliding.slip_m[sliding.slipping], axis=1)
     assert slipped.max() == pytest.approx(2.0 * STEP_M * np.hypot(1.0, 0.3), rel=0.5)
+
+
+@pytest.mark.long
+def test_slip_of_a_contact_of_few_nodes() -> None:
+    """A ball that touches a circle 11 mm across, on a mesh with edges of 3 mm."""
+    found = slips("sphere", 0.004, STICKING + 2, 0.4)
+    assert all(slip is not None and slip.share == 0.0 for slip in found[1:-1])
+    assert found[-1] is not None and found[-1].share > 2.0 * found[-1].share_sigma
 
 
 @pytest.mark.long

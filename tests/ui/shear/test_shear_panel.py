@@ -208,7 +208,7 @@ def dragged(driver: Driver, status: str = "ok") -> Result:
         status, force, normal, along, 1e3 * force, mesh.nodes, 1e-3 * along, mesh.nodes[top[0]],
         covariance, 1e-5, reason="" if status == "ok" else "no texture",
     )  # fmt: skip
-    slip = Slip(np.zeros(len(force), bool), np.zeros(force.shape), 0.4, 0.1, 1e-4)
+    slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.4, 0.1)
     return replace(result, traction=traction, slip=slip)
 
 
