@@ -59,6 +59,7 @@ def test_sensor_file_says_what_made_it(made):
     digest = hashlib.sha256((folder / "rest.mcap").read_bytes()).hexdigest()
     assert calibration.recording_sha256 == digest == numbers["origin"]["recording_sha256"]
     assert calibration.report == "report/report.html"
+    assert (numbers["contact_free"]["first"], numbers["contact_free"]["last"]) == (0, 19)
     low, high = calibration.tension_interval_n_per_m
     assert low < sensor.pneumatics.tension_n_per_m < high
     assert not (folder / "mine.ply").exists()  # a cap needs no mesh file

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 from bubbleviz.calibration.rest.depth_statistics import measure_depth
 from bubbleviz.calibration.rest.noise_correlation import mean_inflation
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
-from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights
+from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights, upper_fence
 from bubbleviz.calibration.surface.rim_height import rim_height
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.errors import InputError
@@ -109,6 +109,16 @@ def test_robust_statistics():
     assert robust_sigma(values) == pytest.approx(1.0, rel=0.2)
     weights = tukey_weights(np.array([0.0, 100.0, np.nan]), 1.0)
     np.testing.assert_array_equal(weights, [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_the_fence_of_skewed_values_is_their_quantile_in_any_unit(unit):
+    rng = np.random.default_rng(0)
+    values = unit * np.exp(0.5 * rng.standard_normal(10_000))
+    values[:200], values[200:300] = 0.0, np.nan
+    fence = upper_fence(values, 2.0)
+    assert np.mean(values[300:] < fence) == pytest.approx(0.977, abs=0.005)
+    assert upper_fence(np.zeros(5), 2.0) == np.inf
 
 
 def test_rim_is_the_height_that_edges_share():

@@ -1,10 +1,13 @@
 """What is refused as an image of this membrane."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import sparse
 
 from bubbleviz.camera.observer import Misfit, RangeObserver
-from bubbleviz.inverse.plausibility import reason_against_fit
+from bubbleviz.inverse.plausibility import contradicts_gas, reason_against_fit
 from tests.inverse.conftest import CAMERA, estimator, first
 
 
@@ -42,3 +45,29 @@ def test_a_plane_across_the_dome_is_given_up_early(depth_m, monkeypatch):
     assert found.status == "implausible" and "not near this membrane" in found.reason
     assert len(casts) <= 3
     assert not found.displacement_m.any() and np.isnan(found.gas_pressure_change_pa)
+
+
+@pytest.mark.parametrize(
+    ("deviations", "gas_noise", "measured", "contradicted"),
+    [
+        (0.0, 0.0, 0.0, False),
+        (4.0, 0.0, 0.0, False),  # as far as five of its deviations may be noise
+        (7.0, 0.0, 0.0, True),
+        (-7.0, 0.0, 0.0, False),  # contact pushes: what is too high is taken for it
+        (7.0, 3.0, 0.0, True),
+        (7.0, 4.0, 0.0, False),  # within two deviations of the gas sensor
+        (7.0, 0.0, None, False),
+    ],
+)
+def test_a_bulge_that_no_contact_explains_contradicts_the_gas_sensor(
+    deviations, gas_noise, measured, contradicted
+):
+    """Ranges of one bulge, whose pressure and its deviation are those of a straight line's fit."""
+    bulge = np.linspace(0.1, 1.0, 30)
+    sigma = 0.02
+    deviation = sigma / np.linalg.norm(bulge)
+    Q = sparse.eye_array(30, format="csr") / sigma**2
+    seen = 0.3 + deviations * deviation
+    problem = SimpleNamespace(Q=Q, g=Q @ (seen * bulge), measured_gas=measured)
+    found = contradicts_gas(problem, bulge, 0.3 * bulge, gas_noise * deviation)
+    assert found is contradicted

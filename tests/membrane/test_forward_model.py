@@ -107,6 +107,22 @@ def test_bad_pose_is_refused(mesh, kind):
         GapFinder(mesh).gaps(load_object("sphere"), pose)
 
 
+def test_inward_is_a_node_s_own_as_far_as_halfway_through_the_chamber():
+    """Of a sphere's cap: halfway to the rim's cylinder, or a rim radius behind the rim."""
+    radius, height = 0.05, 0.045
+    cap = mesh_cap(spherical_cap(radius, height), 800)
+    across = np.hypot(*cap.nodes[:, :2].T)
+    ball = (radius**2 + height**2) / (2.0 * height)
+    sine = across / ball  # of the normal's angle to the axis; no line meets the cap again
+    cosine = np.sqrt(1.0 - sine**2)
+    with np.errstate(divide="ignore"):
+        side, down = (across + radius) / (2.0 * sine), (cap.nodes[:, 2] + radius) / cosine
+    inside = ~cap.rim
+    found = GapFinder(cap).reach
+    np.testing.assert_allclose(found[inside], np.minimum(side, down)[inside], rtol=0.03)
+    assert (side < down)[inside].any() and (down < side)[inside].any()
+
+
 def test_object_beside_every_normal_line_bounds_nothing(mesh):
     gap = GapFinder(mesh).gaps(load_object("sphere"), at(0.5, 0.0, -0.3))
     assert np.isinf(gap).all()

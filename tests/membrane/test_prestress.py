@@ -175,3 +175,16 @@ def test_the_gauge_pressure_is_counted_once_in_what_is_not_known():
     moved = [each.mean_tension - usual for each in varied[:2]]
     low, high = known.tension_interval_n_per_m
     assert np.hypot(*moved) == pytest.approx((high - low) / (2 * 1.96), rel=0.05)
+
+
+def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_stretch():
+    """Young–Laplace: the stress-free shape is that of their ratio."""
+    sensor = load_sensor("punyo_oval_d405")
+    mesh = build_mesh(sensor)
+    tension = reference_tension(sensor, mesh)
+    usual, by_gauge = build_rubber(sensor, mesh, tension), varied_rubber(sensor, mesh, tension)[1]
+    low, high = sensor.calibration.gauge_interval_pa
+    share = 1.0 + (high - low) / (2 * 1.96) / sensor.pneumatics.gauge_pressure_pa
+    assert by_gauge.gauge_pressure_pa / usual.gauge_pressure_pa == pytest.approx(share, rel=1e-3)
+    np.testing.assert_allclose(by_gauge.mu_h, share * usual.mu_h, rtol=1e-3)
+    np.testing.assert_allclose(by_gauge.stress_free_area, usual.stress_free_area, rtol=1e-3)
