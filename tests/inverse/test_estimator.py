@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
+from bubbleviz.inverse.estimator import MAX_NODES, Estimator, EstimatorOptions
 from bubbleviz.inverse.solvers import active_set
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.reference_mesh import build_mesh
@@ -216,8 +218,10 @@ def test_contact_is_measured_by_what_the_tension_holds(sphere):
 
 
 def test_a_mesh_finer_than_the_noise_can_use_is_refused():
+    """Before anything is computed on it."""
+    mesh = SimpleNamespace(nodes=np.zeros((MAX_NODES + 1, 3)))
     with pytest.raises(InputError, match="nodes are too many"):
-        estimator(65_000)
+        Estimator(SimpleNamespace(mesh=mesh), Gas.of(SENSOR.pneumatics, build_mesh(SENSOR)), 1.0)
 
 
 def test_noise_of_another_kind_than_the_files_is_not_trusted(sphere):

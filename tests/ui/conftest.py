@@ -110,9 +110,11 @@ def nothing_left() -> Iterator[None]:
     app.processEvents()
     gc.collect()
     left = [object.__repr__(w) for w in QApplication.topLevelWidgets()]
-    # not isinstance, which asks proxies, and they may be dead; imports in this loop take seconds
-    kinds = (View, vtkRenderWindow)
-    left += [object.__repr__(o) for o in gc.get_objects() if issubclass(type(o), kinds)]
+    # not isinstance, which asks proxies, and they may be dead; types, of which there are few
+    objects = gc.get_objects()
+    kinds = {kind for kind in {*map(type, objects)} if issubclass(kind, (View, vtkRenderWindow))}
+    left += [object.__repr__(o) for o in objects if type(o) in kinds] if kinds else []
+    del objects
     left += [t.name for t in threading.enumerate() if t.name.startswith(("solver", "calibration"))]
     assert not left, f"left alive: {left}"
     gc.freeze()  # the next test looks at its own objects only, not at every module's
