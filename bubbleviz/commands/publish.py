@@ -67,6 +67,7 @@ def publish_source(
     """
     sent: Counter[str] = Counter()
     live = open_stream(source, sensor, any_size=True).source
+    live.follow_colour()
     topics = live.topics()
     if wait and not topics:
         raise InputError(f"--source {source}: its topics come with its messages; leave --wait out")

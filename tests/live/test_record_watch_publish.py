@@ -20,15 +20,17 @@ from small_press import small_source
 
 import bubbleviz as bv
 from bubbleviz.cli.command_line import main
+from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.live.sources.zenoh_source import ZenohSource
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -314,6 +316,36 @@ def test_a_published_recording_waits_for_its_first_subscriber(
     assert sum(json.loads(stdout)["sent"].values()) == len(arrived)
     done = run(*common, "zenoh:")
     assert done.exit_code == 2 and "leave --wait out" in done.stderr
+
+
+def test_colour_images_are_published_with_the_pose_of_their_camera(
+    tmp_path: Path, small_sensor: Sensor
+) -> None:
+    path, port = tmp_path / "rec.mcap", free_port()
+    pose = np.eye(4)
+    pose[:3, 3] = 0.01, 0.0, 0.02
+    encoded = EncodedImage("mono8", bytes([7]) * 48 * 64, 64, 48, 64)
+    with RecordingWriter(path) as writer:
+        for k in range(20):
+            colour = ColourImage(lambda: encoded, 0, k / 30.0, ColourCamera(T_D_C=pose))
+            depth = np.full((48, 64), 0.1, np.float32)
+            writer.write(Frame(k, k / 30.0, depth, find_colour=lambda _, seen=colour: seen))
+    endpoint = f"tcp/127.0.0.1:{port}"
+    publisher = start("publish", "--source", f"replay:{path}?loop=1", "--listen", endpoint)
+    stream = open_stream(f"zenoh:{endpoint}", small_sensor)
+    stream.follow_colour()
+    try:
+        with stream:
+            image = None
+            while image is None or not image.camera.placed:
+                frame = stream.take(1.0)
+                image = None if frame is None else frame.colour
+                assert publisher.poll() is None
+    finally:
+        publisher.kill()
+        publisher.communicate(timeout=240)
+    np.testing.assert_allclose(image.camera.T_D_C, pose)
+    assert image.read() == encoded
 
 
 @pytest.mark.long
