@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+_NOTHING = 1e-4
+"""Share of the largest p below which an interior point has come to 0, as it never does."""
+
 
 def within_cone(
     H: np.ndarray, linear: np.ndarray, nodes: int, friction: float
@@ -42,5 +45,6 @@ def within_cone(
         settings,
     ).solve()
     x = np.asarray(result.x)
-    x[:nodes] = np.maximum(x[:nodes], 0.0)
+    free = x[:nodes] <= _NOTHING * x[:nodes].max()
+    x[: 3 * nodes][np.concatenate([free, np.repeat(free, 2)])] = 0.0
     return x, result.status == clarabel.SolverStatus.Solved

@@ -55,7 +55,8 @@ def watch_recorded_texture(
 
     if recording.colour is None:
         raise InputError(f"{recording.path}: has no colour images; leave out --shear")
+    options = TractionOptions(friction)
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
     texture = recorded_texture(recording, preset)
-    texture.watched_by(pipeline, camera, TractionOptions(friction))
+    texture.watched_by(pipeline, camera, options)
     return texture.remark

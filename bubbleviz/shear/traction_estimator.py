@@ -12,6 +12,7 @@ from bubbleviz.camera.observer import Measured
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.rubber_estimator import RubberEstimator, RubberStart
 from bubbleviz.membrane.mesh_graph import dense_part, grown
+from bubbleviz.membrane.rubber_model.friction_forward import checked_friction
 from bubbleviz.result import Estimate, Traction
 from bubbleviz.shear.flow_observer import FlowObserver, MeasuredFlow
 from bubbleviz.shear.traction_problem import SolvedTraction, TractionProblem, Unknowns
@@ -44,9 +45,18 @@ class TractionOptions:
     ----------
     friction : float or None
         Coulomb's bound μ of the tangential over the normal traction; None for no bound.
+
+    Raises
+    ------
+    InputError
+        μ is out of range.
     """
 
     friction: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None:
+            checked_friction(self.friction)
 
 
 class _Frame(NamedTuple):
@@ -194,7 +204,8 @@ class TractionEstimator:
                 motion = state.x - before.x
                 way = float(np.abs(motion).max())
                 lasting = warm and float(np.abs(state.x - begin).max()) <= self._serves_m
-                if balanced and (way <= self._near_m or lasting):
+                found = balanced and wanted.solved.converged
+                if found and (way <= self._near_m or lasting):
                     left = look.after(motion)
                     state = self._with_noise(left, state)
                     return self._report.solved(state, rubber, wanted.solved, nodes, left), state

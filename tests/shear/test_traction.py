@@ -10,6 +10,9 @@ import pytest
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.shear import traction_problem
+from bubbleviz.shear.friction_cone import within_cone
+from bubbleviz.shear.traction_estimator import TractionOptions
 from bubbleviz.study.shear.shear_study import along_error_m
 from bubbleviz.study.shear.stuck_press import Motion
 from tests.shear.drag import Eyes, press, sensor, stuck
@@ -140,6 +143,36 @@ def test_coulombs_bound_holds_where_it_is_asked_for(friction: float) -> None:
     # the cone is of the tangents where the membrane was last linearised
     assert (along <= 1.1 * friction * across + 1e-4).all()
     assert along.sum() > 0.1 * across.sum()
+
+
+def test_a_bound_lets_go_of_what_does_not_touch() -> None:
+    """A cone programme leaves a little of nothing everywhere, which would count as contact."""
+    eyes = Eyes(friction=0.6)
+    for drag in (0.0, 0.0005):
+        truth = stuck("puck", 0.004, drag, 0.0)
+        traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
+        assert traction is not None
+        assert traction.status == "ok", traction.reason
+        pressure = traction.contact_pressure_pa
+        assert pressure[pressure > 0.0].min() > 1e-4 * pressure.max()
+
+
+@pytest.mark.parametrize("friction", [0.0, np.inf, np.nan, 6.0])
+def test_a_bound_out_of_range_is_refused(friction: float) -> None:
+    with pytest.raises(InputError, match=r"friction .*: give a number above 0, up to 5"):
+        TractionOptions(friction)
+
+
+def test_a_programme_that_was_not_solved_is_no_traction(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsolved(*given: object) -> tuple[np.ndarray, bool]:
+        return within_cone(*given)[0], False  # type: ignore[arg-type]
+
+    monkeypatch.setattr(traction_problem, "within_cone", unsolved)
+    eyes = Eyes(friction=0.6)
+    frame = eyes.see(stuck("puck", 0.004, 0.0, 0.0))
+    traction = eyes.pipeline.process(frame, frozenset({"traction"})).traction
+    assert traction is not None
+    assert traction.status == "not_converged"
 
 
 def test_torque_and_its_sigma_about_any_point() -> None:

@@ -128,10 +128,8 @@ class FrictionForward:
     def __init__(
         self, membrane: RubberMembrane, gas: Gas, friction: float, rounding_m: float = 0.0
     ) -> None:
-        if not 0.0 < friction <= MOST_FRICTION:
-            most = f"{MOST_FRICTION:g}"
-            raise InputError(f"friction {friction:g}: give a number above 0, up to {most}")
-        self.membrane, self.gas, self.mesh, self.friction = membrane, gas, membrane.mesh, friction
+        self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
+        self.friction = checked_friction(friction)
         self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
         rest = membrane.tangent(self.mesh.nodes, 0.0)
         self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
@@ -308,6 +306,14 @@ class FrictionForward:
             cone_violation=float(over.max(initial=0.0)),
             dissipated_j=dissipated_j,
         )
+
+
+def checked_friction(friction: float) -> float:
+    """A coefficient of friction; InputError where it is out of range."""
+    if not 0.0 < friction <= MOST_FRICTION:
+        most = f"{MOST_FRICTION:g}"
+        raise InputError(f"friction {friction:g}: give a number above 0, up to {most}")
+    return friction
 
 
 class _Motion:

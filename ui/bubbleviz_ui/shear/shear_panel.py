@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.diagnostics.shear_numbers import ShearEllipse
+from bubbleviz.membrane.rubber_model.friction_forward import MOST_FRICTION
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, SYSTEMS
@@ -30,8 +31,8 @@ EVERY_MS = 150
 """Numbers are written this often: nobody reads faster."""
 LOOKING = "Looking for contact-free colour images…"
 PRESETS = {"fast": "fast", "balanced": "balanced", "fine": "fine"}
-MU, LEAST, MOST = 0.5, 0.01, 5.0
-"""Friction bound to begin with, and the ends of its box."""
+MU, LEAST = 0.5, 0.01
+"""Friction bound to begin with, and the least."""
 
 
 class ShearPanel(QWidget):
@@ -49,7 +50,7 @@ class ShearPanel(QWidget):
         self.bounded = QCheckBox("Friction bound")
         self.bounded.setToolTip("Keep the tangential below μ times the normal traction (Coulomb)")
         self.friction = QDoubleSpinBox(
-            minimum=LEAST, maximum=MOST, decimals=2, singleStep=0.05, prefix="μ = "
+            minimum=LEAST, maximum=MOST_FRICTION, decimals=2, singleStep=0.05, prefix="μ = "
         )
         self.friction.setToolTip(self.bounded.toolTip())
         self.friction.setKeyboardTracking(False)
