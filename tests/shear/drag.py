@@ -13,7 +13,7 @@ from bubbleviz.shear.traction_estimator import TractionOptions
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.study.shear.flow_sighting import FlowSighting, sighting
 from bubbleviz.study.shear.shear_study import pressed, shear_sensor
-from bubbleviz.study.shear.stuck_press import Motion, StuckPress, StuckTruth
+from bubbleviz.study.shear.stuck_press import Motion, ShearTruth, StuckPress
 
 NOISE = DepthNoise(absolute_m=5e-5)
 FLOW_PX = 0.03
@@ -36,7 +36,7 @@ def press(name: str, depth_m: float, nodes: int = 1400) -> tuple[StuckPress, np.
 
 
 @cache
-def stuck(name: str, depth_m: float, drag_m: float, twist_deg: float) -> StuckTruth:
+def stuck(name: str, depth_m: float, drag_m: float, twist_deg: float) -> ShearTruth:
     """The object dragged aside and twisted, with all that touched it."""
     drag = np.array([drag_m, 0.4 * drag_m, 0.0])
     return press(name, depth_m)[0].moved(Motion(drag, np.radians(twist_deg)))
@@ -51,7 +51,7 @@ class Eyes:
         chosen = TractionOptions(**options)
         self.pipeline.watch_texture(lambda frame: self.flows[frame.index].flow, options=chosen)
 
-    def see(self, truth: StuckTruth, seed: int = 0) -> Frame:
+    def see(self, truth: ShearTruth, seed: int = 0) -> Frame:
         """The next frame."""
         seen = sighting(self.pipeline.camera, truth, NOISE, FLOW_PX, seed)
         self.flows.append(seen)
@@ -62,4 +62,4 @@ class Eyes:
         """The next frame, of the membrane at rest."""
         mesh = self.pipeline.mesh
         still = np.zeros_like(mesh.nodes)
-        return self.see(StuckTruth(mesh, still, still, mesh.normals, 0.0))
+        return self.see(ShearTruth(mesh, still, still, mesh.normals))

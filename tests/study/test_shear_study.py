@@ -18,7 +18,13 @@ from bubbleviz.study.shear.shear_study import ShearTrial
 def trial(**changed: object) -> ShearTrial:
     """A good frame but for what is changed."""
     values = dict.fromkeys(ShearTrial.__dataclass_fields__, 0.0)
-    words = {"object_name": "puck", "depth_status": "ok", "status": "ok", "flow_sigma_px": 0.03}
+    words = {
+        "object_name": "puck",
+        "friction": np.nan,
+        "depth_status": "ok",
+        "status": "ok",
+        "flow_sigma_px": 0.03,
+    }
     return ShearTrial(**(values | words | changed))  # type: ignore[arg-type]
 
 
@@ -30,6 +36,7 @@ def trial(**changed: object) -> ShearTrial:
         ({"force_error": 0.04}, {"force error, %"}),
         ({"angle_rad": 0.1, "torque_error": 0.06}, {"force angle, °", "torque error, %"}),
         ({"slip": 0.2}, {"false slip, share of frames"}),
+        ({"slip": 0.2, "friction": 0.5}, set()),
         ({"force_error": 0.04, "flow_sigma_px": 0.3}, set()),
         ({"torque_error": np.nan}, set()),
     ],
@@ -51,7 +58,11 @@ def test_quick_study(tmp_path: Path) -> None:
     assert all(met.values())
     with (out / "shear.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == len(numbers["trials"]) == 5
+    assert len(rows) == len(numbers["trials"])
+    assert [row["friction"] for row in rows[:5]] == ["nan"] * 5
+    sliding = [row for row in rows[5:] if float(row["drag_m"]) > 5e-4 or float(row["twist_rad"])]
+    assert len(sliding) >= 6
+    assert all(float(row["friction"]) == 1.0 for row in sliding)
     presets = numbers["flow_presets"]
     assert [preset["preset"] for preset in presets] == ["fast", "balanced", "fine"]
     errors = [preset["flow_rms_px"] for preset in presets]

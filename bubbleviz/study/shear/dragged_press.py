@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from bubbleviz.errors import SolveError
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.rubber_model.friction_forward import FrictionContact, FrictionForward
+from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.simulation.press_path import press_path, touching_height
 from bubbleviz.study.presses import made
+from bubbleviz.study.shear.stuck_press import ShearTruth
 
 
 @dataclass(frozen=True)
@@ -52,73 +53,30 @@ class DraggedPress:
 
 
 @dataclass(frozen=True)
-class DraggedTruth:
+class DraggedTruth(ShearTruth):
     """What is true of one frame.
 
     Attributes
     ----------
     T_B_O : (4, 4) array
-    mesh : MembraneMesh
-        At rest.
-    contact : FrictionContact
-        Its `slip_m` is since the frame before.
+    areas_m2 : (n,) array
+        Of the nodes that touch, as they are; 0 for others.
     slipped_m : (n,) array
         Way of each touching node over the object since it was touched, m; 0 for others.
     """
 
     T_B_O: np.ndarray
-    mesh: MembraneMesh
-    contact: FrictionContact
+    areas_m2: np.ndarray
     slipped_m: np.ndarray
-
-    @property
-    def displacement_m(self) -> np.ndarray:
-        """Of the nodes from rest, (n, 3), m."""
-        return self.contact.displacement_3d_m
-
-    @property
-    def nodal_force_n(self) -> np.ndarray:
-        """Of the object on the membrane, (n, 3), N."""
-        return self.contact.nodal_force_n
-
-    @property
-    def pressed(self) -> MembraneMesh:
-        """The membrane as it is."""
-        return MembraneMesh(
-            self.mesh.deformed(self.displacement_m), self.mesh.triangles, self.mesh.rim
-        )
-
-    @property
-    def force_n(self) -> np.ndarray:
-        """Resultant, (3,), N."""
-        total: np.ndarray = self.nodal_force_n.sum(axis=0)
-        return total
-
-    @property
-    def center_m(self) -> np.ndarray:
-        """Centre of the normal force, (3,), m; NaN without contact."""
-        pressed = self.pressed
-        load = self.contact.contact_pressure_pa * pressed.areas
-        if not load.any():
-            return np.full(3, np.nan)
-        center: np.ndarray = load @ pressed.nodes / load.sum()
-        return center
-
-    def torque_nm(self, about_m: np.ndarray) -> np.ndarray:
-        """Torque about a point (3,), (3,), N·m."""
-        arm = self.pressed.nodes - about_m
-        total: np.ndarray = np.cross(arm, self.nodal_force_n).sum(axis=0)
-        return total
 
     def slip_share(self, limit_m: float) -> float:
         """Share of the touching area that has slipped by more than a limit since it was touched.
 
         NaN without contact.
         """
-        areas = np.where(self.contact.contact_pressure_pa > 0.0, self.pressed.areas, 0.0)
-        if not areas.any():
+        if not self.areas_m2.any():
             return float("nan")
-        return float(areas[self.slipped_m > limit_m].sum() / areas.sum())
+        return float(self.areas_m2[self.slipped_m > limit_m].sum() / self.areas_m2.sum())
 
 
 def dragged_truths(
@@ -161,5 +119,9 @@ def dragged_truths(
     for pose, contact in zip(poses, model.follow(obj, poses), strict=False):
         if not contact.converged:
             raise SolveError(f"no equilibrium of {obj.name} with friction {press.friction:g}")
-        slipped = np.where(contact.contact_pressure_pa > 0.0, slipped + contact.slip_m, 0.0)
-        yield DraggedTruth(pose, model.mesh, contact, slipped)
+        touching, moved = contact.contact_pressure_pa > 0.0, contact.displacement_3d_m
+        slipped = np.where(touching, slipped + contact.slip_m, 0.0)
+        now = replace(mesh, nodes=mesh.deformed(moved))
+        areas = np.where(touching, now.areas, 0.0)
+        force = contact.nodal_force_n
+        yield DraggedTruth(mesh, moved, force, now.normals, pose, areas, slipped)

@@ -20,7 +20,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
 from bubbleviz.study.shear.flow_sighting import FlowSighting, sighting
 from bubbleviz.study.shear.shear_study import DEPTH_NOISE, ShearGrid, judged, pressed, shear_sensor
-from bubbleviz.study.shear.stuck_press import StuckTruth
+from bubbleviz.study.shear.stuck_press import ShearTruth
 
 _AT_REST = 8
 """Images without contact that each preset learns from."""
@@ -69,7 +69,7 @@ def run_flow_presets(grid: ShearGrid) -> list[PresetScore]:
 class _Seen(NamedTuple):
     """A frame: what is true, depth with noise and exact flow, and the texture's image."""
 
-    truth: StuckTruth
+    truth: ShearTruth
     exact: FlowSighting
     image: np.ndarray
 

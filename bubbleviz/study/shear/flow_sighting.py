@@ -10,7 +10,7 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.colour.optical_flow import BLOCK_PX, FlowField
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.study.shear.stuck_press import StuckTruth
+from bubbleviz.study.shear.stuck_press import ShearTruth
 
 _HIDDEN_M = 1e-3
 """How far behind the membrane that a pixel sees a point must be to be hidden by it."""
@@ -31,7 +31,7 @@ class FlowSighting(NamedTuple):
 
 def sighting(
     camera: DepthCamera,
-    truth: StuckTruth,
+    truth: ShearTruth,
     depth_noise: DepthNoise,
     flow_sigma_px: float,
     seed: int,

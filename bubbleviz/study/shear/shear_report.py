@@ -17,8 +17,8 @@ from bubbleviz.study.shear.shear_study import ShearTrial
 FILES = ("shear.csv", "flow_presets.csv", "shear.json")
 TARGET_NOISE_PX = 0.03
 _HEADER = (
-    "object", "drag mm", "twist °", "flow px", "depth alone", "force %", "angle °", "torque %",
-    "displ. mm", "slip %", "traction ms",
+    "object", "μ", "drag mm", "twist °", "flow px", "depth alone", "force %", "angle °", "torque %",
+    "displ. mm", "slip %", "true %", "traction ms",
 )  # fmt: skip
 _PRESET_HEADER = ("flow", "flow error px", "force %, worst", "flow ms")
 
@@ -27,7 +27,7 @@ def targets(trials: list[ShearTrial]) -> list[Target]:
     """Worst frames at the target's noise, and whether that will do."""
     some = [trial for trial in trials if trial.flow_sigma_px == TARGET_NOISE_PX]
     solved = [trial for trial in some if trial.status == "ok"]
-    alarms = [trial.slip > 0.0 for trial in some if np.isfinite(trial.slip)]
+    alarms = [t.slip > 0.0 for t in some if np.isfinite(t.slip) and np.isnan(t.friction)]
     return [
         at_least("share of frames solved", len(solved) / max(1, len(some)), 1.0),
         at_most("force error, %", 100.0 * _worst(t.force_error for t in solved), 3.0),
@@ -62,6 +62,7 @@ def to_text(trials: list[ShearTrial], presets: list[PresetScore]) -> str:
     rows = [
         (
             t.object_name,
+            "sticks" if np.isnan(t.friction) else f"{t.friction:g}",
             f"{1e3 * t.drag_m:.1f}",
             f"{np.degrees(t.twist_rad):.0f}",
             f"{t.flow_sigma_px:g}",
@@ -71,6 +72,7 @@ def to_text(trials: list[ShearTrial], presets: list[PresetScore]) -> str:
             f"{100.0 * t.torque_error:.1f}",
             f"{1e3 * t.displacement_rms_m:.3f}",
             f"{100.0 * t.slip:.0f}",
+            f"{100.0 * t.true_slip:.0f}",
             f"{t.traction_ms:.0f}",
         )
         for t in trials

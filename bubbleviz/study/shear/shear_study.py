@@ -1,6 +1,7 @@
-"""Error of traction with friction on objects that stick to the membrane and are moved.
+"""Error of traction with friction on objects that are pressed in, dragged and twisted.
 
-The truth is the exact membrane on a finer mesh, with the forces that hold it to the object.
+The truth is the exact membrane on a finer mesh: with the forces that hold it to an object that
+sticks, or in contact by Coulomb's law, of which the estimator knows nothing.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +28,9 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.press_path import touching_height
 from bubbleviz.study.presses import made
+from bubbleviz.study.shear.dragged_press import DraggedPress, DraggedTruth, dragged_truths
 from bubbleviz.study.shear.flow_sighting import sighting
-from bubbleviz.study.shear.stuck_press import Motion, StuckPress, StuckTruth
+from bubbleviz.study.shear.stuck_press import Motion, ShearTruth, StuckPress
 
 _DEPTH: frozenset[Product] = frozenset({"estimate"})
 _SHEAR: frozenset[Product] = frozenset({"slip"})
@@ -47,6 +51,10 @@ class ShearGrid:
         Generator in `object_shapes`, and depth in m.
     drags_m, twists_rad : tuple of float
         Ends of steps of one drag, and of one twist after it, begun anew for each object.
+    frictions : tuple of float
+        Coulomb's μ of presses that end in the last of the drags, and in the last of the twists.
+    frames : int
+        Of each of these, of which a quarter is the drag or twist.
     flow_sigmas_px : tuple of float
         Noise of the flow.
     truth_nodes : int
@@ -56,6 +64,8 @@ class ShearGrid:
     objects: tuple[tuple[str, float], ...] = (("puck", 0.005), ("sphere", 0.006))
     drags_m: tuple[float, ...] = (0.0, 0.0005, 0.001, 0.0015, 0.002, 0.0025, 0.003, 0.0035, 0.004)
     twists_rad: tuple[float, ...] = tuple(np.radians((0.0, 4.0, 8.0, 12.0, 16.0, 20.0)).tolist())
+    frictions: tuple[float, ...] = (1.0,)
+    frames: int = 32
     flow_sigmas_px: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
     truth_nodes: int = 3_000
     seed: int = 7
@@ -69,7 +79,7 @@ class ShearGrid:
     @property
     def presses(self) -> int:
         """Number of paths, each with its truths."""
-        return 2 * len(self.objects)
+        return 2 * len(self.objects) * (1 + len(self.frictions))
 
 
 def quick_shear_grid() -> ShearGrid:
@@ -78,6 +88,8 @@ def quick_shear_grid() -> ShearGrid:
         objects=(("puck", 0.005),),
         drags_m=(0.0, 0.0005, 0.001),
         twists_rad=(0.0, float(np.radians(5.0))),
+        frictions=(1.0,),
+        frames=12,
         flow_sigmas_px=(0.03,),
         truth_nodes=2_000,
     )
@@ -90,6 +102,8 @@ class ShearTrial:
     Attributes
     ----------
     object_name : str
+    friction : float
+        Coulomb's μ; NaN where all that touched sticks.
     drag_m, twist_rad, flow_sigma_px : float
     depth_status, status : str
         Of the estimate by depth alone, and of the traction.
@@ -103,13 +117,15 @@ class ShearTrial:
         Along the membrane, over the estimator's nodes.
     sigmas : float
         Length of the force's error over the length of its standard deviation.
-    slip : float
-        Share of the patch said to slip, which nothing does; NaN in a first frame.
+    slip, true_slip : float
+        Share of the patch that is said to have slipped, and that has by more than the finder's
+        limit; NaN where it says nothing.
     estimate_ms, traction_ms : float
         Processor time, ms.
     """
 
     object_name: str
+    friction: float
     drag_m: float
     twist_rad: float
     flow_sigma_px: float
@@ -122,6 +138,7 @@ class ShearTrial:
     displacement_rms_m: float
     sigmas: float
     slip: float
+    true_slip: float
     estimate_ms: float
     traction_ms: float
 
@@ -157,15 +174,49 @@ def run_shear(grid: ShearGrid, done: Callable[[int], None]) -> list[ShearTrial]:
     trials: list[ShearTrial] = []
     count = 0
     for name, depth_m in grid.objects:
-        press = pressed(shear_sensor(), name, depth_m, grid.truth_nodes)
-        for path in grid.paths:
-            truths = list(press.along(path))
+        for frames in _presses(grid, name, depth_m):
             for sigma in grid.flow_sigmas_px:
-                found = _trials(path, truths, sigma, grid.seed)
+                found = _trials(frames, sigma, grid.seed)
                 trials += [replace(trial, object_name=name) for trial in found]
             count += 1
             done(count)
     return trials
+
+
+class _Moved(NamedTuple):
+    """A frame of a press, and how far its object was moved; None before it is pressed in."""
+
+    motion: Motion | None
+    truth: ShearTruth
+    friction: float = np.nan
+
+
+def _presses(grid: ShearGrid, name: str, depth_m: float) -> Iterator[list[_Moved]]:
+    """Frames of every path of one object."""
+    sensor = shear_sensor()
+    press = pressed(sensor, name, depth_m, grid.truth_nodes)
+    for path in grid.paths:
+        yield list(map(_Moved, path, press.along(path)))
+    mesh, tension = (
+        build_mesh(sensor, grid.truth_nodes // 2),
+        SensorModel.of(sensor).tension_n_per_m,
+    )
+    rubber_on = partial(build_rubber, sensor, tension_n_per_m=tension)
+    gas_on = partial(Gas.of, sensor.pneumatics)
+    for friction in grid.frictions:
+        for drag_m, twist_rad in ((grid.drags_m[-1], 0.0), (0.0, grid.twists_rad[-1])):
+            dragged = DraggedPress(name, depth_m, drag_m, twist_rad, friction, _BESIDE_M)
+            truths = list(dragged_truths(rubber_on, gas_on, mesh, dragged, grid.frames, 0))
+            yield [_Moved(_motion(truth, truths[-1]), truth, friction) for truth in truths]
+
+
+def _motion(truth: DraggedTruth, last: DraggedTruth) -> Motion | None:
+    """How far the object was moved since it was pressed in."""
+    if truth.T_B_O[2, 3] > last.T_B_O[2, 3]:
+        return None
+    drag = truth.T_B_O[:3, 3] - last.T_B_O[:3, 3]
+    drag[:2] = truth.T_B_O[:2, 3] - _BESIDE_M
+    return Motion(drag, float(np.arctan2(truth.T_B_O[1, 0], truth.T_B_O[0, 0])))
 
 
 def pressed(sensor: Sensor, name: str, depth_m: float, nodes: int) -> StuckPress:
@@ -181,9 +232,7 @@ def pressed(sensor: Sensor, name: str, depth_m: float, nodes: int) -> StuckPress
     return StuckPress(rubber, gas, contact.displacement_3d_m, touching)
 
 
-def _trials(
-    path: list[Motion], truths: list[StuckTruth], sigma_px: float, seed: int
-) -> Iterator[ShearTrial]:
+def _trials(frames: list[_Moved], sigma_px: float, seed: int) -> Iterator[ShearTrial]:
     """Frames of one path, each begun where the one before ended."""
     model = SensorModel.of(shear_sensor())
     both, alone = Pipeline(model), Pipeline(model)
@@ -191,7 +240,7 @@ def _trials(
     both.watch_texture(lambda frame: flows[frame.index])
     for pipeline, products in ((both, _SHEAR), (alone, _DEPTH)):
         pipeline.prepare(products)
-    for k, (motion, truth) in enumerate(zip(path, truths, strict=True)):
+    for k, (motion, truth, friction) in enumerate(frames):
         seen = sighting(model.camera, truth, DEPTH_NOISE, sigma_px, seed + k)
         flows.append(seen.flow)
         frame = Frame(k, k / 30.0, seen.depth_m)
@@ -200,9 +249,12 @@ def _trials(
         between = time.process_time()
         result = both.process(frame, _SHEAR)
         depth_ms, whole_ms = 1e3 * (between - begun), 1e3 * (time.process_time() - between)
+        if motion is None:
+            continue
         trial = judged(result, truth, model.mesh)
         yield replace(
             trial,
+            friction=friction,
             drag_m=float(np.linalg.norm(motion.drag_m)),
             twist_rad=motion.twist_rad,
             flow_sigma_px=sigma_px,
@@ -212,7 +264,7 @@ def _trials(
         )
 
 
-def judged(result: Result, truth: StuckTruth, mesh: MembraneMesh) -> ShearTrial:
+def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
     """Errors of a frame's traction and slip; what is not of the result is left open."""
     estimate, traction = result.estimate, result.traction
     if estimate is None or traction is None:
@@ -224,8 +276,12 @@ def judged(result: Result, truth: StuckTruth, mesh: MembraneMesh) -> ShearTrial:
     cosine = float(np.clip(traction.force_n @ true / (length * size), -1.0, 1.0))
     twisted = truth.torque_nm(truth.center_m)[2]
     found = traction.torque_about(truth.center_m)[2]
+    slip, true_slip = result.slip, 0.0
+    if slip is not None and isinstance(truth, DraggedTruth):
+        true_slip = truth.slip_share(slip.limit_m)
     return ShearTrial(
         object_name="",
+        friction=np.nan,
         drag_m=np.nan,
         twist_rad=np.nan,
         flow_sigma_px=np.nan,
@@ -237,13 +293,14 @@ def judged(result: Result, truth: StuckTruth, mesh: MembraneMesh) -> ShearTrial:
         torque_error=abs(float(found / twisted) - 1.0),
         displacement_rms_m=along_error_m(traction, truth, mesh),
         sigmas=float(np.linalg.norm(difference) / np.linalg.norm(traction.force_sigma_n)),
-        slip=np.nan if result.slip is None else result.slip.share,
+        slip=np.nan if slip is None else slip.share,
+        true_slip=np.nan if slip is None else true_slip,
         estimate_ms=np.nan,
         traction_ms=np.nan,
     )
 
 
-def along_error_m(traction: Traction, truth: StuckTruth, mesh: MembraneMesh) -> float:
+def along_error_m(traction: Traction, truth: ShearTruth, mesh: MembraneMesh) -> float:
     """Root mean square error of the displacement along the membrane over a mesh's nodes, m."""
     found = TriangleScene(truth.mesh.nodes, truth.mesh.triangles).closest(mesh.nodes)
     corners = truth.mesh.triangles[found.triangle]

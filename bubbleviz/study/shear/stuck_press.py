@@ -27,8 +27,8 @@ _BALANCED = 1e-8
 
 
 @dataclass(frozen=True)
-class StuckTruth:
-    """Equilibrium of a membrane that sticks to an object.
+class ShearTruth:
+    """Equilibrium of a membrane with an object that sticks to it, or slips over it.
 
     Attributes
     ----------
@@ -39,14 +39,12 @@ class StuckTruth:
         Of the object on the membrane; 0 where it does not touch.
     normals : (n, 3) array
         Current unit normals, outward.
-    gas_pressure_change_pa : float
     """
 
     mesh: MembraneMesh
     displacement_m: np.ndarray
     nodal_force_n: np.ndarray
     normals: np.ndarray
-    gas_pressure_change_pa: float
 
     @property
     def force_n(self) -> np.ndarray:
@@ -62,8 +60,10 @@ class StuckTruth:
 
     @property
     def center_m(self) -> np.ndarray:
-        """Centre of the contact's pressure, (3,), m."""
+        """Centre of the contact's pressure, (3,), m; NaN without contact."""
         normal = -np.einsum("ij,ij->i", self.nodal_force_n, self.normals)
+        if not normal.any():
+            return np.full(3, np.nan)
         center: np.ndarray = normal @ (self.mesh.nodes + self.displacement_m) / normal.sum()
         return center
 
@@ -113,7 +113,7 @@ class StuckPress:
         self.pressed_m = rubber.mesh.nodes + displacement_m
         self._rest_volume = rubber.volume(rubber.mesh.nodes)
 
-    def along(self, path: Iterable[Motion]) -> Iterator[StuckTruth]:
+    def along(self, path: Iterable[Motion]) -> Iterator[ShearTruth]:
         """Equilibria along a path of the object, each begun where the one before was.
 
         Raises
@@ -132,7 +132,7 @@ class StuckPress:
             before = goal
             yield self._truth(x, stuck)
 
-    def moved(self, motion: Motion) -> StuckTruth:
+    def moved(self, motion: Motion) -> ShearTruth:
         """Equilibrium at the end of one motion; SolveError where none was found."""
         return next(self.along([motion]))
 
@@ -156,10 +156,10 @@ class StuckPress:
                 return x, stuck
             stuck = stuck & ~pulled
 
-    def _truth(self, x: np.ndarray, stuck: np.ndarray) -> StuckTruth:
+    def _truth(self, x: np.ndarray, stuck: np.ndarray) -> ShearTruth:
         force = np.where(stuck[:, None], self._force(x), 0.0)
         moved = x - self._rubber.mesh.nodes
-        return StuckTruth(self._rubber.mesh, moved, force, self._normals(x), self._gas_at(x)[0])
+        return ShearTruth(self._rubber.mesh, moved, force, self._normals(x))
 
     def _balanced(self, x: np.ndarray, stuck: np.ndarray) -> np.ndarray:
         """Equilibrium of the nodes that are not held, from close by."""
