@@ -60,9 +60,8 @@ class EstimateSummary(Summary):
     median_residual_rms_m, max_kkt_residual : float or None
     traction_status : dict or None
         Number of frames by status of the traction; None where it was not asked for.
-    median_traction_force_n, median_traction_sigma_n : float or None
-        |force| with friction over the frames where that is known, and σ of its largest component,
-        N.
+    median_traction_force_n, median_traction_half_width_n : float or None
+        |force| with friction over the frames where that is known, and half of its 95 % interval, N.
     texture : str or None
         What its flow is measured from, and what of the colour camera is taken for granted.
     warning : str or None
@@ -88,7 +87,7 @@ class EstimateSummary(Summary):
     max_kkt_residual: float | None
     traction_status: dict[str, int] | None
     median_traction_force_n: float | None
-    median_traction_sigma_n: float | None
+    median_traction_half_width_n: float | None
     texture: str | None
     warning: str | None
 
@@ -121,8 +120,9 @@ class EstimateSummary(Summary):
         status = ", ".join(f"{n} {name}" for name, n in (self.traction_status or {}).items())
         if self.median_traction_force_n is None:
             return f"shear   {status}"
+        half_width = f"{self.median_traction_half_width_n:.2g}"
         return (
-            f"shear   {self.median_traction_force_n:.3g} ± {self.median_traction_sigma_n:.2g} N "
+            f"shear   {self.median_traction_force_n:.3g} ± {half_width} N (95 %) "
             f"median with friction: {status}; its direction has not been verified"
         )
 
@@ -376,11 +376,11 @@ def _shear_statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
     statuses = Counter(row["traction_status"] for row in rows if "traction_status" in row)
     sheared = [row for row in rows if row.get("traction_status") == "ok"]
     sizes = [float(np.linalg.norm(row["traction_force_n"])) for row in sheared]
-    sigmas = [float(row["traction_force_sigma_n"].max()) for row in sheared]
+    half_widths = [row["traction_half_width_n"] for row in sheared]
     return {
         "traction_status": dict(statuses) or None,
         "median_traction_force_n": _over(np.median, sizes),
-        "median_traction_sigma_n": _over(np.median, sigmas),
+        "median_traction_half_width_n": _over(np.median, half_widths),
     }
 
 

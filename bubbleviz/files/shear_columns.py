@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bubbleviz.diagnostics.shear_numbers import ShearNumbers
 from bubbleviz.result import Result
 
 SHEAR_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -35,6 +36,7 @@ def shear_row(result: Result) -> dict[str, Any]:
     """Values of one frame by key of `SHEAR_COLUMNS`; empty where traction was not asked for.
 
     NaN where nothing is known: σ of a traction by depth alone, slip without a patch that sticks.
+    `traction_half_width_n`, half of the 95 % interval of |force|, is for a summary of the frames.
     """
     traction, slip = result.traction, result.slip
     if traction is None:
@@ -46,6 +48,7 @@ def shear_row(result: Result) -> dict[str, Any]:
         "traction_force_sigma_n": traction.force_sigma_n,
         "traction_torque_nm": traction.torque_nm,
         "traction_torque_sigma_nm": traction.torque_sigma_nm,
+        "traction_half_width_n": ShearNumbers.of(traction).force_n[1],
         "flow_rms_px": traction.flow_rms_px,
         "slip": np.nan if slip is None else slip.share,
         "slip_sigma": np.nan if slip is None else slip.share_sigma,

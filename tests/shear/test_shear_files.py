@@ -77,20 +77,26 @@ def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path:
     changed |= {k: jpeg(k, 2) for k in (8, small)}
     press, sensor = write_texture_press(tmp_path, changed)
     command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
-    found = CliRunner().invoke(main, [*command, "--frames", f"{HELD}:{HELD + 4}"])
+    found = CliRunner().invoke(main, [*command, "--frames", f"{HELD}:{HELD + 4}", "--json"])
     assert found.exit_code == 0, found.output
+    summary = json.loads(found.stdout)
     with np.load(out) as result:
         assert result["traction_status"].tolist() == ["ok", "depth_alone", "depth_alone", "ok"]
         said = result["traction_reason"].tolist()
         force, alone = result["traction_force_n"][1:3], result["force_n"][1:3]
         np.testing.assert_allclose(force, alone, rtol=0.1)
         assert np.isnan(result["traction_force_sigma_n"][1:3]).all()
+        force, sigma = result["traction_force_n"][[0, 3]], result["traction_force_sigma_n"][[0, 3]]
+        size = np.linalg.norm(force, axis=1)
+        half = 1.96 * np.linalg.norm(force * sigma, axis=1) / size  # but for its covariances
+        assert summary["median_traction_force_n"] == pytest.approx(np.median(size))
+        assert summary["median_traction_half_width_n"] == pytest.approx(np.median(half), rel=0.3)
     assert said[0] == said[3] == ""
     assert f"colour image at {damaged / 30:.3f} s: cannot be decoded" in said[1]
     assert "200×160 pixels, the contact-free ones have 400×320" in said[2]
-    assert "2 depth_alone" in found.output
-    assert "contact-free frames 0–" in found.output
-    assert "colour camera: no camera info: that of the depth camera counts" in found.output
+    assert summary["traction_status"]["depth_alone"] == 2
+    assert "contact-free frames 0–" in summary["texture"]
+    assert "colour camera: no camera info: that of the depth camera" in summary["texture"]
 
 
 def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path: Path) -> None:
