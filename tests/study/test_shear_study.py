@@ -35,6 +35,7 @@ def trial(**changed: object) -> ShearTrial:
         ({"status": "not_converged"}, {"share of frames solved"}),
         ({"force_error": 0.04}, {"force error, %"}),
         ({"angle_rad": 0.1, "torque_error": 0.06}, {"force angle, °", "torque error, %"}),
+        ({"center_error_m": 1.5e-3}, {"centre, mm"}),
         ({"slip": 0.2}, {"false slip, share of frames"}),
         ({"slip": 0.2, "friction": 0.5}, set()),
         ({"force_error": 0.04, "flow_sigma_px": 0.3}, set()),

@@ -18,7 +18,7 @@ FILES = ("shear.csv", "flow_presets.csv", "shear.json")
 TARGET_NOISE_PX = 0.03
 _HEADER = (
     "object", "μ", "drag mm", "twist °", "flow px", "depth alone", "force %", "angle °", "torque %",
-    "displ. mm", "slip %", "true %", "traction ms",
+    "displ. mm", "depth's centre mm", "centre mm", "slip %", "true %", "traction ms",
 )  # fmt: skip
 _PRESET_HEADER = ("flow", "flow error px", "force %, worst", "flow ms")
 
@@ -34,6 +34,7 @@ def targets(trials: list[ShearTrial]) -> list[Target]:
         at_most("force angle, °", np.degrees(_worst(t.angle_rad for t in solved)), 3.0),
         at_most("torque error, %", 100.0 * _worst(t.torque_error for t in solved), 5.0),
         at_most("displacement, mm", 1e3 * _worst(t.displacement_rms_m for t in solved), 0.05),
+        at_most("centre, mm", 1e3 * _worst(t.center_error_m for t in solved), 1.0),
         at_most("false slip, share of frames", float(np.mean(alarms)) if alarms else np.nan, 0.05),
         at_most("traction, ms of processor", _median(t.traction_ms for t in solved), 15.0),
     ]
@@ -71,6 +72,8 @@ def to_text(trials: list[ShearTrial], presets: list[PresetScore]) -> str:
             f"{np.degrees(t.angle_rad):.2f}",
             f"{100.0 * t.torque_error:.1f}",
             f"{1e3 * t.displacement_rms_m:.3f}",
+            f"{1e3 * t.depth_center_error_m:.1f}",
+            f"{1e3 * t.center_error_m:.2f}",
             f"{100.0 * t.slip:.0f}",
             f"{100.0 * t.true_slip:.0f}",
             f"{t.traction_ms:.0f}",

@@ -32,8 +32,8 @@ from bubbleviz.study.shear.dragged_press import DraggedPress, DraggedTruth, drag
 from bubbleviz.study.shear.flow_sighting import sighting
 from bubbleviz.study.shear.stuck_press import Motion, ShearTruth, StuckPress
 
-_DEPTH: frozenset[Product] = frozenset({"estimate"})
-_SHEAR: frozenset[Product] = frozenset({"slip"})
+_DEPTH: frozenset[Product] = frozenset({"patch"})
+_SHEAR: frozenset[Product] = frozenset({"patch", "slip"})
 _BESIDE_M = (0.005, -0.003)
 """Of the objects from the axis, m; chosen."""
 DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
@@ -117,6 +117,9 @@ class ShearTrial:
         Of the torque's z about the true centre over the true one; NaN without a twist.
     displacement_rms_m : float
         Along the membrane, over the estimator's nodes.
+    depth_center_error_m, center_error_m : float
+        Of the centre of the contact's pressure, by depth alone and with friction; NaN where there
+        is none.
     sigmas : float
         Length of the force's error over the length of its standard deviation.
     slip, true_slip : float
@@ -138,6 +141,8 @@ class ShearTrial:
     angle_rad: float
     torque_error: float
     displacement_rms_m: float
+    depth_center_error_m: float
+    center_error_m: float
     sigmas: float
     slip: float
     true_slip: float
@@ -276,8 +281,10 @@ def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
     difference = traction.force_n - true
     length = float(np.linalg.norm(traction.force_n))
     cosine = float(np.clip(traction.force_n @ true / (length * size), -1.0, 1.0))
-    twisted = truth.torque_nm(truth.center_m)[2]
-    found = traction.torque_about(truth.center_m)[2]
+    center, patch = truth.center_m, result.trusted_patch
+    center_alone = np.full(3, np.nan) if patch is None else patch.center_of_pressure_m
+    twisted = truth.torque_nm(center)[2]
+    found = traction.torque_about(center)[2]
     slip, true_slip = result.slip, 0.0
     if slip is not None and isinstance(truth, DraggedTruth):
         true_slip = truth.slip_share(_SLIPPED_M)
@@ -294,6 +301,8 @@ def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
         angle_rad=float(np.arccos(cosine)),
         torque_error=abs(float(found / twisted) - 1.0),
         displacement_rms_m=along_error_m(traction, truth, mesh),
+        depth_center_error_m=float(np.linalg.norm(center_alone - center)),
+        center_error_m=float(np.linalg.norm(traction.center_m - center)),
         sigmas=float(np.linalg.norm(difference) / np.linalg.norm(traction.force_sigma_n)),
         slip=np.nan if slip is None else slip.share,
         true_slip=np.nan if slip is None else true_slip,
