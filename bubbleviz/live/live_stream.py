@@ -117,8 +117,12 @@ class LiveStream:
                 frame = self._mailbox.take()
             if frame is not None:
                 return frame
-            if time.monotonic() >= deadline or ended:
+            if self._mailbox.woken() or time.monotonic() >= deadline or ended:
                 return None
+
+    def wake(self) -> None:
+        """Have who waits in `take`, or will next, wait no longer."""
+        self._mailbox.wake()
 
     def status(self) -> Status:
         """How the source is doing now."""

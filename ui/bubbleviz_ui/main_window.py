@@ -30,7 +30,7 @@ from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.engine.memory_release import MemoryRelease
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.export.export_dialog import ExportDialog
-from bubbleviz_ui.export.exporting import PATIENCE_S, Exporting
+from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.importing.import_dialog import ImportDialog
 from bubbleviz_ui.live.connect_dialog import ConnectDialog
 from bubbleviz_ui.live.live_bar import LiveBar
@@ -281,7 +281,7 @@ class MainWindow(QMainWindow):
         self.exporting.close()
         for jobs in (self.importing, self._reading):
             jobs.cancel()
-            jobs.close(PATIENCE_S)
+            jobs.close()
         self._memory.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()

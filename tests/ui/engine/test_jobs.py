@@ -120,3 +120,17 @@ jobs.close(0.01)
 """
     process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
     assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")
+
+
+def test_closing_waits_no_longer_than_it_is_told(qtbot: QtBot) -> None:
+    jobs, go_on, ended = Jobs("held"), threading.Event(), threading.Event()
+
+    def hold(_: Progress) -> None:
+        go_on.wait()
+        ended.set()
+
+    jobs.run(hold)
+    jobs.close(0.0)
+    assert not ended.is_set()
+    go_on.set()
+    assert ended.wait(240.0)  # it is not lost

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
-from threading import Event
+from dataclasses import replace
+from threading import Event, Thread
 
 import pytest
 from fakes import DentSource
@@ -15,8 +17,10 @@ from bubbleviz_ui.engine.requests import (
     Answer,
     Failed,
     FrameRequest,
+    NewestRequest,
     Opened,
     OpenRequest,
+    PatchRequest,
     Request,
     SettleRequest,
     Solved,
@@ -48,6 +52,23 @@ def test_one_slot_a_kind(sensor: Sensor) -> None:
     assert slots.take() == frame(3)
     slots.close()
     assert slots.take() is None
+
+
+def test_what_is_not_due_yet_keeps_nothing_waiting_that_goes_before_it(sensor: Sensor) -> None:
+    """A drag of κ is answered although the next live frame is not to be taken yet."""
+    slots, opened = RequestSlots(), Server().serve(opening(sensor))
+    assert isinstance(opened, Opened)
+    newest = NewestRequest(1, CLOUD, time.perf_counter() + 1e6)
+    patch = PatchRequest(1, CLOUD, opened.result)
+    slots.put(newest)
+    slots.put(SettleRequest(1, CLOUD, 2))
+    taken: list[Request | None] = []
+    taker = Thread(target=lambda: taken.extend((slots.take(), slots.take(), slots.take())))
+    taker.start()
+    slots.put(patch)
+    slots.put(replace(newest, from_s=0.0))
+    taker.join(240.0)
+    assert taken == [patch, replace(newest, from_s=0.0), SettleRequest(1, CLOUD, 2)]
 
 
 def test_server_opens_and_solves(sensor: Sensor) -> None:

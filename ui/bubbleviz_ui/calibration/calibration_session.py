@@ -24,8 +24,6 @@ from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 
-PATIENCE_S = 10.0
-"""How long a window that closes waits for a step that cannot be interrupted."""
 TOPIC = "calibration"
 """Of messages."""
 REMEMBERED = 4
@@ -149,7 +147,7 @@ class Calibration(QObject):
         """Stop the thread; it lets go of the source."""
         self._jobs.cancel()
         self._jobs.run(lambda _: self.benches.close())
-        self._jobs.close(PATIENCE_S)
+        self._jobs.close()
 
     def _push(self, text: str, new: Work, gesture: Hashable) -> None:
         if new != self.work:

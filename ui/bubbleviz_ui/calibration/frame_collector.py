@@ -107,7 +107,7 @@ class Collector(QObject):
     def close(self) -> None:
         """Stop the thread."""
         self._jobs.cancel()
-        self._jobs.close(10.0)
+        self._jobs.close()
 
     def _look(self) -> None:
         many = len(self.frames)

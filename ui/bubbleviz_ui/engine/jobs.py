@@ -19,6 +19,8 @@ Job = Callable[[Progress], Any]
 
 TELL_EVERY_S = 0.05
 """Nobody reads faster."""
+PATIENCE_S = 10.0
+"""How long a window that closes waits for a step that cannot be interrupted; chosen."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class Jobs(QObject):
         """Stop all jobs; nothing more is heard of them."""
         self._wanted.clear()
 
-    def close(self, timeout_s: float | None = None) -> None:
+    def close(self, timeout_s: float = PATIENCE_S) -> None:
         """Wait until all that is wanted is done, and end the thread.
 
         A job that takes longer goes on, and the process waits for it before it ends: SciPy's

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from threading import Condition
 
 from bubbleviz_ui.engine.requests import (
@@ -19,7 +20,10 @@ from bubbleviz_ui.engine.requests import (
 
 
 class RequestSlots:
-    """One waiting request of each kind, taken in the order of `ORDER`."""
+    """One waiting request of each kind, taken in the order of `ORDER`.
+
+    One that is not due yet is waited for, unless one before it in that order comes.
+    """
 
     ORDER: tuple[type[Request], ...] = (
         OpenRequest,
@@ -54,14 +58,26 @@ class RequestSlots:
     def take(self) -> Request | None:
         """Wait for a request; None once the slots are closed."""
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or bool(self._waiting))
-            if self._closed:
-                return None
-            kind = next(kind for kind in self.ORDER if kind in self._waiting)
-            return self._waiting.pop(kind)
+            while not self._closed:
+                first = next((kind for kind in self.ORDER if kind in self._waiting), None)
+                wait_s = None if first is None else _due_in_s(self._waiting[first])
+                if first is not None and not wait_s:
+                    return self._waiting.pop(first)
+                self._changed.wait(wait_s)
+            return None
+
+    def goes_before_newest(self, request: Request) -> bool:
+        """Whether the next frame of a live source is not to be waited for before this."""
+        return self.ORDER.index(type(request)) < self.ORDER.index(NewestRequest)
 
     def close(self) -> None:
         """Wake the taker and let it go."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+
+
+def _due_in_s(request: Request) -> float:
+    if not isinstance(request, NewestRequest):
+        return 0.0
+    return max(request.from_s - time.perf_counter(), 0.0)

@@ -108,6 +108,12 @@ class Server:
         except Exception as error:
             return Failed(request, _in_words(error), traceback.format_exc())
 
+    def wait_no_longer(self) -> None:
+        """Have a frame that has not come yet waited for no longer; from another thread."""
+        session = self.session
+        if session is not None and isinstance(session.source, LiveFrames):
+            session.source.wake()
+
     def close(self) -> None:
         """Let go of the open source."""
         if self.session is not None:
@@ -122,7 +128,6 @@ class Server:
 
     def _newest(self, session: Session, request: NewestRequest) -> Solved | Waited:
         source = session.source
-        time.sleep(max(request.from_s - time.perf_counter(), 0.0))
         if not isinstance(source, LiveFrames):
             return Waited(request)
         source.follow_colour(request.of_colour)

@@ -6,6 +6,7 @@ from threading import Thread
 
 from PySide6.QtCore import QObject, Qt, Signal
 
+from bubbleviz_ui.engine.jobs import PATIENCE_S
 from bubbleviz_ui.engine.request_slots import RequestSlots
 from bubbleviz_ui.engine.requests import Answer, FrameRequest, Request
 from bubbleviz_ui.engine.solver_server import Server
@@ -44,14 +45,21 @@ class Worker(QObject):
         """Ask for something; an unserved request of the same kind is forgotten."""
         replaced = self._slots.put(request)
         self.dropped += isinstance(replaced, FrameRequest)
+        if self._slots.goes_before_newest(request):
+            self._server.wait_no_longer()
 
-    def close(self, timeout_s: float = 10.0) -> None:
+    def close(self, timeout_s: float = PATIENCE_S) -> None:
         """Stop the thread once it is through with what it is doing."""
         self._closed = True
         self._slots.close()
         self.wait(timeout_s)
 
-    def wait(self, timeout_s: float) -> None:
+    @property
+    def running(self) -> bool:
+        """Whether the thread has not ended yet."""
+        return self._thread.is_alive()
+
+    def wait(self, timeout_s: float = PATIENCE_S) -> None:
         """Wait for the thread to end after `close`.
 
         A process that ends before its threads frees what they work with: SciPy's factorisations

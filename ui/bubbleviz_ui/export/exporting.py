@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.view3d.render_view import View
 
-PATIENCE_S = 10.0
-"""How long a window that closes waits for a step that cannot be interrupted."""
 STILL_FPS = 30.0
 """Of a video of a single frame."""
 TOPIC = "export"
@@ -128,7 +126,7 @@ class Exporting(QObject):
     def close(self) -> None:
         """Stop, and wait for the thread."""
         self._jobs.cancel()
-        self._jobs.close(PATIENCE_S)
+        self._jobs.close()
         self._end_video()
 
     def _end_video(self) -> None:

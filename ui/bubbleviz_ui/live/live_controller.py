@@ -171,9 +171,14 @@ class LiveController(QObject):
         self._settings.push("gas pressure zero", ask, False, True)
 
     def close(self) -> None:
-        """End everything; a recording is whole when this returns."""
+        """End everything; a recording is whole when this returns.
+
+        On a disk that keeps it waiting for longer than a closing window waits, it is so when the
+        process ends.
+        """
         connection = self.connection
         self.disconnect_all()
+        self._pair.close()
         self.publishing.close()
         self._jobs.close()
         if connection is not None:

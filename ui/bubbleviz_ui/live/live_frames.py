@@ -129,6 +129,10 @@ class LiveFrames:
         frame = self.stream.take(timeout_s)
         return None if frame is None else self._take(frame)
 
+    def wake(self) -> None:
+        """Have the newest frame waited for no longer, as something else is asked for."""
+        self.stream.wake()
+
     def at(self, time_s: float) -> int:
         """The kept frame nearest to a time."""
         with self._lock:

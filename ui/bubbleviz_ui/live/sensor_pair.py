@@ -50,6 +50,7 @@ class SensorPair(QObject):
         self.second: SensorClient | None = None
         self.drawing: SecondScene | None = None
         self._run: LiveRun | None = None
+        self._ending: list[Worker] = []
         self.chosen = 0
         self._shown_s = 0.0
         controller.shown.connect(self._on_shown)
@@ -118,13 +119,20 @@ class SensorPair(QObject):
             self.second.extra = products
 
     def end(self) -> None:
-        """One sensor again, or none."""
+        """One sensor again, or none; the other one's solver thread ends by itself."""
         second, self.second, self._run = self.second, None, None
         if second is not None:
-            second.close()
+            second.worker.close(0.0)
+            self._ending = [*(each for each in self._ending if each.running), second.worker]
         if self.drawing is not None:
             self.drawing.hide()
         self._scene.place(np.eye(4), np.empty((0, 3)), None)
+
+    def close(self) -> None:
+        """End, and wait for solver threads that have not ended."""
+        self.end()
+        for worker in self._ending:
+            worker.wait()
 
     # -- what the second sensor does ----------------------------------------------------------
 

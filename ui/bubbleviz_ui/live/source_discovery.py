@@ -63,9 +63,9 @@ class Discovery(QObject):
         self._let_go(source)
 
     def close(self) -> None:
-        """Stop, and wait until it is done."""
+        """Stop; what is on ends by itself."""
         self.stop()
-        self._jobs.close()
+        self._jobs.close(0.0)
 
     def _let_go(self, source: LiveSource | None) -> None:
         if source is not None:
