@@ -82,6 +82,8 @@ def bench_monkey(
         _sensor_for(recording, sensor), recording, seconds, seed, memory=with_memory
     )
     _print_measured(report.measured, as_json)
+    if report.blocked:
+        click.echo(f"blocked longest by {report.longest}, in:\n{report.blocked}", err=True)
     for problem in report.problems:
         click.echo(problem, err=True)
     return int(not report.passed)

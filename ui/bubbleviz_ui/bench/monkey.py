@@ -31,6 +31,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.bench.block_watch import BlockWatch
 from bubbleviz_ui.bench.memory_at_rest import Rest, resident_mib
 from bubbleviz_ui.bench.replay_rate import beats
 from bubbleviz_ui.window_session import WindowSession, window_session
@@ -78,6 +79,8 @@ class Report:
         Longest time the window's thread was kept from events.
     longest : str
         What was done then.
+    blocked : str
+        Innermost calls of that thread in the longest time of over 100 ms.
     problems : list of str
         Tracebacks, and messages of the window that came with one.
     """
@@ -88,6 +91,7 @@ class Report:
     most_mib: float = 0.0
     longest_ms: float = 0.0
     longest: str = ""
+    blocked: str = ""
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -153,7 +157,7 @@ class Monkey:
 
     def __init__(self, session: WindowSession, dice: random.Random, report: Report) -> None:
         self._session, self._dice, self._report = session, dice, report
-        self._rest = Rest(session)
+        self._rest, self._watch = Rest(session), BlockWatch()
         self._things: tuple[tuple[float, Callable[[], None]], ...] = (
             (5.0, self._click),
             (3.0, self._key),
@@ -189,7 +193,7 @@ class Monkey:
     def _go_on(self, seconds: float) -> None:
         report, start = self._report, time.monotonic()
         weights = [weight for weight, _ in self._things]
-        with beats() as gaps_ms:
+        with beats() as gaps_ms, self._watch.watching():
             while time.monotonic() - start < seconds:
                 [(_, thing)] = self._dice.choices(self._things, weights)
                 gaps_ms.clear()
@@ -205,6 +209,7 @@ class Monkey:
                 report.actions += 1
                 report.most_mib = max(report.most_mib, resident_mib())
         report.seconds += time.monotonic() - start
+        report.blocked = self._watch.stack
 
     _at = ""
 
