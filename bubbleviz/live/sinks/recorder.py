@@ -108,7 +108,8 @@ class Recorder:
         with self._lock:
             if self._session is not None:
                 raise InputError(f"{path}: something is being recorded already; stop it first")
-            session = _Session(McapFile(path), tuple(self._static.values()))
+            file = McapFile(path, compression="lz4")
+            session = _Session(file, tuple(self._static.values()))
             for message in self._before:
                 session.put(message)
             self._before.clear()
