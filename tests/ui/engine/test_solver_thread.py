@@ -11,6 +11,8 @@ import pytest
 from fakes import DentSource
 from pytestqt.qtbot import QtBot
 
+from bubbleviz.calibration.pressure_zero import PressureZero
+from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.request_slots import RequestSlots
 from bubbleviz_ui.engine.requests import (
@@ -24,9 +26,11 @@ from bubbleviz_ui.engine.requests import (
     Request,
     SettleRequest,
     Solved,
+    Waited,
 )
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
 from bubbleviz_ui.model.demand import Demand
 
 CLOUD = Demand(frozenset({"cloud"}))
@@ -69,6 +73,24 @@ def test_what_is_not_due_yet_keeps_nothing_waiting_that_goes_before_it(sensor: S
     slots.put(replace(newest, from_s=0.0))
     taker.join(240.0)
     assert taken == [patch, replace(newest, from_s=0.0), SettleRequest(1, CLOUD, 2)]
+
+
+def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor: Sensor) -> None:
+    server, stream = Server(), open_stream("synthetic:?rate=100&frames=2", sensor)
+    frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
+    with stream:
+        while not frames.came(60.0):
+            pass
+        frames.begin(frames.first_ns)
+    opened = server.serve(OpenRequest(1, "press", LiveOpener(frames), lambda: sensor, 0, CLOUD))
+    assert isinstance(opened, Opened)
+    newest = NewestRequest(1, CLOUD)
+    while isinstance(server.serve(newest), Solved):  # what had arrived before it ended
+        pass
+    server.wait_no_longer()
+    assert server.serve(newest) == Waited(newest, paused=False)
+    assert server.serve(newest) == Waited(newest, paused=True)
+    server.close()
 
 
 def test_server_opens_and_solves(sensor: Sensor) -> None:

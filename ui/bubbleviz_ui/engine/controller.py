@@ -235,7 +235,7 @@ class Controller(QObject):
         elif isinstance(answer, Opened):
             self._on_opened(answer)
         elif isinstance(answer, Waited):
-            if self.client.look_is_old:  # the source pauses
+            if answer.paused and self.client.look_is_old:
                 self._ask_frame()
             self._ask_newest()
         elif isinstance(answer, Followed):

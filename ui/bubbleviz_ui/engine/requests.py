@@ -203,9 +203,13 @@ class Solved:
 
 @dataclass(frozen=True)
 class Waited:
-    """No frame came while it was waited for."""
+    """No frame came while it was waited for.
+
+    Either the source is `paused`, or the wait was called off for another request.
+    """
 
     request: NewestRequest
+    paused: bool
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ class Server:
 
     def __init__(self) -> None:
         self.session: Session | None = None
+        self._called_off = False
 
     @property
     def counts(self) -> dict[str, int]:
@@ -112,6 +113,7 @@ class Server:
         """Have a frame that has not come yet waited for no longer; from another thread."""
         session = self.session
         if session is not None and isinstance(session.source, LiveFrames):
+            self._called_off = True
             session.source.wake()
 
     def close(self) -> None:
@@ -129,10 +131,13 @@ class Server:
     def _newest(self, session: Session, request: NewestRequest) -> Solved | Waited:
         source = session.source
         if not isinstance(source, LiveFrames):
-            return Waited(request)
+            return Waited(request, paused=True)
         source.follow_colour(request.of_colour)
         frame = source.newest(WAIT_S)
-        return Waited(request) if frame is None else self._solved(session, request, frame)
+        if frame is not None:
+            return self._solved(session, request, frame)
+        called_off, self._called_off = self._called_off, False
+        return Waited(request, paused=not called_off)
 
     def _solved(
         self, session: Session, request: FrameRequest | NewestRequest, frame: Frame
