@@ -30,7 +30,7 @@ class MembraneMesh:
     def facet_vectors(self) -> np.ndarray:
         """Area vectors of the triangles (area × unit normal), shape (m, 3), m²."""
         a, b, c = (self.nodes[self.triangles[:, k]] for k in range(3))
-        return 0.5 * np.cross(b - a, c - a)
+        return 0.5 * cross(b - a, c - a)
 
     @cached_property
     def facet_areas(self) -> np.ndarray:

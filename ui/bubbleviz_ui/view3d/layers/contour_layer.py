@@ -98,7 +98,5 @@ def _traced(
     contour.ComputeNormalsOff()
     contour.SetInputArrayToProcess(0, 0, 0, 0, surface.LEVEL)
     line = layer.add(contour, color=colour, lighting=False, **look)
-    # Straight from the filter: pyvista puts an algorithm in Python between, run every frame.
-    line.mapper.SetInputConnection(contour.GetOutputPort())
     in_front(line, units)
     return contour

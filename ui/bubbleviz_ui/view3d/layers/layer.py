@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from vtkmodules.vtkCommonExecutionModel import vtkAlgorithm
+
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -67,6 +69,13 @@ class Layer:
     def add(self, data: Any, **look: Any) -> Any:
         """Add an actor, seen while the layer is; as `View.add_mesh`."""
         actor = self.canvas.view.add_mesh(data, reset_camera=False, render=False, **look)
+        # Straight to the mapper: pyvista puts an algorithm in Python between, run every picture.
+        if isinstance(data, vtkAlgorithm):
+            actor.mapper.SetInputConnection(data.GetOutputPort())
+        elif "scalars" in look:
+            actor.mapper.SetInputDataObject(data)
+            actor.mapper.SetScalarModeToUsePointFieldData()
+            actor.mapper.SelectColorArray(look["scalars"])
         self.actors.append(actor)
         return actor
 
