@@ -21,7 +21,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
-from bubbleviz.membrane.reference_mesh import build_rubber, varied_rubber
+from bubbleviz.membrane.reference_mesh import build_rubber, rest_stress, varied_rubber
 from bubbleviz.patch.components import without_small
 from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.result import Estimate, Patch, Result
@@ -128,7 +128,8 @@ class Pipeline:
         known = model.sensor.membrane.prestretch is not None
         if self.options.solver == RUBBER or (self.options.solver is None and known):
             tension = model.tension_n_per_m
-            material = model.sensor, model.mesh, tension, self.options.rim_slack_m
+            stress = rest_stress(model.sensor, model.mesh)
+            material = model.sensor, model.mesh, tension, self.options.rim_slack_m, stress
             rubber, varied = build_rubber(*material), varied_rubber(*material)
             return RubberEstimator(observer, rubber, model.gas, self.options, varied)
         return Estimator(observer, model.gas, model.tension_n_per_m, self.options)

@@ -74,6 +74,13 @@ def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
         raise InputError(f"{sensor.name}: {error}, or give pneumatics.tension_n_per_m") from error
 
 
+def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
+    """Stress of the reference surface under the gauge pressure; None for constant tension."""
+    if sensor.membrane.prestretch is None:
+        return None
+    return Prestress.of(mesh, sensor.pneumatics.gauge_pressure_pa)
+
+
 def build_rubber(
     sensor: Sensor,
     mesh: MembraneMesh,
@@ -95,7 +102,8 @@ def build_rubber(
     rim_slack_m : float, optional
         As of `RubberMembrane`.
     stress : Prestress, optional
-        Found from the mesh where not given; that of a coarser mesh of the surface saves time.
+        As of `rest_stress`, found from the mesh where not given; that of a coarser mesh of the
+        surface saves time.
     """
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
     if prestretch is None:
@@ -105,11 +113,16 @@ def build_rubber(
 
 
 def varied_rubber(
-    sensor: Sensor, mesh: MembraneMesh, tension_n_per_m: float, rim_slack_m: float | None = None
+    sensor: Sensor,
+    mesh: MembraneMesh,
+    tension_n_per_m: float,
+    rim_slack_m: float | None = None,
+    stress: Prestress | None = None,
 ) -> list[RubberMembrane]:
     """The membrane with γ0, gauge pressure and λ in turn off by one standard deviation.
 
     Of those whose 95 % interval the sensor's calibration gives; parameters as of `build_rubber`.
+    Stress at rest follows from shape and gauge pressure, whatever the material.
     γ0 follows the gauge pressure, from which Young–Laplace has it: of its own deviation only that
     counts which the gauge pressure does not explain.
     """
@@ -123,18 +136,19 @@ def varied_rubber(
     stretch = _deviation(known.prestretch_interval)
     varied = []
     if tension:
-        varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m))
+        varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m, stress))
     if gauge:
         higher = pneumatics.gauge_pressure_pa + gauge
         changed = pneumatics.model_copy(update={"gauge_pressure_pa": higher})
         other = sensor.model_copy(update={"pneumatics": changed})
-        scaled = tension_n_per_m * higher / pneumatics.gauge_pressure_pa
-        varied.append(build_rubber(other, mesh, scaled, rim_slack_m))
+        factor = higher / pneumatics.gauge_pressure_pa
+        raised = None if stress is None else stress.times(factor)
+        varied.append(build_rubber(other, mesh, factor * tension_n_per_m, rim_slack_m, raised))
     if stretch and sensor.membrane.prestretch is not None:
         larger = {"prestretch": sensor.membrane.prestretch + stretch}
         changed_membrane = sensor.membrane.model_copy(update=larger)
         other = sensor.model_copy(update={"membrane": changed_membrane})
-        varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m))
+        varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, stress))
     return varied
 
 

@@ -12,6 +12,7 @@ from bubbleviz.membrane.reference_mesh import (
     build_mesh,
     build_rubber,
     reference_tension,
+    rest_stress,
     varied_rubber,
 )
 from bubbleviz.membrane.refine import refine
@@ -188,3 +189,21 @@ def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_str
     assert by_gauge.gauge_pressure_pa / usual.gauge_pressure_pa == pytest.approx(share, rel=1e-3)
     np.testing.assert_allclose(by_gauge.mu_h, share * usual.mu_h, rtol=1e-3)
     np.testing.assert_allclose(by_gauge.stress_free_area, usual.stress_free_area, rtol=1e-3)
+
+
+def test_what_is_varied_has_the_stress_that_its_own_surface_and_pressure_ask_for():
+    """Found once and handed on, it is that of each variant found anew; without λ there is none."""
+    sensor = load_sensor("punyo_oval_d405")
+    mesh = build_mesh(sensor, 300)
+    tension = reference_tension(sensor, mesh)
+    anew = varied_rubber(sensor, mesh, tension)
+    handed = varied_rubber(sensor, mesh, tension, stress=rest_stress(sensor, mesh))
+    assert len(anew) == len(handed) == 3
+    for one, other in zip(anew, handed, strict=True):
+        assert one.gauge_pressure_pa == other.gauge_pressure_pa
+        expected = one.stress(mesh.nodes)
+        np.testing.assert_allclose(
+            other.stress(mesh.nodes), expected, atol=1e-9 * np.abs(expected).max()
+        )
+    membrane = sensor.membrane.model_copy(update={"prestretch": None})
+    assert rest_stress(sensor.model_copy(update={"membrane": membrane}), mesh) is None

@@ -92,6 +92,10 @@ class Prestress:
         z[0] += 1.0
         return cls(gauge_pressure_pa / curvature * z.reshape(3, -1))
 
+    def times(self, factor: float) -> Prestress:
+        """Field of the same surface under a pressure larger by a factor."""
+        return Prestress(factor * self.weights)
+
     def on(self, mesh: MembraneMesh) -> np.ndarray:
         """Stress on any mesh of the surface, (m, 2, 2), N/m³.
 
