@@ -36,9 +36,7 @@ def import_without(package: str, part: str) -> None:
     """
     if (name := f"{package}.{part}") in sys.modules:
         return
-    deferred = _Deferred(name)
-    deferred.__spec__ = ModuleSpec(name, None)
-    sys.modules[name] = deferred
+    deferred = _deferred(name)
     try:
         module = importlib.import_module(package)
     except BaseException:
@@ -46,6 +44,23 @@ def import_without(package: str, part: str) -> None:
         raise
     if not hasattr(module, part):
         setattr(module, part, deferred)
+
+
+def import_later(package: str) -> None:
+    """Have a package that others import imported when something of it is asked for.
+
+    pyvista loads one for downloads, with SSL and progress bars. Does nothing when it is loaded.
+    """
+    if package not in sys.modules:
+        _deferred(package)
+
+
+def _deferred(name: str) -> ModuleType:
+    """A module that stands for another one from now on."""
+    made = _Deferred(name)
+    made.__spec__ = ModuleSpec(name, None)
+    sys.modules[name] = made
+    return made
 
 
 @contextmanager

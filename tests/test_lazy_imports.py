@@ -50,6 +50,22 @@ def test_a_part_is_loaded_when_it_is_used(
     assert done.stdout.split() == ["False", "True"]
 
 
+def test_a_package_is_loaded_when_something_of_it_is_used() -> None:
+    code = (
+        "import sys; from bubbleviz.lazy_imports import import_later; import_later('pooch')\n"
+        "import pyvista; print('pooch.core' in sys.modules)\n"
+        "from pyvista.core.utilities import reader_registry\n"
+        "assert callable(reader_registry.pooch.retrieve)\n"
+        "print('pooch.core' in sys.modules)\n"
+        "import pooch; assert pooch.__version__; import_later('pooch'); import pooch.core"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["False", "True"]
+
+
 def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None:
     code = (
         "import sys; from bubbleviz.lazy_imports import import_without, made_later\n"

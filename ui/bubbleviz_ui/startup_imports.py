@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from bubbleviz.lazy_imports import everything_stays, import_without, made_later
+from bubbleviz.lazy_imports import everything_stays, import_later, import_without, made_later
 
 
 def import_the_window() -> None:
@@ -12,5 +12,6 @@ def import_the_window() -> None:
     if "bubbleviz_ui.main_window" in sys.modules:
         return
     import_without("matplotlib", "pyplot")
+    import_later("pooch")
     with everything_stays(), made_later("matplotlib.backends.backend_agg", "FigureCanvasAgg"):
         import bubbleviz_ui.main_window  # noqa: F401
