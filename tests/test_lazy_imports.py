@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 
@@ -64,6 +65,31 @@ def test_a_package_is_loaded_when_something_of_it_is_used() -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["False", "True"]
+
+
+def test_the_window_starts_without_what_its_first_picture_does_not_need() -> None:
+    code = (
+        "import sys; from bubbleviz_ui.startup_imports import import_the_window\n"
+        "import_the_window()\n"
+        "print(sorted(set(sys.argv[1:]) & set(sys.modules)))\n"
+        "from scipy import ndimage; assert ndimage.label([0, 1, 1])[1] == 1"
+    )
+    unneeded = (
+        "bubbleviz.commands.convert",
+        "bubbleviz.export.vtk_export",
+        "bubbleviz_ui.importing.import_dialog",
+        "bubbleviz_ui.shell.text_dialogs",
+        "matplotlib.figure",
+        "open3d",
+        "pooch.core",
+        "scipy.ndimage._filters",
+    )
+    assert all(importlib.util.find_spec(name) for name in unneeded)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *unneeded], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "[]\n"
 
 
 def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy import ndimage
 from scipy.special import ndtri
 
 from bubbleviz.errors import InputError
@@ -91,6 +91,6 @@ def _smoothed(white: np.ndarray, correlation_px: float) -> np.ndarray:
     sigma = 0.5 * correlation_px  # the autocorrelation of a Gaussian kernel is √2 times as wide
     impulse = np.zeros(2 * int(4.0 * sigma + 1.0) + 1)
     impulse[len(impulse) // 2] = 1.0
-    kernel = gaussian_filter1d(impulse, sigma, mode="constant")
-    smooth: np.ndarray = gaussian_filter(white, sigma, mode="wrap") / np.sum(kernel**2)
+    kernel = ndimage.gaussian_filter1d(impulse, sigma, mode="constant")
+    smooth: np.ndarray = ndimage.gaussian_filter(white, sigma, mode="wrap") / np.sum(kernel**2)
     return smooth

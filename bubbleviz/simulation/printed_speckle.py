@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy import ndimage
 
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.errors import InputError
@@ -92,7 +92,7 @@ class PrintedMembrane:
     def grey(self, points_m: np.ndarray) -> np.ndarray:
         """Grey level (k,) of material at places (k, 3) of the mesh at rest, in B, m."""
         places = points_m.T * (_VOXELS_PER_BLOT / self._blot_m)
-        ink = map_coordinates(self._noise, places, order=1, mode="grid-wrap")
+        ink = ndimage.map_coordinates(self._noise, places, order=1, mode="grid-wrap")
         return _DARK + (_BRIGHT - _DARK) * (0.5 + 0.5 * np.tanh(_EDGE * ink))
 
     @cached_property
@@ -100,5 +100,5 @@ class PrintedMembrane:
         """Smooth noise in a cube that continues itself, of unit variance, float32."""
         random = np.random.default_rng(self._speckle.seed)
         white = random.standard_normal((_VOXELS,) * 3).astype(np.float32)
-        smooth = gaussian_filter(white, 0.4 * _VOXELS_PER_BLOT, mode="wrap")
+        smooth = ndimage.gaussian_filter(white, 0.4 * _VOXELS_PER_BLOT, mode="wrap")
         return np.asarray(smooth / smooth.std())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion
+from scipy import ndimage
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.pipeline import Pipeline
@@ -98,7 +98,7 @@ class Judge:
 
     def _edge_in_band(self, estimate: Estimate, patch: Patch, seen: np.ndarray) -> float:
         """Share of the pixels beside the edge of a mask that the band covers."""
-        edge = binary_dilation(seen) ^ binary_erosion(seen)
+        edge = ndimage.binary_dilation(seen) ^ ndimage.binary_erosion(seen)
         band = patch.edge_half_width_m
         if np.isnan(band) or not edge.any():
             return np.nan

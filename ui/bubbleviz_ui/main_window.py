@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QSize, Qt, QTimer, QUrl
@@ -31,7 +32,6 @@ from bubbleviz_ui.engine.memory_release import MemoryRelease
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
-from bubbleviz_ui.importing.import_dialog import ImportDialog
 from bubbleviz_ui.live.connect_dialog import ConnectDialog
 from bubbleviz_ui.live.live_bar import LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
@@ -74,13 +74,15 @@ from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, Notice
 from bubbleviz_ui.shell.open_panels import OpenPanels
 from bubbleviz_ui.shell.shortcuts import Shortcuts
 from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
-from bubbleviz_ui.shell.text_dialogs import InformationDialog, MessagesDialog, PagesDialog
 from bubbleviz_ui.view3d.layers_panel import LayersPanel
 from bubbleviz_ui.view3d.pointing import Pointing
 from bubbleviz_ui.view3d.render_quality import FAST, RenderQuality
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.importing.import_dialog import ImportDialog
 
 SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
 """Pixels: of the window at first, and what a window manager puts around it at most."""
@@ -197,14 +199,20 @@ class MainWindow(QMainWindow):
 
     def show_messages(self) -> None:
         """Show all messages of this session."""
+        from bubbleviz_ui.shell.text_dialogs import MessagesDialog  # the window starts without
+
         MessagesDialog(self, self.messages).show()
 
     def show_information(self) -> None:
         """Show what the recording that is open has in it."""
+        from bubbleviz_ui.shell.text_dialogs import InformationDialog  # the window starts without
+
         InformationDialog(self, self.controller, self._reading).open()
 
     def show_pages(self) -> None:
         """Show the documentation."""
+        from bubbleviz_ui.shell.text_dialogs import PagesDialog  # the window starts without
+
         PagesDialog(self, pages_folder()).show()
 
     def show_palette(self) -> None:
@@ -229,6 +237,9 @@ class MainWindow(QMainWindow):
     def show_import(self) -> None:
         """Make a recording of images or of another kind of recording."""
         if self._import is None:
+            # readers of every kind of recording: the window starts without
+            from bubbleviz_ui.importing.import_dialog import ImportDialog
+
             self._import = ImportDialog(
                 self,
                 self.importing,

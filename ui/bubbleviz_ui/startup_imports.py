@@ -12,6 +12,7 @@ def import_the_window() -> None:
     if "bubbleviz_ui.main_window" in sys.modules:
         return
     import_without("matplotlib", "pyplot")
+    import_without("scipy", "ndimage")
     import_later("pooch")
     with everything_stays(), made_later("matplotlib.backends.backend_agg", "FigureCanvasAgg"):
         import bubbleviz_ui.main_window  # noqa: F401

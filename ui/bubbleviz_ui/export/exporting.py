@@ -14,7 +14,6 @@ from bubbleviz.export.pose_columns import pose_columns
 from bubbleviz_ui.engine.jobs import Done, Job, Jobs
 from bubbleviz_ui.engine.requests import Failed, FrameRequest
 from bubbleviz_ui.export.export_kinds import Kind
-from bubbleviz_ui.export.file_export import FileExport
 from bubbleviz_ui.export.video_export import VideoExport
 from bubbleviz_ui.model.messages import UserMessage
 
@@ -111,6 +110,9 @@ class Exporting(QObject):
         else:
             poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
             what = (kind.what, *choices.rule, choices.options, poses)
+            # with the first export: the window starts without the writers of all kinds
+            from bubbleviz_ui.export.file_export import FileExport
+
             job = FileExport(open_source, sensor, frames, path, *what)
         self._jobs.run(job, partial(self._on_done, path))
         self.progressed.emit("starting", 0.0)
