@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fakes import small_sensor
+from fakes import DentSource, small_sensor
 from mcap.reader import make_reader
+from PySide6.QtCore import Qt
 from window_driver import Driver
 
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
-from bubbleviz_ui.live.connection import LiveRun
+from bubbleviz_ui.live.connection import LiveRun, single
 from bubbleviz_ui.live.live_controller import LiveController
 
 ROBOT = Path(__file__).parents[1] / "live" / "robot.py"
@@ -118,6 +120,15 @@ class Bench(Driver):
         enough = counters().received + count
         self.wait(lambda: counters().received >= enough)
 
+    def key(self, name: Qt.Key, *modifiers: Qt.KeyboardModifier) -> None:
+        """Press a key in the window."""
+        with self.bot.waitActive(self.window):
+            self.window.activateWindow()
+        held = Qt.KeyboardModifier.NoModifier
+        for modifier in modifiers:
+            held |= modifier
+        self.bot.keyClick(self.window, name, held)
+
     def settle_picture(self) -> None:
         """Wait until the view is painted anew."""
         count = self.window.view.render_count
@@ -141,6 +152,27 @@ class Bench(Driver):
         self.window.live.record.button.click()
         self.wait(lambda: "Recorded" in self.window.notice.label.text())
         return path
+
+
+Open = Callable[[], Bench]
+SYNTHETIC = "synthetic:?frames=6"
+
+
+def connected(open_bench: Open) -> Bench:
+    """A window on one simulated sensor."""
+    live = open_bench()
+    live.connect(single(SYNTHETIC, sensor_file(live.folder)))
+    return live
+
+
+def record_dents(path: Path, presses: int = 5) -> Path:
+    """Record a few presses; the last frame is one."""
+    source = DentSource(robot_sensor())
+    count = len(source)
+    with RecordingWriter(path) as writer:
+        for k in range(presses * count):
+            writer.write(replace(source[k % count], index=k, time_s=k / 30.0))
+    return path
 
 
 def contents(path: Path) -> dict[str, list[Any]]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from fakes import SpeckledSource, small_sensor
-from live_bench import Bench
+from live_bench import Bench, Open
 
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.raw_message import RawMessage
@@ -17,7 +16,6 @@ from bubbleviz.shear.passing_texture import COLLECTED
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.scene_presets import load_scene
 
-Open = Callable[[], Bench]
 COLOUR = "/bubble/color/image_raw"
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from fakes import DentSource
-from live_bench import IMAGE, Bench, contents, robot_sensor, two
+from live_bench import IMAGE, Bench, Open, contents, robot_sensor, two
 from PySide6.QtCore import Qt
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
@@ -20,8 +19,6 @@ from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
-
-Open = Callable[[], Bench]
 
 
 def paired(open_bench: Open) -> Bench:

@@ -1,0 +1,112 @@
+"""Sources that cannot be reached, end, break and come back, in the real window."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from live_bench import IMAGE, Open, connected, contents, record_dents, robot, sensor_file
+
+from bubbleviz.live.source_status import STALE_AFTER_S
+from bubbleviz_ui.bench.live_soak import free_port
+from bubbleviz_ui.engine.request_delay import RequestDelay
+from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.live.live_controller import LOOK_MS
+
+SHORT, FULL = 1, 3
+"""How often a robot is killed."""
+
+
+def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench: Open) -> None:
+    live = connected(open_bench)
+    for source, words in (
+        ("replay:missing.mcap", "missing.mcap"),
+        ("zenoh:nonsense", "nonsense"),
+        ("realsense:", "realsense"),
+    ):
+        live.window.message.hide()
+        live.live_controller.connect_to(single(source, sensor_file(live.folder)))
+        live.wait(live.window.message.isVisible)
+        assert words in live.window.message.label.text()
+        assert live.live_controller.connection is None and live.live_controller.run is not None
+    live.follow(3)
+
+
+def test_cancelling_a_robot_that_is_not_there(open_bench: Open) -> None:
+    bench = open_bench()
+    port = free_port()
+    bench.live_controller.connect_to(
+        single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder))
+    )
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in bench.window.live.state.text())
+    bench.window.live.leave.click()
+    assert bench.live_controller.connection is None and not bench.window.live.isVisible()
+
+
+def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path: Path) -> None:
+    bench = open_bench()
+    name = sensor_file(bench.folder)
+    path = record_dents(tmp_path / "rec.mcap", presses=1)
+    slowly = f"replay:{path}?speed=0.2"  # slow machines leave some out, not the last
+    bench.live_controller.connect_to(single(slowly, name))
+    bench.wait(lambda: "ended" in bench.window.live.state.text())
+    bench.state.seek(1)
+    bench.wait(lambda: bench.shown == 1)
+    layers = bench.state.choices.layers | {"wireframe", "cloud"}
+    bench.state.choose(layers=layers)
+    bench.wait(lambda: bench.window.controller.result.cloud_m is not None)
+    bench.window.live.leave.click()
+    assert bench.live_controller.run is None
+    bench.state.seek(0)
+    bench.wait(lambda: bench.shown == 0)
+
+
+def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None:
+    """Once or three times; `bubbleviz bench restarts` does it twenty times and measures."""
+    bench = open_bench()
+    port, name = free_port(), sensor_file(bench.folder)
+    with robot(port):
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", name))
+        bench.record()
+        arrived: list[int] = []
+        kind = lambda message: message.type == IMAGE  # noqa: E731
+        bench.run.frames[0].stream.listen(
+            lambda message: arrived.append(message.arrival_ns) if kind(message) else None
+        )
+        bench.wait(lambda: len(arrived) > 20)
+    for turn in range(1, 1 + (FULL if "TEST_ALL" in os.environ else SHORT)):
+        bench.wait(lambda: "live" not in bench.window.live.state.text())
+        assert any(word in bench.window.live.state.text() for word in ("stale", "reconnecting"))
+        with robot(port, 10_000 * turn):
+            bench.follow(3)
+            bench.wait(lambda: "live" in bench.window.live.state.text())
+            assert len(bench.state.facts.gaps) >= turn
+    path = bench.stop()
+    assert set(arrived) <= {message.log_time for message in contents(path)[IMAGE]}
+    assert STALE_AFTER_S + LOOK_MS / 1000.0 < 1.0
+
+
+def test_the_solver_is_held_back_by_what_its_results_waited() -> None:
+    """As in a window that takes 50 ms for a picture while the solver takes 15."""
+    delay = RequestDelay()
+    for _ in range(40):
+        delay.waited(max(0.050 - 0.015 - delay.hold_s, 0.0))
+    assert 0.028 < delay.hold_s < 0.035  # the result is there just before the window is
+    for _ in range(40):
+        delay.waited(0.0)
+    assert delay.hold_s == 0.0
+
+
+def test_garbage_is_counted_shown_and_survived(open_bench: Open) -> None:
+    bench = open_bench()
+    port = free_port()
+    with robot(port, 0, "bad"):
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
+        stream = bench.run.frames[0].stream
+        bench.wait(lambda: min(stream.counters().wrong_size, stream.counters().bad_stamps) > 0)
+        bench.wait(lambda: stream.counters().undecodable > 2)
+        bench.window.live.show_now()
+        text = bench.window.live.counts.toolTip()
+        for words in ("undecodable", "of wrong size", "with bad stamps", "/cam/depth: "):
+            assert words in text
+        bench.follow(5)

@@ -1,0 +1,135 @@
+"""What a live window writes and sends: recordings, markers, results."""
+
+from __future__ import annotations
+
+import re
+import resource
+import signal
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_bench import IMAGE, STRING, Open, connected, contents
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFileDialog, QWidget
+from rosbags.highlevel import AnyReader
+
+from bubbleviz.frames.recording import Recording
+from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live.sources.zenoh_source import ZenohSource
+from bubbleviz.live.topic_names import TopicNames
+from bubbleviz_ui.bench.live_soak import free_port
+
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+
+
+def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
+    live = connected(open_bench)
+    controls = live.window.live.record
+    controls.pre_roll.setValue(3.0)
+    live.follow(5)
+    pressed_ns = time.time_ns()
+    live.record()
+    recording = live.window.shortcuts.actions["Live › Record"]
+    assert recording.isChecked()
+    live.key(Qt.Key.Key_M)
+    live.key(Qt.Key.Key_M, SHIFT)
+    live.wait(controls.note.isVisible)
+    live.bot.keyClicks(controls.note, "slipped here")
+    live.bot.keyClick(controls.note, Qt.Key.Key_Return)
+    live.follow(5)
+    live.window.live.show_now()
+    assert re.fullmatch(r"\d\d:\d\d · .* MB waiting", controls.progress.text())
+    path = live.stop()
+    assert not recording.isChecked()
+    found = contents(path)
+    numbers = np.array([message.sequence for message in found[IMAGE]])
+    assert np.array_equal(numbers, np.arange(numbers[0], numbers[-1] + 1))
+    assert found[IMAGE][0].log_time < pressed_ns  # the pre-roll
+    texts = [bytes(m.data)[8:-1].decode() for m in found[STRING]]
+    assert texts[0].startswith("marker at frame") and texts[1] == "slipped here"
+    assert live.state.markers
+    with AnyReader([path]) as reader:
+        assert {c.msgtype for c in reader.connections} == set(found)
+
+
+def test_recordings_have_a_folder_of_their_own(
+    open_bench: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = connected(open_bench)
+    live.window.live.record.button.click()
+    live.wait(lambda: live.status().messages > 5)
+    own = live.stop().parent
+    assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
+    assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
+    begun = list[str]()  # where a dialog that opens a recording begins
+
+    def asked(parent: QWidget, title: str, folder: str, kinds: str) -> tuple[str, str]:
+        begun.append(folder)
+        return "", ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
+    live.window.shortcuts.actions["File › Open recording"].trigger()
+    chosen = str(live.folder)
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
+    live.window.shortcuts.actions["Live › Recordings go to"].trigger()
+    assert live.state.choices.record_folder == chosen
+    live.window.shortcuts.actions["File › Open recording"].trigger()
+    assert begun == [str(own), chosen]
+
+
+def test_closing_the_window_ends_the_recording_whole(open_bench: Open) -> None:
+    live = connected(open_bench)
+    live.record()
+    path = Path(live.status().path)
+    live.window.close()
+    assert len(contents(path)[IMAGE]) > 1
+
+
+def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> None:
+    live = connected(open_bench)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    former = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
+    try:
+        live.record()
+        live.wait(lambda: not live.live_controller.recording.busy)
+        live.wait(live.window.message.isVisible)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, former)
+    assert "File too large" in live.window.message.label.text()
+    assert not live.window.live.record.button.isChecked()
+    live.follow(3)
+    (path,) = live.folder.glob("*.mcap")
+    assert 0 < path.stat().st_size <= 200_000
+    with Recording(path) as recording:
+        assert len(recording) > 5
+
+
+def test_results_go_out_only_when_asked_for(open_bench: Open) -> None:
+    live = connected(open_bench)
+    port = free_port()
+    live.live_controller.publishing.endpoint = f"tcp/127.0.0.1:{port}"
+    assert not live.live_controller.publishing.on and not _listens(port)
+    live.state.choose(layers=frozenset(), panels=frozenset())  # nobody looks at the patch
+    names = TopicNames(depth="/bubbleviz/contact_patch", wrench="/bubbleviz/contact_wrench")
+    place, topics = SessionOptions("test", f"tcp/127.0.0.1:{port}"), set[str]()
+    source = ZenohSource(place, names)
+    source.start(lambda message: topics.add(message.topic))
+    try:
+        live.window.live.publish.click()
+        live.wait(lambda: "/bubbleviz/contact_wrench" in topics)
+        live.wait(lambda: "/bubbleviz/contact_patch" in topics)
+    finally:
+        source.stop()
+    live.window.live.publish.click()
+    live.wait(lambda: not _listens(port))
+    live.wait(lambda: not live.window.controller.client.extra)
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as client:
+        return client.connect_ex(("127.0.0.1", port)) == 0
