@@ -37,6 +37,13 @@ def batch(*words: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*COMMAND, *map(str, words)], capture_output=True, text=True, check=False)
 
 
+def resumed(*words: str | Path) -> dict[str, str]:
+    """What the command says of each recording when it goes on, in this process."""
+    done = CliRunner().invoke(main, ["batch", *map(str, words), "--resume", "--json"])
+    assert done.exit_code == 0, done.stderr
+    return {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
+
+
 def start(*words: str | Path) -> subprocess.Popen[str]:
     """The command in a session of its own, as a terminal would have it."""
     return subprocess.Popen(
@@ -99,9 +106,7 @@ def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path:
     assert not hidden_in(out)
 
     shutil.copy(recordings / "a.mcap", recordings / "bad.mcap")  # repaired
-    done = batch(recordings, "--sensor", sensor, "--out", out, "--resume", "--json")
-    assert done.returncode == 0, done.stderr
-    told = {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
+    told = resumed(recordings, "--sensor", sensor, "--out", out)
     assert told == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
 
 
@@ -214,9 +219,7 @@ def test_killed_in_the_middle_then_resumed(
     assert hidden_in(out)  # killed: nobody could tidy up
 
     kept = {name: (out / name / "result.npz").stat().st_mtime_ns for name in NAMES}
-    done = batch(*words, "--resume", "--json")
-    assert done.returncode == 0, done.stderr
-    told = {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
+    told = resumed(*words)
     assert told == {**dict.fromkeys(NAMES, "kept"), long_recording.name: "done"}
     assert {n: (out / n / "result.npz").stat().st_mtime_ns for n in NAMES} == kept
     assert not hidden_in(out)
