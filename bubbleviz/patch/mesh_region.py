@@ -62,10 +62,11 @@ class Region:
         """Sum over each node and its neighbours, of fields (…, k)."""
         return self.differences(field) + (1 + self.neighbours) * field
 
-    def maximum(self, field: np.ndarray) -> np.ndarray:
-        """Largest value among a node and its neighbours."""
-        highest: np.ndarray = field[self.rings].max(axis=0)
-        return highest
+    def maximum(self, field: np.ndarray, rings: int) -> np.ndarray:
+        """Largest value within some rings of a node."""
+        for _ in range(rings):
+            field = field[self.rings].max(axis=0)
+        return field
 
     def touches(self, mask: np.ndarray) -> np.ndarray:
         """Nodes in or next to a set of nodes."""

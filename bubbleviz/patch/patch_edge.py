@@ -29,6 +29,9 @@ _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is av
 _INSIDE = 4
 """Power of the share of a node's neighbourhood inside by which the node counts. Chosen: of 2, 4, 8
 and 16 that with the steadiest edge in the hold of the real press."""
+_INWARD = 2.0
+"""Way inside from the edge, in ℓ, on which a blurred step rises to all but 2 % of its height; at
+least one mesh edge."""
 _ROUND = 0.16
 """How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
 edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the
@@ -78,7 +81,7 @@ class PatchEdge:
         self, region: Region, p: np.ndarray, floor: float, blur: float
     ) -> np.ndarray:
         outside = self._outside(region, p - floor, blur)
-        beside = _beside(region, p, outside)
+        beside = _beside(region, p, outside, round(_INWARD * blur / self._edge))
         distance = self._distance(region, _contour(region, p, beside, outside, floor), blur)
         reach = 3.0 * blur
         before = np.clip(distance, -reach, reach)
@@ -148,8 +151,8 @@ class PatchEdge:
         return Region.of(self.mesh, mask)
 
 
-def _beside(region: Region, p: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """Pressure (k,) inside next to each node, Pa: the largest local mean within one ring of it.
+def _beside(region: Region, p: np.ndarray, outside: np.ndarray, rings: int) -> np.ndarray:
+    """Pressure (k,) inside next to each node, Pa: the largest local mean within some rings of it.
 
     Means are over nodes with no neighbour outside. In a small contact those are one or none, and
     one is noise: a mean over all nodes around, weighted by how far inside they are, counts as one
@@ -161,7 +164,7 @@ def _beside(region: Region, p: np.ndarray, outside: np.ndarray) -> np.ndarray:
     weighed, weights, inward, count = region.totals(
         np.stack([weight * p, weight, inner * p, inner])
     )
-    return region.maximum((inward + weighed / np.maximum(weights, 1e-9)) / (count + 1.0))
+    return region.maximum((inward + weighed / np.maximum(weights, 1e-9)) / (count + 1.0), rings)
 
 
 def _contour(

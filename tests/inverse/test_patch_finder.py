@@ -20,7 +20,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first, press
 
-MESH = build_mesh(SENSOR, 2000)
+MESH, FINER = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
@@ -49,13 +49,13 @@ def test_the_patch_overlaps_the_true_contact(name):
     assert ours > paper
 
 
-def blurred(profile, width_m: float) -> np.ndarray:
+def blurred(profile, width_m: float, mesh=MESH) -> np.ndarray:
     """Nodal field of a profile of the distance from the apex, blurred over `width_m`."""
     step = 0.0005
     line = np.arange(-0.04, 0.04 + step / 2, step)
     image = gaussian_filter(profile(np.hypot(*np.meshgrid(line, line))), width_m / step)
     middle = len(line) // 2
-    r = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
+    r = np.hypot(mesh.nodes[:, 0], mesh.nodes[:, 1])
     return np.interp(r, line[middle:], image[middle, middle:], right=0.0)
 
 
@@ -110,6 +110,16 @@ def test_the_edge_of_a_blurred_disc_is_found_with_and_without_a_ridge(ridge, for
     plain = abs(np.sqrt(area_above(MESH, field, 0.5 * GAUGE) / np.pi) - 0.018)
     assert ours < resolution
     assert not ridge or ours < 0.7 * plain
+
+
+@pytest.mark.parametrize("radius", [0.006, 0.012, 0.018])
+def test_the_edge_does_not_move_outwards_on_a_mesh_finer_than_the_blur(radius):
+    """A disc whose pressure rises over several nodes: the nearest one is not yet inside."""
+    resolution = 0.003
+    field = blurred(lambda r: 5.0 * GAUGE * (r < radius), resolution, FINER)
+    assert FINER.edge_length < 0.8 * resolution
+    patch = PatchFinder(FINER, GAUGE, resolution).find(made_up(field))
+    assert patch.area_m2 == pytest.approx(np.pi * radius**2, rel=0.12)
 
 
 @pytest.mark.parametrize("force_n", [None, np.array([0.0, 0.0, -10.0])])
