@@ -62,11 +62,11 @@ class Region:
         """Sum over each node and its neighbours, of fields (…, k)."""
         return self.differences(field) + (1 + self.neighbours) * field
 
-    def maximum(self, field: np.ndarray, rings: int) -> np.ndarray:
-        """Largest value within some rings of a node."""
-        for _ in range(rings):
+    def maximum(self, field: np.ndarray, rings: float) -> np.ndarray:
+        """Largest value within some rings of a node, in proportion between whole numbers."""
+        for _ in range(int(rings)):
             field = field[self.rings].max(axis=0)
-        return field
+        return field + rings % 1.0 * (field[self.rings].max(axis=0) - field)
 
     def touches(self, mask: np.ndarray) -> np.ndarray:
         """Nodes in or next to a set of nodes."""

@@ -29,9 +29,10 @@ _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is av
 _INSIDE = 4
 """Power of the share of a node's neighbourhood inside by which the node counts. Chosen: of 2, 4, 8
 and 16 that with the steadiest edge in the hold of the real press."""
-_INWARD = 2.0
-"""Way inside from the edge, in ℓ, on which a blurred step rises to all but 2 % of its height; at
-least one mesh edge."""
+_INWARD = 1.75
+"""Way inside from the edge, in ℓ, on which a blurred step has all but risen; at least one mesh
+edge. Chosen on presses into three membranes: 2 takes more from contacts on a dome that are too
+small already."""
 _ROUND = 0.16
 """How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
 edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the
@@ -81,7 +82,7 @@ class PatchEdge:
         self, region: Region, p: np.ndarray, floor: float, blur: float
     ) -> np.ndarray:
         outside = self._outside(region, p - floor, blur)
-        beside = _beside(region, p, outside, round(_INWARD * blur / self._edge))
+        beside = _beside(region, p, outside, max(1.0, _INWARD * blur / self._edge))
         distance = self._distance(region, _contour(region, p, beside, outside, floor), blur)
         reach = 3.0 * blur
         before = np.clip(distance, -reach, reach)
@@ -151,7 +152,7 @@ class PatchEdge:
         return Region.of(self.mesh, mask)
 
 
-def _beside(region: Region, p: np.ndarray, outside: np.ndarray, rings: int) -> np.ndarray:
+def _beside(region: Region, p: np.ndarray, outside: np.ndarray, rings: float) -> np.ndarray:
     """Pressure (k,) inside next to each node, Pa: the largest local mean within some rings of it.
 
     Means are over nodes with no neighbour outside. In a small contact those are one or none, and

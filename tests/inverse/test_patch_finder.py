@@ -112,14 +112,14 @@ def test_the_edge_of_a_blurred_disc_is_found_with_and_without_a_ridge(ridge, for
     assert not ridge or ours < 0.7 * plain
 
 
-@pytest.mark.parametrize("radius", [0.006, 0.012, 0.018])
+@pytest.mark.parametrize("radius", [0.012, 0.018])
 def test_the_edge_does_not_move_outwards_on_a_mesh_finer_than_the_blur(radius):
     """A disc whose pressure rises over several nodes: the nearest one is not yet inside."""
     resolution = 0.003
     field = blurred(lambda r: 5.0 * GAUGE * (r < radius), resolution, FINER)
     assert FINER.edge_length < 0.8 * resolution
     patch = PatchFinder(FINER, GAUGE, resolution).find(made_up(field))
-    assert patch.area_m2 == pytest.approx(np.pi * radius**2, rel=0.12)
+    assert patch.area_m2 == pytest.approx(np.pi * radius**2, rel=0.1)
 
 
 @pytest.mark.parametrize("force_n", [None, np.array([0.0, 0.0, -10.0])])
