@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fakes import SpeckledSource
+from fakes import DentSource, SpeckledSource
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication
 from pytestqt.qtbot import QtBot
 from window_driver import Driver, drawn_points
 
 from bubbleviz.diagnostics.shear_numbers import ShearEllipse
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.result import Result, Slip, Traction
 from bubbleviz.sensor import Sensor
 from bubbleviz.shear.passing_texture import COLLECTED
+from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -115,6 +118,20 @@ def test_an_image_of_another_size_leaves_its_frame_to_depth(drive: Drive, rubber
     result = controller.result
     assert result.frame.index == COLLECTED + 1 and result.estimate.status == "no_contact"
     assert not len(result.flow.pixel) and "40×30 pixels, the contact-free" in result.flow.problem
+
+
+def test_a_recording_without_colour_images_is_by_depth_alone(
+    drive: Drive, rubber: Sensor, tmp_path: Path
+) -> None:
+    source = DentSource(rubber)
+    with RecordingWriter(tmp_path / "dent.mcap") as writer:
+        for k in range(6):
+            writer.write(source[k])
+    driver = drive(open_source=recording(tmp_path / "dent.mcap"), sensor=rubber)
+    shown(driver)
+    driver.wait(
+        lambda: driver.window.shear.reference.text().startswith("Depth alone: no colour images")
+    )
 
 
 def test_without_camera_info_depth_is_left_alone_and_said(drive: Drive, rubber: Sensor) -> None:

@@ -27,7 +27,7 @@ class ShearReference:
     """Gives the pipeline of one source what shear is measured against, once it is asked for.
 
     Of a recording from its own contact-free frames; of a long one, and of any other source, from
-    the frames without contact that pass.
+    the frames without contact that pass, where they have colour images.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class ShearReference:
         if not self._possible:
             self.words = NO_RUBBER
             return
-        if not isinstance(source, Recording) or len(source) > LONG:
+        if not isinstance(source, Recording) or source.colour is None or len(source) > LONG:
             self._passing = PassingTexture(pipeline, options.friction, options.flow)
             return
         pipeline.watch_texture(None, options=TractionOptions(options.friction))
