@@ -62,8 +62,9 @@ class MembraneView:
         reaching = mesh.corners[:, (field > level)[mesh.corners].any(axis=0)]
         if not reaching.size:
             return mask
-        nodes, corners = np.unique(reaching, return_inverse=True)
-        corners = corners.reshape(reaching.shape)
+        met = np.zeros(len(mesh.nodes), bool)
+        met[reaching] = True
+        nodes, corners = np.flatnonzero(met), (np.cumsum(met) - 1)[reaching]
         local = mesh.deformed(displacement_m)[nodes] - self.camera.center
         seen = local @ self.camera.T_B_C[:3, :3]
         places = np.ones((len(nodes), 3))

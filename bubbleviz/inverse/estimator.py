@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bubbleviz.camera.block_squares import median
 from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.detection import detection_threshold
@@ -274,7 +275,7 @@ class Estimator:
             seen = observation.weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return observation, model, None
-            if np.median(np.abs(observation.residual_m[seen])) > self.scales.length_m:
+            if median(np.abs(observation.residual_m[seen])) > self.scales.length_m:
                 return observation, model, self._out_of_reach
             answer = self._solve_linear(observation, model.linear, gas, answer)
             solve_ms += answer.solve_ms

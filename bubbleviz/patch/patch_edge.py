@@ -17,7 +17,7 @@ from __future__ import annotations
 from math import ceil, log, sqrt
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import grown
@@ -132,8 +132,10 @@ class PatchEdge:
         variance = 2.0 * (length / self._edge) ** 2
         steps = ceil(1.25 * variance)  # of at most 0.8 of a step: no mode turns negative
         share = variance / steps / np.maximum(region.neighbours, 1)
+        walk = np.where(region.rings != region.rings[0], share, 0.0)
+        walk[0] = 1.0 - share * region.neighbours
         for _ in range(steps):
-            field = field + share * region.differences(field)
+            field = np.einsum("dk,...dk->...k", walk, field.take(region.rings, axis=-1))
         return field
 
     def _distance(self, region: Region, field: np.ndarray, blur: float) -> np.ndarray:
@@ -142,7 +144,7 @@ class PatchEdge:
         if len(points) == 0:
             far = _HOLE * blur + self._edge
             return np.where(field > 0.0, far, -far)
-        distance, _ = cKDTree(points).query(region.points)
+        distance = cdist(region.points, points).min(axis=1)  # too few of both for a tree
         return np.where(field > 0.0, distance, -distance)
 
     def _around(self, mask: np.ndarray, rings: int) -> Region:

@@ -151,15 +151,15 @@ def areas_above(
     Exact for the piecewise linear field: of a triangle with one corner above the level, the part
     beyond the level line is the product of the two cut edge fractions.
     """
+    if field.max() <= min(levels):
+        return (0.0,) * len(levels)
     corners = field[mesh.corners]
     reaching = corners.max(axis=0) > min(levels)
     low, middle, high = np.sort(corners[:, reaching], axis=0)
-    facet_areas = mesh.facet_areas[reaching]
-    areas = []
-    for level in levels:
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            one = (high - level) ** 2 / ((high - low) * (high - middle))
-            two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
-        part = np.where(middle > level, two, np.where(high > level, one, 0.0))
-        areas.append(float(np.where(low > level, 1.0, part) @ facet_areas))
-    return tuple(areas)
+    level = np.asarray(levels, float)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        one = (high - level) ** 2 / ((high - low) * (high - middle))
+        two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
+    part = np.where(middle > level, two, np.where(high > level, one, 0.0))
+    areas = np.where(low > level, 1.0, part) @ mesh.facet_areas[reaching]
+    return tuple(areas.tolist())

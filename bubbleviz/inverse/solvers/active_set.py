@@ -97,7 +97,7 @@ class ActiveSetSolver:
         H = self._model(problem, work)
         pressure, gradient = start.values, start.gradient
         if gradient is None:
-            gradient = self._equilibrium.gradient(problem, pressure)
+            gradient = self._equilibrium.gradient(problem, pressure, work)
         pivots = 0
         for _ in range(self._corrections):
             pressure, count = _correct(H, pressure, gradient, work)
