@@ -26,6 +26,9 @@ _HUBER = 1.345
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
+_WALKED = 0.5
+"""Share of a mesh edge that nodes may have moved by since all rays were cast."""
+
 _LOOKS = 4
 """Pixels looked at for outliers of those that are worth one independent sample."""
 
@@ -113,11 +116,17 @@ class ShapeRanges:
         0 for the others.
     jacobian : (k, 3n) sparse array
         D of those blocks, three columns a node.
+    hits : Hits
+        Where those rays meet it.
+    cast_at_m : (n, 3) array
+        Shape at which all rays were cast.
     """
 
     block: np.ndarray
     model_m: np.ndarray
     jacobian: sparse.csr_array
+    hits: Hits
+    cast_at_m: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -222,6 +231,9 @@ class RangeObserver:
         rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
+        self._walk_m = _WALKED * mesh.edge_length
+        columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
+        self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
         at_rest = self._caster.cast(mesh.nodes, mesh.normals)
         self._rest_range = np.full(len(blocks), np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
@@ -416,19 +428,31 @@ class RangeObserver:
         z = error_m * np.sqrt(observation.weight[block] / observation.trusted)
         return self._squares.noise_left(block, z)
 
-    def around(self, nodes: np.ndarray) -> ShapeRanges:
-        """Model of the block residuals around a shape, nodes (n, 3) in B, m."""
-        hits = self._caster.cast(nodes, self.mesh.normals)
-        hits = self._known_at_rest(hits)
+    def around(self, nodes: np.ndarray, last: ShapeRanges | None = None) -> ShapeRanges:
+        """Model of the block residuals around a shape.
+
+        Parameters
+        ----------
+        nodes : (n, 3) array
+            In B, m.
+        last : ShapeRanges, optional
+            Of a shape before: close by, rays walk on from the triangles that they met there.
+        """
+        if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
+            cast_at, hits = last.cast_at_m, self._caster.recast(nodes, self.mesh.normals, last.hits)
+        else:
+            cast_at = nodes
+            hits = self._known_at_rest(self._caster.cast(nodes, self.mesh.normals))
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
         slopes = self._caster.slopes(nodes, hits)
         values = hits.barycentric[:, :, None] * slopes[:, None]
-        columns = 3 * self.mesh.triangles[hits.triangle][:, :, None] + np.arange(3)
-        starts = np.arange(0, values.size + 1, 9)
-        shape = (len(hits.ray), 3 * len(nodes))
-        jacobian = sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
-        return ShapeRanges(hits.ray, model, jacobian)
+        starts = np.arange(0, values.size + 1, 9, dtype=np.int32)
+        jacobian = sparse.csr_array(
+            (values.ravel(), self._columns[hits.triangle].ravel(), starts),
+            shape=(len(hits.ray), 3 * len(nodes)),
+        )
+        return ShapeRanges(hits.ray, model, jacobian, hits, cast_at)
 
 
 def _scatter(values: np.ndarray) -> float:

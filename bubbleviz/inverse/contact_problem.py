@@ -96,6 +96,11 @@ class Ranges:
     gas: GasError | None = None
 
     @cached_property
+    def transposed(self) -> sparse.csc_array:
+        """Dᵀ, (3n, k)."""
+        return self.jacobian.T
+
+    @cached_property
     def bulge_weighed(self) -> np.ndarray:
         """W D b of the bulge b, (k,)."""
         return np.zeros_like(self.weight) if self.gas is None else self.weight * self.gas.ranges
@@ -200,7 +205,11 @@ class ContactProblem:
         left = ranges.error_m - ranges.jacobian @ relaxing.ravel()
         self._at_before = self._pull(left)
         """Gradient of the misfit at p₀, (n,), 1/Pa."""
-        self._work = np.empty(0, int)
+        self._work = self._known = np.empty(0, int)
+        self._place = np.full(len(pressure), -1)
+        self._by_gas, self._among_known = np.empty(0), np.empty((0, 0))
+        self._weighed = np.empty((len(ranges.weight), 0))
+        """√W D S of the known nodes, (k, known)."""
 
     def nothing_pulls(self) -> bool:
         """Whether no contact pressure at all is the solution; for p₀ = 0."""
@@ -299,7 +308,7 @@ class ContactProblem:
             selection.complete,
             self._kkt(pressure, support) if support.any() else 0.0,
             nodes,
-            np.linalg.inv(self._hessian[np.ix_(where, where)]),
+            np.linalg.inv(part(self._hessian, where)),
             gas_error,
         )
 
@@ -309,7 +318,7 @@ class ContactProblem:
         if not len(support):
             return pressure, 0, True
         where = np.searchsorted(self._work, support)
-        H = DenseQuadratic(np.ascontiguousarray(self._hessian[np.ix_(where, where)]))
+        H = DenseQuadratic(part(self._hessian, where))
         x, pivots, converged = nonnegative_qp(H, self._linear[where], np.ones(len(where), bool))
         pressure[support] = x
         return pressure, pivots, converged
@@ -317,14 +326,30 @@ class ContactProblem:
     def _set(self, work: np.ndarray) -> None:
         """Form the Hessian of the nodes `work` (c,) and the linear term."""
         self._work = work
-        J = self._ranges.jacobian @ self._rubber.responses(work)
-        by_gas = self._ranges.bulge_weighed @ J
-        J *= np.sqrt(self._ranges.weight)[:, None]
-        self._hessian = J.T @ J + dense_part(self._prior.smoothness, work)
+        self._know(work[~np.isin(work, self._known)])
+        where = self._place[work]
+        self._hessian = part(self._among_known, where) + dense_part(self._prior.smoothness, work)
+        by_gas = self._by_gas[where]
         self._hessian -= self._ranges.gas_variance * np.outer(by_gas, by_gas)
-        before = self._before[work]
         gradient = self._gradient(self._before)[work]
-        self._linear = gradient - self._hessian @ before
+        self._linear = gradient - self._hessian @ self._before[work]
+
+    def _know(self, nodes: np.ndarray) -> None:
+        """Find what the pressures of some more nodes (c,) do to the ranges."""
+        if not len(nodes):
+            return
+        J = self._ranges.jacobian @ self._rubber.responses(nodes)
+        self._by_gas = np.concatenate([self._by_gas, self._ranges.bulge_weighed @ J])
+        J *= np.sqrt(self._ranges.weight)[:, None]
+        before = len(self._known)
+        self._place[nodes] = before + np.arange(len(nodes))
+        self._known = np.concatenate([self._known, nodes])
+        self._weighed = np.hstack([self._weighed, J])
+        among = np.empty((len(self._known), len(self._known)))
+        among[:before, :before] = self._among_known
+        among[before:] = J.T @ self._weighed
+        among[:before, before:] = among[before:, :before].T
+        self._among_known = among
 
     def _strongest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
         """As many of the nodes that pull most as the start has; the others come later."""
@@ -340,7 +365,7 @@ class ContactProblem:
         return data + self._prior.smoothness @ pressure
 
     def _kkt(self, pressure: np.ndarray, support: np.ndarray) -> float:
-        gradient = self._gradient(pressure)[support]
+        gradient = (self._hessian @ pressure[self._work] + self._linear)[support[self._work]]
         scale = float(np.abs(self._linear).max())
         share = pressure[support] / max(float(pressure.max()), 1e-300)
         return float(np.abs(np.minimum(share, gradient / scale)).max())
@@ -354,7 +379,7 @@ class ContactProblem:
         return self._relaxing - (self._rubber.responses(nodes) @ change[nodes]).reshape(-1, 3)
 
     def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
-        weighted = self._ranges.jacobian.T @ self._ranges.weighed(ranges_m)
+        weighted = self._ranges.transposed @ self._ranges.weighed(ranges_m)
         return self._rubber.pull(weighted.reshape(-1, 3))
 
     def _everywhere(self, x: np.ndarray) -> np.ndarray:

@@ -76,7 +76,7 @@ class SupportProblem:
     def _gain(self, support: np.ndarray, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
         """By how much the evidence rises where a node (c,) is taken out of the support or in."""
         others = np.flatnonzero(~support)
-        gradient = self.linear[others] + self.hessian[np.ix_(others, nodes)] @ p
+        gradient = self.linear[others] + (self.hessian[:, nodes] @ p)[others]
         variance, precision = _conditional(self.hessian, nodes, others)
         prior_variance, prior_precision = _conditional(self.smoothness, nodes, others)
         gain = np.empty(len(support))
@@ -92,6 +92,6 @@ def _conditional(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Variances of `nodes`, and the precision of each of `others` once those are given."""
     covariance = np.linalg.inv(part(precision, nodes))
-    between = precision[np.ix_(others, nodes)]
+    between = precision.take(others, axis=0).take(nodes, axis=1)
     explained = np.einsum("ij,ij->i", between @ covariance, between)
     return np.diag(covariance), precision[others, others] - explained

@@ -60,8 +60,8 @@ class LinearisedRubber:
         self._factor = factoriser.factor(membrane.tangent(x, pressure_pa).data)
         self._a = self.area_vectors[self._moving].ravel()
         self._beta, self.with_gas = gas_stiffness, gas_stiffness != 0.0
-        self._normal = _Columns(3 * self._nodes)
-        self._tangential = _Columns(3 * self._nodes)
+        self._normal = _Columns(self._nodes, 1)
+        self._tangential = _Columns(self._nodes, 2)
 
     @cached_property
     def bulge(self) -> np.ndarray:
@@ -151,22 +151,32 @@ class _Columns:
 
     Parameters
     ----------
-    rows : int
+    nodes : int
+    each : int
+        Columns of a node.
     """
 
-    def __init__(self, rows: int) -> None:
-        self._known: dict[int, int] = {}
-        self._columns = np.empty((rows, 0))
+    def __init__(self, nodes: int, each: int) -> None:
+        self._place = np.full(nodes, -1)
+        self._rows: np.ndarray = np.empty((0, each, 3 * nodes))
+        self._count = 0
 
     def of(self, nodes: np.ndarray, solved: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Columns of nodes (c,); of those not known yet by solving for them."""
-        new = np.array([j for j in nodes.tolist() if j not in self._known], int)
+        """Columns of nodes (c,), (3n, each c); of those not known yet by solving for them."""
+        new = nodes[self._place[nodes] < 0]
         if len(new):
-            added = solved(new)
-            for j in new.tolist():
-                self._known[j] = len(self._known)
-            self._columns = np.hstack([self._columns, added])
-        each = self._columns.shape[1] // max(1, len(self._known))
-        places = np.array([self._known[j] for j in nodes.tolist()], int)
-        chosen = (each * places[:, None] + np.arange(each)).ravel()
-        return self._columns.take(chosen, axis=1)  # row by row, as sparse products read it
+            self._reserve(self._count + len(new))
+            self._place[new] = self._count + np.arange(len(new))
+            self._count += len(new)
+            added = solved(new).reshape(-1, len(new), self._rows.shape[1])
+            self._rows[self._place[new]] = added.transpose(1, 2, 0)
+        rows = self._rows[self._place[nodes]]
+        return rows.reshape(-1, rows.shape[2]).T
+
+    def _reserve(self, count: int) -> None:
+        """Make room by doubling: a frame may add a few."""
+        room, *shape = self._rows.shape
+        if count > room:
+            rows = np.empty((max(count, 2 * room), *shape))
+            rows[: self._count] = self._rows[: self._count]
+            self._rows = rows

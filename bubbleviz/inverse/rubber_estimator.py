@@ -99,6 +99,8 @@ class RubberStart:
         who knows more of the frame. None where they did not begin.
     measured : Measured or None
         What this frame's image told; None where none was looked at.
+    view : ShapeRanges or None
+        The camera's model at the last shape that it was found at.
     """
 
     state: State | None = None
@@ -106,6 +108,7 @@ class RubberStart:
     noise: float = 1.0
     reached: State | None = None
     measured: Measured | None = None
+    view: ShapeRanges | None = None
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,7 @@ class _Answer:
     contradicts_gas : bool
     sigma_n : (3,) array
     rubber : LinearisedRubber
+    view : ShapeRanges
     noise : float
     solve_ms : float
     """
@@ -145,6 +149,7 @@ class _Answer:
     contradicts_gas: bool
     sigma_n: np.ndarray
     rubber: LinearisedRubber
+    view: ShapeRanges
     noise: float
     solve_ms: float
 
@@ -264,7 +269,9 @@ class RubberEstimator:
             nothing = self._nothing("implausible", doubt, answer.misfit.rms_m)
             return nothing, RubberStart(reached=answer.state, measured=measured)
         touching = answer.state if answer.state.pressure.any() else None
-        start = RubberStart(touching, answer.rubber, answer.noise, answer.state, measured)
+        start = RubberStart(
+            touching, answer.rubber, answer.noise, answer.state, measured, answer.view
+        )
         return self._report(answer), start
 
     # -- one frame ------------------------------------------------------------------------------
@@ -281,13 +288,13 @@ class RubberEstimator:
         solved until the two agree: it does not hang on the frames before.
         """
         state, warm = start.state or self._rest, start.state is not None
-        begin = state.x
+        begin, view = state.x, start.view
         rubber, solve_ms = start.rubber, 0.0
         selecting, standing, chosen = True, warm, 0
         far_steps, noise, noises, steps = 0, start.noise, 1, 0
         while steps < _STEPS:
             steps += 1
-            view = self.observer.around(state.x)
+            view = self.observer.around(state.x, view)
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
@@ -332,7 +339,7 @@ class RubberEstimator:
         misfit = self.observer.left(observation, view.block, left)
         contradicts = measured_gas is not None and self._contradicts(state.gas, measured_gas)
         sigma = self._sigma(rubber, ranges, state, contact)
-        return _Answer(state, contact, misfit, contradicts, sigma, rubber, noise, solve_ms)
+        return _Answer(state, contact, misfit, contradicts, sigma, rubber, view, noise, solve_ms)
 
     def _gas_error(
         self, rubber: LinearisedRubber, view: ShapeRanges, gas: float | None
@@ -443,7 +450,7 @@ class RubberEstimator:
         C = rubber.responses(nodes)
         for motion in rubber.by_material.T:
             moved = ranges.jacobian @ motion
-            pull = C.T @ (ranges.jacobian.T @ ranges.weighed(moved))
+            pull = C.T @ (ranges.transposed @ ranges.weighed(moved))
             variance += (push.T @ (contact.covariance @ pull)) ** 2
         return np.sqrt(variance)
 

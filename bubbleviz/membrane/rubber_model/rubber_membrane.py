@@ -211,10 +211,7 @@ class RubberMembrane:
 
     def force(self, x: np.ndarray) -> np.ndarray:
         """Gradient of `energy`, (n, 3), N: what holds the nodes where they are."""
-        facets = self._facets(x)
-        slope, _ = self._area_law(facets.area)
-        by_area = self._gathered(slope * facets.area * facets.gradients)
-        return self._springs @ x + by_area + self.rim_springs[:, None] * (x - self.mesh.nodes)
+        return self._springs_pull(x) + self._gathered(self._by_area(x))
 
     @cached_property
     def rest_force(self) -> np.ndarray:
@@ -235,8 +232,9 @@ class RubberMembrane:
             Pressure p from inside at the nodes over that outside, Pa; that of the gas less that
             of a contact.
         """
-        load = np.reshape(pressure_pa, (-1, 1)) * self.volume_gradient(x)
-        return self.force(x) - load - self.rest_force
+        pressure = np.broadcast_to(pressure_pa, len(x))[self._corners]
+        parts = self._by_area(x) - pressure[:, None] * self._by_volume(x)
+        return self._springs_pull(x) + self._gathered(parts) - self.rest_force
 
     def stress(self, x: np.ndarray) -> np.ndarray:
         """Cauchy stress times thickness of every triangle, (m, 3, 3), N/m."""
@@ -258,11 +256,7 @@ class RubberMembrane:
 
     def volume_gradient(self, x: np.ndarray) -> np.ndarray:
         """∂V/∂x, (n, 3), m²: on inner nodes the area vector that a pressure acts on."""
-        height, double, slope = self._shadow(x)
-        parts = np.empty((3, 3, len(height)))
-        parts[:, :2] = height * slope
-        parts[:, 2] = double / 6.0
-        return self._gathered(parts)
+        return self._gathered(self._by_volume(x))
 
     # -- tangent --------------------------------------------------------------------------------
 
@@ -342,6 +336,24 @@ class RubberMembrane:
         return np.where(same, np.asarray(springs[nodes]).ravel(), 0.0)
 
     # -- helpers --------------------------------------------------------------------------------
+
+    def _springs_pull(self, x: np.ndarray) -> np.ndarray:
+        """Force of the springs, those of the rim included, (n, 3), N."""
+        return self._springs @ x + self.rim_springs[:, None] * (x - self.mesh.nodes)
+
+    def _by_area(self, x: np.ndarray) -> np.ndarray:
+        """Gradient of Σ ψ(A) by corner and component, (3, 3, m), N."""
+        facets = self._facets(x)
+        slope, _ = self._area_law(facets.area)
+        return slope * facets.area * facets.gradients
+
+    def _by_volume(self, x: np.ndarray) -> np.ndarray:
+        """Gradient of the volume by corner and component, (3, 3, m), m²."""
+        height, double, slope = self._shadow(x)
+        parts = np.empty((3, 3, len(height)))
+        parts[:, :2] = height * slope
+        parts[:, 2] = double / 6.0
+        return parts
 
     def _by_corner(self, x: np.ndarray) -> np.ndarray:
         """Corner positions (component, corner, m)."""
