@@ -123,4 +123,4 @@ def test_the_real_press(tmp_path: Path) -> None:
         hold = result["frame"] >= 75
         force = np.linalg.norm(result["traction_force_n"][hold], axis=1)
         assert ((force > 2.85) & (force < 3.1)).all()
-        assert (result["flow_rms_px"][hold] < 0.4).all()
+        assert (result["flow_rms_px"][hold] < 0.5).all()
