@@ -78,12 +78,27 @@ def accuracy(
     type=click.Path(exists=True, path_type=Path),
     help="A real press to measure the exact and the linear membrane on, too.",
 )
+@click.option(
+    "--stages",
+    is_flag=True,
+    help="Only the table of stages, from decoding to export: time, floor and growth.",
+)
 def speed(
-    out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
+    out: Path | None,
+    as_json: bool,
+    quick: bool,
+    sensor: str,
+    recording: Path | None,
+    stages: bool,
 ) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
-    from bubbleviz.commands.study import study_speed
+    from bubbleviz.commands.study import study_speed, study_stages
 
+    if stages and recording is not None:
+        raise click.UsageError("--stages measures a simulated press: leave --recording out")
+    if stages:
+        _print(study_stages(sensor, out, quick=quick), as_json)
+        return
     _print(study_speed(sensor, out, quick=quick, recording=recording), as_json)
 
 

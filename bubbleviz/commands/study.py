@@ -50,11 +50,13 @@ from bubbleviz.study.speed.speed_study import (
     read_ms,
     run_speed,
 )
+from bubbleviz.study.speed.stage_table import Machine, StageSizes, stage_text, stage_times
 from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
 from bubbleviz.study.stability.stability_study import run_stability, summary
 
 DEPTH_OF_SWEEP_M = 0.015
 """Of the presses of the sweep over λ, m: the middle of the grid's depths."""
+STAGE_FILES = ("stages.json", "stages.csv")
 STABILITY_FILES = ("stability.json", "stability.csv")
 
 
@@ -182,6 +184,34 @@ def study_speed(
     found = speed_report.Speed(rows, read_ms(sensor))
     written = speed_report.write(found, out) if out is not None else []
     return Findings(speed_report.as_dict(found), speed_report.to_text(found), written)
+
+
+def study_stages(sensor_name: str, out: Path | None, *, quick: bool) -> Findings:
+    """Each stage of a frame: time, floor and growth, as on the page of performance.
+
+    Parameters
+    ----------
+    sensor_name, out, quick
+        As of `study_accuracy`.
+    """
+    sensor = load_sensor(sensor_name)
+    if out is not None:
+        check_free(out_folder(out), STAGE_FILES)
+    sizes = StageSizes.quick() if quick else StageSizes()
+    machine = Machine.measured()
+    times = stage_times(sensor, sizes, machine)
+    text = stage_text(times, sizes, machine)
+    numbers = {
+        "machine": asdict(machine),
+        "sizes": asdict(sizes),
+        "stages": [asdict(each) for each in times],
+    }
+    written: list[Path] = []
+    if out is not None:
+        written = [out / name for name in STAGE_FILES]
+        write_json(written[0], numbers)
+        write_csv(written[1], times)
+    return Findings(numbers, text, written)
 
 
 def study_stability(pattern: str, out: Path | None, *, quick: bool) -> Findings:

@@ -164,11 +164,11 @@ def measure(sensor: Sensor, run: Run) -> SpeedRow:
         with Recording(run.recording) as recording:
             _, sensor = fitting_sensor(recording, None)
             frames = [recording[k] for k in range(len(recording))]
-            model = SensorModel.of(_stretched(sensor), recording.intrinsics)
+            model = SensorModel.of(stretched(sensor), recording.intrinsics)
             return _measured(run, model, frames, None, [])
     scaled = scaled_camera(sensor, run.pixels)
     if run.sweep == "contact":
-        scaled = _stretched(scaled)
+        scaled = stretched(scaled)
         source = _ball_on_rubber(scaled)
     else:
         source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
@@ -177,7 +177,7 @@ def measure(sensor: Sensor, run: Run) -> SpeedRow:
     return _measured(run, SensorModel.of(scaled), frames, source, order)
 
 
-def _stretched(sensor: Sensor) -> Sensor:
+def stretched(sensor: Sensor) -> Sensor:
     """The sensor with a pre-stretch."""
     stretch = sensor.membrane.prestretch or TYPICAL_PRESTRETCH
     membrane = sensor.membrane.model_copy(update={"prestretch": stretch})
