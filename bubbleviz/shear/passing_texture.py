@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bubbleviz.calibration.rest.contact_free import LAG
 from bubbleviz.colour.colour_image import ColourCamera
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 
     from bubbleviz.colour.optical_flow import FlowPreset
 
-COLLECTED = 15
-"""Images that are collected of frames that pass: half a second at 30 Hz."""
+COLLECTED = 20
+"""Images that are collected of frames that pass: two thirds of a second at 30 Hz."""
 
 
 class PassingTexture:
@@ -46,6 +47,7 @@ class PassingTexture:
         self.words = ""
         self._pipeline, self._options, self._preset = pipeline, TractionOptions(friction), preset
         self._images: dict[int, np.ndarray] | None = {}  # while they are collected
+        self._recent: dict[int, np.ndarray] = {}  # colour may show a contact before depth
         pipeline.watch_texture(None, options=self._options)
 
     def take(self, result: Result) -> None:
@@ -57,19 +59,31 @@ class PassingTexture:
             self.words = f"Depth alone: {result.frame.no_colour}"
             return
         colour = result.frame.colour if estimate.status == "no_contact" else None
-        if colour is not None:
+        if estimate.status != "no_contact":
+            self._recent.clear()
+        elif colour is not None:
             try:
-                grey = colour.grey()
+                self._add(result.frame.index, colour.grey(), images)
             except InputError as error:
                 self.words = str(error)
                 return
-            if any(grey.shape != other.shape for other in images.values()):
-                images.clear()  # another camera mode
-            images[result.frame.index] = grey
-        self.words = f"Collecting images without contact: {len(images)} of {COLLECTED}"
-        if colour is not None and len(images) >= COLLECTED:
-            self._images = None
+        count = len(images) + len(self._recent)
+        self.words = f"Collecting images without contact: {count} of {COLLECTED}"
+        if colour is not None and count >= COLLECTED:
+            self._images, self._recent = None, {}
             self._learn(images, colour.camera)
+
+    def _add(self, index: int, grey: np.ndarray, images: dict[int, np.ndarray]) -> None:
+        """Count an image as contact-free once the next `LAG` frames are so, too."""
+        recent = self._recent
+        if any(grey.shape != other.shape for other in (images | recent).values()):
+            images.clear()  # another camera mode
+            recent.clear()
+        if index not in images:
+            recent[index] = grey
+        while len(recent) > LAG:
+            oldest = next(iter(recent))
+            images[oldest] = recent.pop(oldest)
 
     def _learn(self, images: dict[int, np.ndarray], colour: ColourCamera) -> None:
         from bubbleviz.colour.optical_flow import OpticalFlow  # OpenCV, for shear alone

@@ -104,7 +104,7 @@ class ColouredSource(DentSource):
 
 
 class SpeckledSource(DentSource):
-    """A membrane with a printed texture that nothing touches, in twenty frames.
+    """A membrane with a printed texture that nothing touches, in 25 frames.
 
     Those of frames `halved` are half as wide and high; no camera info is known without `info`.
     """
@@ -114,7 +114,7 @@ class SpeckledSource(DentSource):
     ) -> None:
         super().__init__(sensor)
         self._halved, self._info = halved, info
-        self.times_s = np.arange(20) / 30.0
+        self.times_s = np.arange(25) / 30.0
         self.decoded = 0
         height, width = self._camera.intrinsics.height, self._camera.intrinsics.width
         coarse = np.random.default_rng(3).integers(40, 210, (height // 3 + 1, width // 3 + 1))

@@ -9,6 +9,7 @@ import pytest
 from fakes import SpeckledSource, small_sensor
 from live_bench import Bench, Open
 
+from bubbleviz.calibration.rest.contact_free import LAG
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.sensor import Sensor, sensor_to_toml
@@ -75,7 +76,7 @@ def test_colour_is_sent_while_it_is_looked_at(open_bench: Open, rubber: Sensor) 
     assert colours(heard) == 0
     live.window.use_scene(load_scene("shear"))
     reference = live.window.shear.reference
-    live.wait(lambda: f"{COLLECTED} images without contact" in reference.text())
+    live.wait(lambda: f"{COLLECTED - LAG} images without contact" in reference.text())
     live.wait(lambda: live.window.controller.result.texture.colour.rgb is not None)
     live.wait(lambda: live.window.controller.result.flow is not None)
 
