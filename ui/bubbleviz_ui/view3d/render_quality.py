@@ -53,7 +53,8 @@ class RenderQuality:
     def points(self) -> dict[str, Any]:
         """How points look, as `View.add_mesh` takes it."""
         balls = self.round_points
-        return {"style": "points", "render_points_as_spheres": balls, "lighting": balls, **_BRIGHT}
+        looks = {"style": "points", "render_points_as_spheres": balls, "lighting": balls}
+        return looks | (_BRIGHT if balls else {})
 
     @property
     def text(self) -> str:
