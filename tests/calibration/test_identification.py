@@ -15,7 +15,7 @@ from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import load_sensor
 
-from .twin import FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias
+from .twin import ATMOSPHERE, FREE, GAUGE, RISE, cast, make_twin, nominal_sensor, residuals_and_bias
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +83,15 @@ def test_tension_and_noise(twin, found):
 
 
 def test_chamber_follows_the_gas_law_of_the_press(twin, found):
-    """The twin's dent changes the volume by what its mesh says, while the gas rises 400 Pa."""
+    """The twin's dent changes the volume by what its mesh says."""
     truth = twin.truth
     dent = -np.exp(-np.sum((truth.nodes[:, :2] - (0.0, 0.008)) ** 2, axis=1) / 0.008**2)
     change = truth.cap_volume(5e-3 * dent) - truth.cap_volume()
     assert found.chamber is not None
     assert np.median(found.chamber.volume_change_m3) == pytest.approx(change, rel=0.25)
+    np.testing.assert_allclose(found.chamber.pressure_change_pa, RISE, atol=30.0)
+    volume = -change * (ATMOSPHERE + GAUGE + RISE) / RISE
+    assert found.chamber.gas_volume_m3 == pytest.approx(volume, rel=0.25)
 
 
 def test_balance_is_exact_for_a_sphere_and_calm_on_bumps():

@@ -17,6 +17,8 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 ATMOSPHERE, GAUGE = 101_325.0, 5_000.0
+RISE = 400.0
+"""Of the gas pressure by the press, Pa."""
 QUANTUM = 1e-4
 RIM, HEIGHT, VERTICAL = (0.0557, 0.0396), 0.0305, 0.0437
 FREE, PRESSED = 30, 15
@@ -95,7 +97,7 @@ def make_twin(seed: int = 0, pressure: bool = True) -> Twin:
         image[holes | (rng.random(rest.shape) < 0.01)] = np.nan
         z = camera.depth_image(image)
         depth.append((np.rint(z / QUANTUM) * QUANTUM).astype(np.float32))
-        gas = ATMOSPHERE + GAUGE + 400.0 * press + 5.0 * rng.standard_normal()
+        gas = ATMOSPHERE + GAUGE + RISE * press + 5.0 * rng.standard_normal()
         pressures.append(gas if pressure else None)
     return Twin(
         "twin", np.arange(len(depth)) / 30.0, np.stack(depth), pressures, intrinsics, camera,
