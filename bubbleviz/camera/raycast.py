@@ -121,7 +121,7 @@ class RayCaster:
         hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
-        return self._meet(nodes - self.origin, normals, ray, first[hit])
+        return self._meet(self._facets(nodes, normals), ray, first[hit])
 
     def first(self, nodes: np.ndarray, rays: np.ndarray | None = None) -> np.ndarray:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
@@ -147,24 +147,33 @@ class RayCaster:
         """
         local = nodes - self.origin
         faces = faces_from(local, self.triangles)
-        single = faces.astype(np.float32)
-        there, walking = triangle.copy(), np.flatnonzero(triangle >= 0)
-        ray = self._rays[rays, 3:]
-        for _ in range(_FAR_WALK):
+        there, arrived = self._walked(faces, rays, triangle, _FAR_WALK)
+        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
+        offset = np.einsum("mj,mj->m", local[self.triangles[:, 0]], facet)
+        along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
+        return np.where(arrived, offset[there] / along, np.nan)
+
+    def _walked(
+        self, faces: np.ndarray, rays: np.ndarray, triangle: np.ndarray, most: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle (j,) that each ray is on after a walk over some, and whether it meets that."""
+        single, ray = faces.astype(np.float32), self._rays[rays, 3:]
+        there, arrived = triangle.copy(), triangle >= 0
+        walking = np.flatnonzero(arrived)
+        for _ in range(most):
             seen = single.take(there[walking], axis=0)
             volumes = np.einsum("rkj,rj->kr", seen, ray[walking])
             lowest = np.minimum(np.minimum(volumes[0], volumes[1]), volumes[2])
             leaving = np.flatnonzero(lowest < -_OUTSIDE * volumes.sum(axis=0))
             walking, out = walking[leaving], volumes[:, leaving].argmin(axis=0)
-            there[walking] = self._across[there[walking], out]
-            walking = walking[there[walking] >= 0]
+            following = self._across[there[walking], out]
+            arrived[walking[following < 0]] = False
+            walking, following = walking[following >= 0], following[following >= 0]
             if not len(walking):
-                break
-        there[walking] = -1
-        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
-        offset = np.einsum("mj,mj->m", local[self.triangles[:, 0]], facet)
-        along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
-        return np.where(there >= 0, offset[there] / along, np.nan)
+                return there, arrived
+            there[walking] = following
+        arrived[walking] = False
+        return there, arrived
 
     @cached_property
     def _across(self) -> np.ndarray:
@@ -175,19 +184,9 @@ class RayCaster:
 
         A ray whose triangle is several further away ends on the plane of one close by.
         """
-        local = nodes - self.origin
-        found = self._meet(local, normals, hits.ray, hits.triangle)
-        for _ in range(_WALK):
-            out = np.argmin(found.barycentric, axis=1)
-            lowest = found.barycentric[np.arange(len(out)), out]
-            leaving = np.flatnonzero(lowest < -_OUTSIDE)
-            following = self._across[found.triangle[leaving], out[leaving]]
-            leaving, following = leaving[following >= 0], following[following >= 0]
-            if not len(leaving):
-                break
-            moved = self._meet(local, normals, hits.ray[leaving], following)
-            found = found.with_others(leaving, moved)
-        return found
+        facets = self._facets(nodes, normals)
+        there, _ = self._walked(facets.faces, hits.ray, hits.triangle, _WALK)
+        return self._meet(facets, hits.ray, there)
 
     def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:
         """m/(r̂·m) of the facets that are hit, (k, 3): range gained by their motion in B."""
@@ -196,16 +195,14 @@ class RayCaster:
         along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
         return facet / along[:, None]
 
-    def _meet(
-        self, local: np.ndarray, normals: np.ndarray, ray: np.ndarray, triangle: np.ndarray
-    ) -> Hits:
-        """Hits of rays (k,) on the planes of triangles (k,); nodes from the rays' origin."""
-        met = np.zeros(len(self.triangles), bool)
-        met[triangle] = True
-        facets = _Facets.of(local, normals, self.triangles[met])
-        number = (np.cumsum(met) - 1)[triangle]
-        volumes = (facets.faces[number] @ self.directions[ray][:, :, None])[:, :, 0]
+    def _facets(self, nodes: np.ndarray, normals: np.ndarray) -> _Facets:
+        return _Facets.of(nodes - self.origin, normals, self.triangles)
+
+    def _meet(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
+        """Hits of rays (k,) on the planes of triangles (k,)."""
+        faces = facets.faces.take(triangle, axis=0)
+        volumes = np.einsum("rkj,rj->rk", faces, self.directions.take(ray, axis=0))
         along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
         barycentric = volumes / along[:, None]
-        sensitivity = barycentric * facets.facing[number] / along[:, None]
-        return Hits(ray, triangle, barycentric, facets.offset[number] / along, sensitivity)
+        sensitivity = barycentric * facets.facing.take(triangle, axis=0) / along[:, None]
+        return Hits(ray, triangle, barycentric, facets.offset[triangle] / along, sensitivity)

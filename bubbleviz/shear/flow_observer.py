@@ -111,7 +111,9 @@ class FlowObserver:
             )
         self._point_of_pixel = np.full(len(camera.directions), -1)
         self._point_of_pixel[hits.ray] = np.arange(len(hits.ray))
-        self._corners = mesh.triangles[hits.triangle]
+        self._triangle, self._corners = hits.triangle, mesh.triangles[hits.triangle]
+        columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
+        self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
         self._barycentric = hits.barycentric
         rows_and_columns = np.divmod(hits.ray, camera.intrinsics.width)
         self._rest_px = np.stack(rows_and_columns[::-1], axis=1).astype(float)
@@ -161,12 +163,12 @@ class FlowObserver:
 
     def around(self, nodes: np.ndarray, point: np.ndarray) -> ShapeFlow:
         """Model of the motion of points (k,) around a shape, nodes (n, 3) in B, m."""
-        corners, barycentric = self._corners[point], self._barycentric[point]
+        barycentric = self._barycentric.take(point, axis=0)
         _, pixels, slopes = self._projected(nodes, point)
         values = slopes[:, :, None, :] * barycentric[:, None, :, None]
-        columns = 3 * corners[:, None, :, None] + np.arange(3)
-        columns = np.broadcast_to(columns, values.shape)
-        starts = np.arange(0, values.size + 1, 9)
+        columns = self._columns.take(self._triangle[point], axis=0)
+        columns = np.broadcast_to(columns[:, None], (len(point), 2, 9))
+        starts = np.arange(0, values.size + 1, 9, dtype=np.int32)
         shape = (2 * len(point), 3 * len(nodes))
         jacobian = sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
         return ShapeFlow(pixels - self._rest_px[point], jacobian)
@@ -176,6 +178,7 @@ class FlowObserver:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places of points in B, (k, 3), m, in the image, (k, 2), and slopes, (k, 2, 3), px/m."""
         T = self._camera.T_B_C
-        places = np.einsum("ij,ijk->ik", self._barycentric[point], nodes[self._corners[point]])
+        corners = nodes.take(self._corners.take(point, axis=0), axis=0)
+        places = np.einsum("ij,ijk->ik", self._barycentric.take(point, axis=0), corners)
         pixels, slopes = self._camera.intrinsics.projection((places - T[:3, 3]) @ T[:3, :3])
         return places, pixels, slopes @ T[:3, :3].T

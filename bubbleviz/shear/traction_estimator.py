@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.observer import Measured
+from bubbleviz.camera.observer import Measured, ShapeRanges
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.rubber_estimator import RubberEstimator, RubberStart
 from bubbleviz.membrane.mesh_graph import dense_part, grown
@@ -184,7 +184,7 @@ class TractionEstimator:
             rubber = self._equilibrium.linearised(there.x, there.pressure, with_gas)
         shear = np.zeros_like(there.x)
         return TractionStart(
-            there.x, there.pressure, shear, there.gas, rubber, reached.noise
+            there.x, there.pressure, shear, there.gas, rubber, reached.noise, view=reached.view
         ), support
 
     # -- one frame ------------------------------------------------------------------------------
@@ -194,7 +194,7 @@ class TractionEstimator:
     ) -> tuple[Traction, TractionStart | None]:
         """Gauss–Newton steps until the shape stands, each no longer than it helps."""
         nodes, begin = np.flatnonzero(support), state.x
-        look = self._look(frame, state.x)
+        look = self._look(frame, state.x, state.view)
         for _ in range(_STEPS):
             rubber = self._rubber_at(state, frame.gas)
             before, wanted = state, self._wanted(frame, look, state, rubber, nodes)
@@ -209,15 +209,15 @@ class TractionEstimator:
                     left = look.after(motion)
                     state = self._with_noise(left, state)
                     return self._report.solved(state, rubber, wanted.solved, nodes, left), state
-                ahead = self._look(frame, state.x)
+                ahead = self._look(frame, state.x, look.view)
                 if balanced and ahead.misfit(before) < misfit:
                     break
             look, state = ahead, self._with_noise(ahead, state)
         return self._report.nothing("not_converged", NOT_CONVERGED), None
 
-    def _look(self, frame: _Frame, x: np.ndarray) -> Look:
+    def _look(self, frame: _Frame, x: np.ndarray, last: ShapeRanges | None) -> Look:
         observer = self._estimator.observer
-        view = observer.around(x)
+        view = observer.around(x, last)
         observation = observer.weigh(frame.ranges, view.model_m)
         flow = self.flow_observer.around(x, frame.flow.point)
         return Look(
@@ -303,4 +303,4 @@ class TractionEstimator:
         observer = self._estimator.observer
         ranges = observer.noise_left(look.observation, look.view.block, look.range_error)
         flow = look.measured.noise_left(look.flow_error)
-        return replace(state, range_noise=ranges, flow_noise=flow)
+        return replace(state, range_noise=ranges, flow_noise=flow, view=look.view)

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
-from scipy.optimize import minimize_scalar
 
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
 from bubbleviz.shear.friction_cone import within_cone
 
-_DECADES = 8.0
-"""Between the smoothest and the roughest tangential traction that are compared, around the scale of
-the pressure's prior."""
+_DECADES = np.linspace(-8.0, 8.0, 129)
+"""Of Λ/λ: from the roughest tangential traction that is compared to the smoothest."""
 
 
 @dataclass(frozen=True)
@@ -221,12 +219,16 @@ class TractionProblem:
         pull = f[shear] - across.T @ f[~shear]
         values, vectors = eigh(reduced, self._shear_smoothness, check_finite=False)
         values, squares = np.maximum(values, 0.0), (vectors.T @ pull) ** 2
+        total = values + (10.0**_DECADES)[:, None]
+        unlikely = np.log(total).sum(axis=1) - len(values) * np.log(10.0) * _DECADES
+        unlikely -= (squares / total).sum(axis=1)
+        return float(10.0 ** _lowest(_DECADES, unlikely))
 
-        def unlikely(decade: float) -> float:
-            total = values + 10.0**decade
-            return float(np.log(total).sum() - len(values) * decade * np.log(10.0)) - float(
-                (squares / total).sum()
-            )
 
-        found = minimize_scalar(unlikely, bounds=(-_DECADES, _DECADES), method="bounded")
-        return float(10.0**found.x)
+def _lowest(x: np.ndarray, y: np.ndarray) -> float:
+    """Where a function that is known on an even grid is lowest, by the parabola there."""
+    k = int(np.clip(np.argmin(y), 1, len(x) - 2))
+    before, least, after = y[k - 1 : k + 2]
+    bend = before - 2.0 * least + after
+    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float(x[k] + np.clip(shift, -1.0, 1.0) * (x[1] - x[0]))

@@ -32,6 +32,8 @@ class TractionStart:
         Tangent that was used last.
     range_noise, flow_noise : float
         By how much more than their noise ranges and flow were missed.
+    view : ShapeRanges or None
+        The depth camera's model at the last shape that was looked at, which the next is close to.
     """
 
     x: np.ndarray
@@ -41,6 +43,7 @@ class TractionStart:
     rubber: LinearisedRubber
     range_noise: float = 1.0
     flow_noise: float = 1.0
+    view: ShapeRanges | None = None
 
 
 class Look(NamedTuple):
