@@ -41,7 +41,9 @@ from bubbleviz.study.presses import presses
 from bubbleviz.study.report_files import check_free
 from bubbleviz.study.shear import shear_report
 from bubbleviz.study.shear.flow_presets import run_flow_presets
+from bubbleviz.study.shear.shear_report import ShearStudy
 from bubbleviz.study.shear.shear_study import ShearGrid, quick_shear_grid, run_shear
+from bubbleviz.study.shear.slip_study import run_slip
 from bubbleviz.study.speed import speed_report
 from bubbleviz.study.speed.speed_study import (
     contact_runs,
@@ -261,11 +263,13 @@ def study_shear(out: Path | None, *, quick: bool, seed: int) -> Findings:
     if out is not None:
         check_free(out_folder(out), shear_report.FILES)
     presets = run_flow_presets(grid)
+    with _progress(len(grid.slip_depths_m), "contact") as bar:
+        slips = run_slip(grid, lambda _: bar.update())
     with _progress(grid.presses, "path") as bar:
         trials = run_shear(grid, lambda _: bar.update())
-    written = shear_report.write(trials, presets, out) if out is not None else []
-    numbers = shear_report.as_dict(trials, presets)
-    return Findings(numbers, shear_report.to_text(trials, presets), written)
+    found = ShearStudy(trials, slips, presets)
+    written = shear_report.write(found, out) if out is not None else []
+    return Findings(shear_report.as_dict(found), shear_report.to_text(found), written)
 
 
 def study_identification(out: Path | None, *, quick: bool, seeds: int | None) -> Findings:

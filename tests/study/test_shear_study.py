@@ -11,8 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
-from bubbleviz.study.shear.shear_report import targets
+from bubbleviz.study.shear.shear_report import ShearStudy, targets
 from bubbleviz.study.shear.shear_study import ShearTrial
+from bubbleviz.study.shear.slip_study import SlipTrial
 
 
 def trial(**changed: object) -> ShearTrial:
@@ -26,6 +27,12 @@ def trial(**changed: object) -> ShearTrial:
         "flow_sigma_px": 0.03,
     }
     return ShearTrial(**(values | words | changed))  # type: ignore[arg-type]
+
+
+def slip(**changed: float) -> SlipTrial:
+    """A contact whose slip is found at once, but for what is changed."""
+    values = {"judged": 10, "alarms": 0, "found_in": 1.0} | changed
+    return SlipTrial(5e-3, "0.03 px", 20, **values)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -43,7 +50,20 @@ def trial(**changed: object) -> ShearTrial:
     ],
 )
 def test_the_worst_frame_is_judged(bad: dict[str, object], missed: set[str]) -> None:
-    found = targets([trial(), trial(**bad), *[trial()] * 3])
+    found = targets(ShearStudy([trial(), trial(**bad), *[trial()] * 3], [slip()], []))
+    assert {target.name for target in found if not target.met} == missed
+
+
+@pytest.mark.parametrize(
+    ("bad", "missed"),
+    [
+        ({"found_in": 3.0}, {"slip found, frame"}),
+        ({"found_in": np.nan}, {"slip found, frame"}),
+        ({"alarms": 2}, {"false slip, share of frames"}),
+    ],
+)
+def test_slip_of_the_worst_contact_is_judged(bad: dict[str, float], missed: set[str]) -> None:
+    found = targets(ShearStudy([trial()], [slip(), slip(**bad)], []))
     assert {target.name for target in found if not target.met} == missed
 
 
@@ -64,6 +84,9 @@ def test_quick_study(tmp_path: Path) -> None:
     sliding = [row for row in rows[5:] if float(row["drag_m"]) > 5e-4 or float(row["twist_rad"])]
     assert len(sliding) >= 6
     assert all(float(row["friction"]) == 1.0 for row in sliding)
+    slips = numbers["slips"]
+    assert [each["flow"] for each in slips] == ["0.03 px", "fast", "balanced"]
+    assert all(each["judged"] == 7 and each["points"] >= 4 for each in slips)
     presets = numbers["flow_presets"]
     assert [preset["preset"] for preset in presets] == ["fast", "balanced", "fine"]
     errors = [preset["flow_rms_px"] for preset in presets]

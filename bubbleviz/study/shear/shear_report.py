@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +13,42 @@ from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.report_files import Target, at_least, at_most, target_table
 from bubbleviz.study.shear.flow_presets import PresetScore
 from bubbleviz.study.shear.shear_study import ShearTrial
+from bubbleviz.study.shear.slip_study import SlipTrial
 
-FILES = ("shear.csv", "flow_presets.csv", "shear.json")
+FILES = ("shear.csv", "slip.csv", "flow_presets.csv", "shear.json")
 TARGET_NOISE_PX = 0.03
 _HEADER = (
     "object", "μ", "drag mm", "twist °", "flow px", "depth alone", "force %", "angle °", "torque %",
     "displ. mm", "depth's centre mm", "centre mm", "slip %", "true %", "traction ms",
 )  # fmt: skip
+_SLIP_HEADER = ("contact's radius mm", "flow", "points", "false alarms", "found in frame")
 _PRESET_HEADER = ("flow", "flow error px", "force %, worst", "flow ms")
 
 
-def targets(trials: list[ShearTrial]) -> list[Target]:
+@dataclass(frozen=True)
+class ShearStudy:
+    """What a study found.
+
+    Attributes
+    ----------
+    trials : list of ShearTrial
+    slips : list of SlipTrial
+    presets : list of PresetScore
+    """
+
+    trials: list[ShearTrial]
+    slips: list[SlipTrial]
+    presets: list[PresetScore]
+
+
+def targets(study: ShearStudy) -> list[Target]:
     """Worst frames at the target's noise, and whether that will do."""
-    some = [trial for trial in trials if trial.flow_sigma_px == TARGET_NOISE_PX]
+    some = [trial for trial in study.trials if trial.flow_sigma_px == TARGET_NOISE_PX]
     solved = [trial for trial in some if trial.status == "ok"]
-    alarms = [t.slip > 0.0 for t in some if np.isfinite(t.slip) and np.isnan(t.friction)]
+    sticking = [t.slip > 0.0 for t in some if np.isfinite(t.slip) and np.isnan(t.friction)]
+    alarms = sum(sticking) + sum(t.alarms for t in study.slips)
+    judged = len(sticking) + sum(t.judged for t in study.slips)
+    latest = max((np.nan_to_num(t.found_in, nan=np.inf) for t in study.slips), default=np.nan)
     return [
         at_least("share of frames solved", len(solved) / max(1, len(some)), 1.0),
         at_most("force error, %", 100.0 * _worst(t.force_error for t in solved), 3.0),
@@ -35,7 +56,8 @@ def targets(trials: list[ShearTrial]) -> list[Target]:
         at_most("torque error, %", 100.0 * _worst(t.torque_error for t in solved), 5.0),
         at_most("displacement, mm", 1e3 * _worst(t.displacement_rms_m for t in solved), 0.05),
         at_most("centre, mm", 1e3 * _worst(t.center_error_m for t in solved), 1.0),
-        at_most("false slip, share of frames", float(np.mean(alarms)) if alarms else np.nan, 0.05),
+        at_most("false slip, share of frames", alarms / judged if judged else np.nan, 0.05),
+        at_most("slip found, frame", latest, 2.0),
         at_most("traction, ms of processor", _median(t.traction_ms for t in solved), 15.0),
     ]
 
@@ -49,16 +71,17 @@ def _median(values: Iterable[float]) -> float:
     return float(np.median(list(values) or [np.nan]))
 
 
-def as_dict(trials: list[ShearTrial], presets: list[PresetScore]) -> dict[str, Any]:
-    """Every frame, the targets and the presets of the flow, SI units."""
+def as_dict(study: ShearStudy) -> dict[str, Any]:
+    """Every frame, the targets, slip and the presets of the flow, SI units."""
     return {
-        "targets": [asdict(target) for target in targets(trials)],
-        "trials": [asdict(trial) for trial in trials],
-        "flow_presets": [asdict(preset) for preset in presets],
+        "targets": [asdict(target) for target in targets(study)],
+        "trials": [asdict(trial) for trial in study.trials],
+        "slips": [asdict(slip) for slip in study.slips],
+        "flow_presets": [asdict(preset) for preset in study.presets],
     }
 
 
-def to_text(trials: list[ShearTrial], presets: list[PresetScore]) -> str:
+def to_text(study: ShearStudy) -> str:
     """Tables for the terminal."""
     rows = [
         (
@@ -78,10 +101,24 @@ def to_text(trials: list[ShearTrial], presets: list[PresetScore]) -> str:
             f"{100.0 * t.true_slip:.0f}",
             f"{t.traction_ms:.0f}",
         )
-        for t in trials
+        for t in study.trials
     ]
-    tables = table(_HEADER, rows), _preset_table(presets), target_table(targets(trials))
-    return "\n\n".join(tables)
+    tables = table(_HEADER, rows), _slip_table(study.slips), _preset_table(study.presets)
+    return "\n\n".join((*tables, target_table(targets(study))))
+
+
+def _slip_table(slips: list[SlipTrial]) -> str:
+    rows = [
+        (
+            f"{1e3 * s.radius_m:.1f}",
+            s.flow,
+            str(s.points),
+            f"{s.alarms} of {s.judged}",
+            f"{s.found_in:.0f}" if np.isfinite(s.found_in) else "none",
+        )
+        for s in slips
+    ]
+    return table(_SLIP_HEADER, rows)
 
 
 def _preset_table(presets: list[PresetScore]) -> str:
@@ -97,10 +134,10 @@ def _preset_table(presets: list[PresetScore]) -> str:
     return table(_PRESET_HEADER, rows)
 
 
-def write(trials: list[ShearTrial], presets: list[PresetScore], folder: Path) -> list[Path]:
+def write(study: ShearStudy, folder: Path) -> list[Path]:
     """Files of the report; the folder is there."""
     written = [folder / name for name in FILES]
-    write_csv(written[0], trials)
-    write_csv(written[1], presets)
-    write_json(written[2], as_dict(trials, presets))
+    for path, rows in zip(written, (study.trials, study.slips, study.presets), strict=False):
+        write_csv(path, rows)
+    write_json(written[-1], as_dict(study))
     return written

@@ -39,7 +39,7 @@ _BESIDE_M = (0.005, -0.003)
 DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
 _SLIPPED_M = 1e-4
 """Way over the object that a slip is told from; chosen: noise of the texture hides less."""
-_HEADING = np.array([0.894, 0.447, 0.0])
+HEADING = np.array([0.894, 0.447, 0.0])
 """Way of the drags, off the mesh's axes; chosen."""
 
 
@@ -59,6 +59,10 @@ class ShearGrid:
         Of each of these, of which a quarter is the drag or twist.
     flow_sigmas_px : tuple of float
         Noise of the flow.
+    slip_depths_m : tuple of float
+        Of the balls of which a part of the contact slips.
+    slip_seeds : int
+        Noises of the exact flow of each.
     truth_nodes : int
     seed : int
     """
@@ -69,13 +73,15 @@ class ShearGrid:
     frictions: tuple[float, ...] = (1.0,)
     frames: int = 32
     flow_sigmas_px: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+    slip_depths_m: tuple[float, ...] = (0.0025, 0.004, 0.006, 0.010)
+    slip_seeds: int = 3
     truth_nodes: int = 3_000
     seed: int = 7
 
     @property
     def paths(self) -> tuple[list[Motion], list[Motion]]:
         """One that drags and one that twists."""
-        drags = [Motion(drag * _HEADING) for drag in self.drags_m]
+        drags = [Motion(drag * HEADING) for drag in self.drags_m]
         return drags, [Motion(np.zeros(3), twist) for twist in self.twists_rad]
 
     @property
@@ -93,6 +99,8 @@ def quick_shear_grid() -> ShearGrid:
         frictions=(1.0,),
         frames=12,
         flow_sigmas_px=(0.03,),
+        slip_depths_m=(0.006,),
+        slip_seeds=1,
         truth_nodes=2_000,
     )
 
