@@ -23,8 +23,13 @@ def normalised(grey: np.ndarray) -> np.ndarray:
     image = np.asarray(grey, np.float32)
     side = (_WINDOW_PX, _WINDOW_PX)
     mean = cv2.blur(image, side)
-    variance = cv2.sqrBoxFilter(image, -1, side) - mean * mean
-    image = (image - mean) / np.sqrt(np.maximum(variance, 0.0) + _LEAST_CONTRAST**2)
+    contrast = cv2.sqrBoxFilter(image, -1, side)
+    image = image - mean
+    mean *= mean  # in place from here on: to ask for memory takes as long as to compute
+    contrast -= mean
+    np.maximum(contrast, 0.0, out=contrast)
+    contrast += np.float32(_LEAST_CONTRAST**2)
+    image /= np.sqrt(contrast, out=contrast)
     return np.asarray(cv2.convertScaleAbs(image, alpha=_SCALE, beta=_MIDDLE))
 
 
