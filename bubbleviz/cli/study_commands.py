@@ -41,6 +41,7 @@ def _common(function: Callable[..., None]) -> Callable[..., None]:
 @_sensor
 @click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
 @click.option("--shipped-only", is_flag=True, help="The whole grid, with the shipped default only.")
+@click.option("--edge", is_flag=True, help="Only the edge of the patch, on more objects.")
 @click.option(
     "--model",
     type=click.Choice(("rubber", "linear")),
@@ -55,6 +56,7 @@ def accuracy(
     sensor: str,
     seed: int,
     shipped_only: bool,
+    edge: bool,
     model: Model,
 ) -> None:
     """Error of force, patch and shape of the exact, the linear and the paper's estimator.
@@ -62,11 +64,16 @@ def accuracy(
     Over press depth, run time, noise and membranes, of known rubber and of rubber identified from
     inflation levels. With --out a stopped study goes on where it was.
     """
-    from bubbleviz.commands.study import study_accuracy
+    from bubbleviz.commands.study import study_accuracy, study_edge
 
-    found = study_accuracy(
-        sensor, out, quick=quick, seed=seed, shipped_only=shipped_only, model=model
-    )
+    if edge and (shipped_only or model != "rubber"):
+        raise click.UsageError("--edge has a grid of its own: leave out --shipped-only and --model")
+    if edge:
+        found = study_edge(sensor, out, quick=quick, seed=seed)
+    else:
+        found = study_accuracy(
+            sensor, out, quick=quick, seed=seed, shipped_only=shipped_only, model=model
+        )
     _print(found, as_json)
 
 

@@ -15,8 +15,19 @@ from bubbleviz.files.tables import out_folder, to_json, write_csv, write_json
 from bubbleviz.frames.sensor_matching import checked_sensor
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.synthetic_source import Model
-from bubbleviz.study.accuracy import accuracy_report, detection_limit, invariance, regularisation
-from bubbleviz.study.accuracy.accuracy_study import full_grid, quick_grid, run_accuracy
+from bubbleviz.study.accuracy import (
+    accuracy_report,
+    detection_limit,
+    edge_report,
+    invariance,
+    regularisation,
+)
+from bubbleviz.study.accuracy.accuracy_study import (
+    edge_grid,
+    full_grid,
+    quick_grid,
+    run_accuracy,
+)
 from bubbleviz.study.accuracy.detection_limit import (
     DetectionGrid,
     detection_limits,
@@ -160,6 +171,19 @@ def study_accuracy(
         if out is not None:
             written += regularisation.write(strengths, out)
     return Findings(numbers, text, written)
+
+
+def study_edge(sensor_name: str, out: Path | None, *, quick: bool, seed: int) -> Findings:
+    """How well the edge of the patch is found, on objects made for it, too; as `study_accuracy`."""
+    sensor = load_sensor(sensor_name)
+    grid = replace(edge_grid(quick=quick), seed=seed)
+    parts = None
+    if out is not None:
+        check_free(out_folder(out), edge_report.FILES)
+        parts = out_folder(out / "edge_parts")
+    found = run_accuracy(sensor, grid, parts)
+    written = edge_report.write(found, out) if out is not None else []
+    return Findings(edge_report.as_dict(found), edge_report.to_text(found), written)
 
 
 def study_speed(

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.mesh_region import Region, contour_points
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.simulation.touching_share import touching_share
 
 if TYPE_CHECKING:
     from bubbleviz.study.truth_bank import Sighting  # the window compares masks without it
@@ -27,6 +31,8 @@ class Errors:
     iou_best_threshold : float
         Of the one pressure threshold that an oracle picks for this very frame, to judge the rule
         for the patch by.
+    iou_on_mesh : float
+        Of the true edge, drawn through the nodes of the estimator's mesh: what the mesh allows.
     force_error_relative : float
         Length of the difference of the force vectors over the length of the true one.
     force_excess_relative : float
@@ -45,6 +51,7 @@ class Errors:
 
     iou: float
     iou_best_threshold: float
+    iou_on_mesh: float
     force_error_relative: float
     force_excess_relative: float
     area_error_relative: float
@@ -68,11 +75,17 @@ class Judge:
 
     def displacement_m(self, sighting: Sighting) -> np.ndarray:
         """True displacement (n,) at the estimator's nodes, m."""
-        mesh = sighting.mesh
-        found = TriangleScene(mesh.nodes, mesh.triangles).closest(self._view.mesh.nodes)
-        corners = sighting.truth.displacement_m[mesh.triangles[found.triangle]]
-        moved: np.ndarray = np.einsum("ij,ij->i", corners, found.barycentric)
-        return moved
+        return at_nodes(self._view.mesh, sighting.mesh, sighting.truth.displacement_m)
+
+    def _on_mesh(self, sighting: Sighting, stride: int) -> float:
+        """IoU of the true edge drawn by its signed distance from the estimator's nodes."""
+        own, mesh, truth = self._view.mesh, sighting.mesh, sighting.truth
+        share = touching_share(mesh, truth.contact_pressure_pa) - 0.5
+        edge = contour_points(Region.of(mesh, np.ones(len(share), bool)), share)
+        away = cKDTree(edge).query(own.nodes)[0]
+        level = np.where(at_nodes(own, mesh, share) > 0.0, away, -away)
+        drawn = self._view.above(at_nodes(own, mesh, truth.displacement_3d_m), level, 0.0)
+        return iou(drawn[::stride, ::stride], truth.patch_mask[::stride, ::stride])
 
     def errors(self, result: Result, sighting: Sighting, stride: int = 1) -> Errors:
         """Errors of a result with an estimate, a patch and its pixels."""
@@ -85,6 +98,7 @@ class Judge:
         return Errors(
             iou=iou(patch.pixel_mask, seen),
             iou_best_threshold=self._best_iou(estimate, seen),
+            iou_on_mesh=self._on_mesh(sighting, stride),
             force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n)) / force,
             force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
             area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
@@ -116,6 +130,14 @@ class Judge:
         right = np.cumsum(seen.ravel()[hits.ray[order]])
         wrong = np.arange(1, len(order) + 1) - right
         return float(np.max(right / (np.count_nonzero(seen) + wrong), initial=0.0))
+
+
+def at_nodes(mesh: MembraneMesh, other: MembraneMesh, field: np.ndarray) -> np.ndarray:
+    """Field (m, …) of the nodes of another mesh of the same surface, at those of a mesh, (n, …)."""
+    found = TriangleScene(other.nodes, other.triangles).closest(mesh.nodes)
+    corners = field[other.triangles[found.triangle]]
+    values: np.ndarray = np.einsum("ij...,ij->i...", corners, found.barycentric)
+    return values
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:

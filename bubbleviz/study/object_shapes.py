@@ -97,35 +97,60 @@ def bridge() -> RigidObject:
 
 def hex_nut() -> RigidObject:
     """Nut lying flat: 24 mm across flats, 14 mm hole, 10 mm thick."""
-    side = 12
-    corner = np.arange(6) * np.pi / 3.0
-    corners = 0.024 / np.sqrt(3.0) * np.stack([np.cos(corner), np.sin(corner)], axis=1)
-    t = np.arange(side)[:, None] / side
-    hexagon = np.concatenate([corners[k] * (1.0 - t) + corners[(k + 1) % 6] * t for k in range(6)])
+    hexagon = _hexagon(0.024, 12)
     hole = 0.007 * hexagon / np.linalg.norm(hexagon, axis=1, keepdims=True)
     return _prism("hex_nut", hexagon, hole, 0.010, closed=True, axis="z")
 
 
 def cross() -> RigidObject:
     """Cross of two bars 40 mm × 10 mm, 20 mm tall, flat end down; not shipped, held out."""
-    arm, half, height = 0.020, 0.005, 0.020
-    quarter = np.array([[arm, -half], [arm, half], [half, half]])
-    turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
-    outline = np.concatenate([quarter @ turn.T for turn in turns])
-    k = len(outline)
-    rings = [np.column_stack([outline, np.full(k, z)]) for z in (0.0, height)]
-    centres = [[0.0, 0.0, 0.0], [0.0, 0.0, height]]
-    triangles = _ring_of_quads(0, k, k, closed=True)
-    for i in range(k):
-        j = (i + 1) % k
-        triangles += [[2 * k, j, i], [2 * k + 1, k + i, k + j]]
-    return _outward("cross", np.concatenate([*rings, centres]), np.array(triangles))
+    outline = _cross_outline(0.020, 0.005)
+    rings = [np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, 0.020)]
+    return _stacked("cross", rings)
 
 
 def bar() -> RigidObject:
     """Bar lying flat: 40 mm × 10 mm, 12 mm thick; not shipped, held out."""
     corners = np.array([[-0.02, -0.005], [0.02, -0.005], [0.02, 0.005], [-0.02, 0.005]])
     return _lathe("bar", [(corners, 0.0), (corners, 0.012)])
+
+
+def ring() -> RigidObject:
+    """Tube on its end: radii 9 and 16 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
+    return _rounded("ring", 0.016 * _circle(72), 0.002, hole=0.009 * _circle(72))
+
+
+def small_nut() -> RigidObject:
+    """Nut 18 mm across flats with an 8 mm hole, edge rounded by 1.5 mm; not shipped."""
+    hexagon = _hexagon(0.018, 6)
+    hole = 0.004 * hexagon / np.linalg.norm(hexagon, axis=1, keepdims=True)
+    return _rounded("small_nut", hexagon, 0.0015, hole=hole)
+
+
+def thin_bar() -> RigidObject:
+    """Bar of 36 mm × 8 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
+    half = np.array([0.018, 0.004])
+    return _rounded("thin_bar", half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], 0.002)
+
+
+def ell() -> RigidObject:
+    """L of two arms 26 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
+    outline = np.array([[-6, -6], [20, -6], [20, 6], [6, 6], [6, 20], [-6, 20]])
+    return _rounded("ell", 1e-3 * outline, 0.002)
+
+
+def rounded_cross() -> RigidObject:
+    """Cross of two bars 40 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
+    return _rounded("rounded_cross", _cross_outline(0.020, 0.006), 0.002)
+
+
+def unequal_balls() -> RigidObject:
+    """Balls of radius 7 and 11 mm whose lowest points are 24 mm apart; not shipped."""
+    vertices, triangles = _icosphere(4)
+    small = 0.007 * vertices + [-0.011, 0.0, 0.007]
+    large = 0.011 * vertices + [0.013, 0.0, 0.011]
+    both = np.concatenate([triangles, triangles + len(vertices)])
+    return _outward("unequal_balls", np.concatenate([small, large]), both)
 
 
 GENERATORS: tuple[Callable[[], RigidObject], ...] = (
@@ -167,6 +192,72 @@ def _lathe(name: str, sections: list[tuple[np.ndarray, float]]) -> RigidObject:
     last = (len(sections) - 1) * k
     top = [[last, last + i, last + i + 1] for i in range(1, k - 1)]
     return _outward(name, np.concatenate(rings), np.array(sides + bottom + top))
+
+
+def _hexagon(across: float, side: int) -> np.ndarray:
+    """Outline of a hexagon of some width across flats, `side` points a side."""
+    corners = across / np.sqrt(3.0) * _circle(6)
+    t = np.arange(side)[:, None] / side
+    return np.concatenate([corners[k] * (1.0 - t) + corners[(k + 1) % 6] * t for k in range(6)])
+
+
+def _cross_outline(arm: float, half: float) -> np.ndarray:
+    quarter = np.array([[arm, -half], [arm, half], [half, half]])
+    turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    return np.concatenate([quarter @ turn.T for turn in turns])
+
+
+def _rounded(
+    name: str, outline: np.ndarray, radius: float, hole: np.ndarray | None = None
+) -> RigidObject:
+    """Outline (k, 2), anticlockwise, extruded by 30 mm, its lower edge rounded.
+
+    It sees its whole self from the origin. A hole has as many points, and goes through.
+    """
+    turn = np.linspace(0.0, 0.5 * np.pi, 6)
+    profile = [(radius * (1.0 - np.sin(a)), radius * (1.0 - np.cos(a))) for a in turn]
+    profile.append((0.0, 0.030))
+
+    def ring(edge: np.ndarray, inwards: float, z: float) -> np.ndarray:
+        return np.column_stack([_inset(edge, inwards), np.full(len(edge), z)])
+
+    outside = [ring(outline, by, z) for by, z in profile]
+    if hole is None:
+        return _stacked(name, outside)
+    rings = outside + [ring(hole, -by, z) for by, z in reversed(profile)]
+    k, levels = len(outline), len(rings)
+    triangles = [
+        each
+        for level in range(levels)
+        for each in _ring_of_quads(level * k, (level + 1) % levels * k, k, closed=True)
+    ]
+    return _outward(name, np.concatenate(rings), np.array(triangles))
+
+
+def _inset(outline: np.ndarray, by: float) -> np.ndarray:
+    """Anticlockwise outline (k, 2) with every side moved inwards."""
+    side = np.roll(outline, -1, axis=0) - outline
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    after = np.stack([-side[:, 1], side[:, 0]], axis=1)
+    before = np.roll(after, 1, axis=0)
+    corner = 1.0 + np.einsum("ij,ij->i", before, after)
+    return outline + by * (before + after) / corner[:, None]
+
+
+def _stacked(name: str, rings: list[np.ndarray]) -> RigidObject:
+    """Outlines (k, 3) that see their whole selves from the axis, joined and closed at both ends."""
+    k, levels = len(rings[0]), len(rings)
+    centres = np.array([[0.0, 0.0, rings[0][0, 2]], [0.0, 0.0, rings[-1][0, 2]]])
+    triangles = [
+        each
+        for level in range(levels - 1)
+        for each in _ring_of_quads(level * k, (level + 1) * k, k, closed=True)
+    ]
+    bottom, top, last = levels * k, levels * k + 1, (levels - 1) * k
+    for i in range(k):
+        j = (i + 1) % k
+        triangles += [[bottom, j, i], [top, last + i, last + j]]
+    return _outward(name, np.concatenate([*rings, centres]), np.array(triangles))
 
 
 def _prism(

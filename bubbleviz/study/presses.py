@@ -15,6 +15,8 @@ from bubbleviz.study import object_shapes
 GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
 HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
 """Held-out objects: not used while choosing the estimator's settings."""
+EDGE_OBJECTS = ("ring", "rounded_cross", "unequal_balls", "ell", "thin_bar", "small_nut")
+"""Held out, too: made to judge the edge of the patch, and no constant was chosen on them."""
 SMOOTH_OBJECTS = ("sphere", "puck")
 """Objects without sharp edges, whose exact equilibrium converges as the mesh becomes finer."""
 
@@ -63,4 +65,4 @@ def made(name: str) -> RigidObject:
 
 def presses(names: tuple[str, ...], depths_m: tuple[float, ...]) -> list[Press]:
     """Every object at every depth."""
-    return [Press(n, d, n in HELD_OUT_OBJECTS) for n in names for d in depths_m]
+    return [Press(n, d, n in HELD_OUT_OBJECTS + EDGE_OBJECTS) for n in names for d in depths_m]

@@ -15,17 +15,20 @@ from scipy.ndimage import distance_transform_edt
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.tables import out_folder, to_json, write_json
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import Model
+from bubbleviz.study.accuracy.edge_bound import PLACE, SHAPE, edge_bound
 from bubbleviz.study.accuracy.specimens import SPECIMENS, Specimen, Told, specimen
 from bubbleviz.study.accuracy.threshold_baseline import Baseline, oracle_baseline
 from bubbleviz.study.error_metrics import Errors, Judge
 from bubbleviz.study.pose.rubber_truth import TRUTH_NODES as RUBBER_NODES
 from bubbleviz.study.presses import (
+    EDGE_OBJECTS,
     GRID_OBJECTS,
     HELD_OUT_OBJECTS,
     SMOOTH_OBJECTS,
@@ -147,7 +150,8 @@ class Row:
     `failed` counts those that have none, and `status` says why; `warm_ms` is the median time from
     depth image in to patch pixels out; `cold_ms` that of the first frame of the press;
     `patch_width_m` the mean width of the true patch and `resolution_m` that of the estimate's
-    response.
+    response; `edge_sigma_bound_m` and `iou_bound_shape` are the bounds of `edge_bound` where place
+    and shape of the patch are unknown, `iou_bound_place` that where its shape is known.
     """
 
     specimen: str
@@ -169,6 +173,7 @@ class Row:
     failed: int = 0
     iou: float = np.nan
     iou_best_threshold: float = np.nan
+    iou_on_mesh: float = np.nan
     force_error_relative: float = np.nan
     force_excess_relative: float = np.nan
     area_error_relative: float = np.nan
@@ -179,6 +184,9 @@ class Row:
     kkt_residual: float = np.nan
     cold_ms: float = np.nan
     warm_ms: float = np.nan
+    edge_sigma_bound_m: float = np.nan
+    iou_bound_place: float = np.nan
+    iou_bound_shape: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -238,6 +246,22 @@ def quick_grid(model: Model = "rubber") -> Grid:
         setups=(*full.setups[:3], replace(full.setups[0], nodes=400)),
         repeats=2,
     )
+
+
+def edge_grid(*, quick: bool = False) -> Grid:
+    """For the edge of the patch: other objects, and less noise."""
+    noises = tuple(DepthNoise(absolute_m=s) for s in (5e-5, 1.5e-4, 5e-4))
+    grid = Grid(
+        ("sensor",),
+        objects=(*SMOOTH_OBJECTS, "torus", "two_spheres", *EDGE_OBJECTS),
+        depths=(0.2, 0.4),
+        noises=(*noises, DepthNoise(relative=0.01)),
+        setups=(RUBBER,),
+        repeats=1,
+        limit_s=900.0,
+    )
+    few = ("sphere", "unequal_balls")
+    return replace(grid, objects=few, depths=(0.2,), noises=noises[:1]) if quick else grid
 
 
 def with_nodes(sensor: Sensor, nodes: int | None) -> Sensor:
@@ -386,9 +410,17 @@ class _Bench:
         }
         statuses = [r.estimate.status for r in warm if r.estimate is not None]
         residuals = [r.estimate.kkt_residual for r in answered if r.estimate is not None]
-        press = sighting.press
+        press, bounds = sighting.press, {}
+        if isinstance(estimator, RubberEstimator):
+            place, shape = (edge_bound(estimator, sighting, d) for d in (PLACE, SHAPE))
+            bounds = {
+                "edge_sigma_bound_m": shape.sigma_m,
+                "iou_bound_place": place.iou,
+                "iou_bound_shape": shape.iou,
+            }
         return Row(
             **means,
+            **bounds,
             specimen=self._specimen.name,
             identified=self._specimen.identified,
             object_name=press.object_name,
