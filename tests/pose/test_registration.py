@@ -1,5 +1,7 @@
 """Registration against cases whose answer is known in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,6 +12,7 @@ from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.observability import directions, open_axes
 from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
+from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.study.presses import made
 
 PRECISION = Precision(1e12, 3e-3)
@@ -198,6 +201,16 @@ def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_i
     assert noisy.per_area == pytest.approx(1e12, rel=1e-3)
     assert exact.per_area == pytest.approx(1.0 / (4e-4 * 3e-3) ** 2, rel=1e-3)
     assert Precision(exact.per_area, 3e-3).per_area == pytest.approx(0.5 * exact.per_area)
+
+
+def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
+    shift = np.array([0.03, -0.02, 0.05])
+    away = ObjectModel(replace(frustum.obj, vertices=frustum.obj.vertices + shift))
+    tip = on_surface(frustum, pose(), keep=lambda points, normals: points[:, 2] < 1e-6)
+    starts, others = (StartFinder(model).starts(tip) for model in (frustum, away))
+    others[:, :3, 3] += others[:, :3, :3] @ shift
+    differences = np.abs(others[:, None] - starts).max(axis=(2, 3))
+    assert differences.min(axis=0).max() < 1e-9  # faces that are alike come in any order
 
 
 def test_motions_undo_each_other():
