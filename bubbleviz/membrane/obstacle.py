@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
+
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 
 PressureRule = Callable[[float, float], float]
 """p = rule(v, s): pressure (over γ0) at which u = u_p p + u_g has volume change v + s p."""
@@ -63,7 +63,7 @@ class ObstacleSolver:
     def __init__(
         self, laplacian: sparse.csr_array, areas: np.ndarray, volume_gradient: np.ndarray
     ) -> None:
-        order = np.argsort(_factor(laplacian.tocsc(), "MMD_AT_PLUS_A").perm_c)
+        order = np.argsort(symmetric_lu(laplacian.tocsc()).perm_c)
         self._order = order  # fill-reducing once; its restriction to a subset is nearly as good
         self._laplacian = laplacian[order][:, order].tocsr()
         self._areas, self._gradient = areas[order], volume_gradient[order]
@@ -120,7 +120,7 @@ class ObstacleSolver:
         by_object[held] = g[held]
         if len(rest):
             rows = self._laplacian[rest]
-            factor = _factor(rows[:, rest].tocsc(), "NATURAL")
+            factor = symmetric_lu(rows[:, rest].tocsc(), "NATURAL")
             pull = -(rows[:, held] @ g[held]) if len(held) else np.zeros(len(rest))
             both = factor.solve(np.stack([self._areas[rest], pull], axis=1))
             by_pressure[rest], by_object[rest] = both.T
@@ -137,15 +137,3 @@ class ObstacleSolver:
         scale = max(float(np.abs(u).max()), 1e-9)
         pulls = reaction < -1e-11 * scale * self._diagonal
         return np.where(active, pulls, u > g + 1e-11 * scale)
-
-
-def _factor(
-    matrix: sparse.csc_array[np.float64], ordering: Literal["NATURAL", "MMD_AT_PLUS_A"]
-) -> SuperLU:
-    """Sparse factorisation of a symmetric positive definite matrix."""
-    return splu(
-        matrix,
-        permc_spec=ordering,
-        diag_pivot_thresh=0.0,  # no pivoting: keeps the symmetric ordering
-        options={"SymmetricMode": True},
-    )

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.camera.depth_camera import DepthCamera
@@ -24,6 +23,7 @@ from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 from bubbleviz.progress import Progress, quiet
 
 FOLDS = 5  # of the cross-validation; the usual number
@@ -69,7 +69,7 @@ class FreeForm:
             Change of each number per motion of each node along its arm, unit/m.
         """
         system = self.system
-        adjoint = splu(system.matrix).solve(np.ascontiguousarray(gradients))
+        adjoint = symmetric_lu(system.matrix).solve(np.ascontiguousarray(gradients))
         return system.efficiency * system.weights[:, None] * (system.D @ adjoint)
 
 
@@ -156,7 +156,7 @@ def fit_free_form(
             left_out_image[hits.ray] = missed
         normal = _normal(D, target, weights)
         matrix = (normal.matrix + prior * (smoothing * unit)).tocsc()
-        correction = splu(matrix).solve(normal.right)
+        correction = symmetric_lu(matrix).solve(normal.right)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
     return FreeForm(
@@ -208,7 +208,7 @@ def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) 
 
 
 def _solve(normal: _Normal, prior: sparse.csc_array) -> np.ndarray:
-    return splu((normal.matrix + prior).tocsc()).solve(normal.right)
+    return symmetric_lu((normal.matrix + prior).tocsc()).solve(normal.right)
 
 
 def _choose(

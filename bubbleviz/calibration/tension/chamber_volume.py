@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights
@@ -16,6 +15,7 @@ from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.frames.frame import Frame
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 from bubbleviz.progress import Progress, quiet
 
 _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones change nothing
@@ -122,7 +122,7 @@ class MembraneTracker:
                 weighted.T @ target + weight * gas_pressure_change_pa / self.tension * self._source
             )
             u = np.zeros(len(u))
-            u[mesh.free] = splu((normal + weight * self._prior).tocsc()).solve(right)
+            u[mesh.free] = symmetric_lu((normal + weight * self._prior).tocsc()).solve(right)
             left = target - D @ u[mesh.free]
             weights[hits.ray] = tukey_weights(left, robust_sigma(left))
         return u

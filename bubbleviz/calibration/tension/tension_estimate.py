@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse.linalg import splu
 from scipy.special import ndtri
 
 from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
@@ -35,6 +34,7 @@ from bubbleviz.calibration.tension.young_laplace import (
 )
 from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.stiffness import balance_tension
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 from bubbleviz.progress import Progress, quiet
 
 _CLIP = 3.0  # as the mean of a pixel is clipped
@@ -270,7 +270,7 @@ def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float)
     mesh = free_form.mesh
     arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
     gradient = balance_gradient(mesh, gauge_pressure_pa, arms)
-    variance = float(gradient @ splu(free_form.system.matrix).solve(gradient))
+    variance = float(gradient @ symmetric_lu(free_form.system.matrix).solve(gradient))
     together = max(1.0, samples.statistics.correlated_pixels)
     return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from bubbleviz.calibration.surface.cap_fit import Ellipsoid
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import area_and_bending, area_shares, cotangent_laplacian
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 
 
 def least_squares_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
@@ -87,7 +87,7 @@ def local_tension(mesh: MembraneMesh, gauge_pressure_pa: float, scale_m: float) 
     free, laplacian = mesh.free, cotangent_laplacian(mesh)
     bending = np.einsum("ij,ij->i", laplacian @ mesh.nodes, mesh.normals)[free]
     mass = sparse.diags_array(mesh.areas[free])
-    blur = splu((mass + scale_m**2 * laplacian[free][:, free]).tocsc())
+    blur = symmetric_lu((mass + scale_m**2 * laplacian[free][:, free]).tocsc())
     smooth, ones = blur.solve(bending), blur.solve(mesh.areas[free])
     tension = np.full(len(mesh.nodes), np.nan)
     with np.errstate(divide="ignore"):

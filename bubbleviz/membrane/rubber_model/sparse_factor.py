@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
+
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 
 
 class Factoriser:
@@ -28,7 +30,7 @@ class Factoriser:
         numbered = sparse.csc_array((data, pattern.indices, pattern.indptr), shape=(size, size))
         nodes = numbered[::3][:, ::3].astype(bool).astype(float)
         diagonal = sparse.diags_array(np.full(size // 3, float(size)))
-        order = np.argsort(_superlu((nodes + diagonal).tocsc(), "MMD_AT_PLUS_A").perm_c)
+        order = np.argsort(symmetric_lu((nodes + diagonal).tocsc()).perm_c)
         self._order = (3 * order[:, None] + np.arange(3)).ravel()
         permuted = numbered[self._order][:, self._order].tocsc()
         permuted.sort_indices()
@@ -45,7 +47,7 @@ class Factoriser:
         """
         shape = (len(self._order), len(self._order))
         matrix = sparse.csc_array((data[self._places], self._indices, self._indptr), shape=shape)
-        return Factor(_superlu(matrix, "NATURAL"), self._order)
+        return Factor(symmetric_lu(matrix, "NATURAL"), self._order)
 
 
 class Factor:
@@ -82,17 +84,6 @@ class Factor:
     def negative_directions(self) -> int:
         """Number of negative eigenvalues of a symmetric K, by Sylvester's law of inertia."""
         return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
-
-
-def _superlu(
-    matrix: sparse.csc_array[np.float64], order: Literal["NATURAL", "MMD_AT_PLUS_A"]
-) -> SuperLU:
-    return splu(
-        matrix,
-        permc_spec=order,
-        diag_pivot_thresh=0.0,  # no pivoting: keeps the symmetric order
-        options={"SymmetricMode": True},
-    )
 
 
 class Grip(NamedTuple):

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 
 _LONGEST_M = 5e-4
 """Step of the object's motion at its patch's edge."""
@@ -175,12 +175,7 @@ class StuckPress:
             inside = self._rubber.gauge_pressure_pa + change
             K = self._rubber.tangent(x, inside)
             a = self._rubber.volume_gradient(x)[moving][free].ravel()
-            factor = splu(
-                sparse.csc_array(K[rows][:, rows]),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            factor = symmetric_lu(sparse.csc_array(K[rows][:, rows]))
             plain, by_gas = factor.solve(left), factor.solve(a)
             plain -= stiffness * (a @ plain) / (1.0 + stiffness * (a @ by_gas)) * by_gas
             motion = np.zeros((len(moving), 3))

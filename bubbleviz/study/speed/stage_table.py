@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from bubbleviz.camera.pixel_model import RangeLine
 from bubbleviz.export.vtk_export import VtkExporter
@@ -26,6 +25,7 @@ from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
 from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane.symmetric_lu import symmetric_lu
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import load_object
@@ -284,12 +284,7 @@ class _Solved:
 
 def _filled(matrix: sparse.csc_array) -> int:
     """Numbers in the factors of a matrix of symmetric pattern."""
-    factors = splu(
-        matrix,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    factors = symmetric_lu(matrix)
     return int(factors.L.nnz + factors.U.nnz)
 
 
