@@ -40,6 +40,8 @@ from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames
 
 WAIT_NS = 20_000_000
 """How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""
+COLOUR_WAIT_NS = NEAREST_NS
+"""The same for the colour image, where colour is followed; no longer than until the next frame."""
 
 _SERIES = {PRESSURE: pressure_of, WRENCH: wrench_of}
 
@@ -186,7 +188,8 @@ class FrameAssembler:
         return None if self._pending is None else self._deadline(self._pending)
 
     def _deadline(self, pending: _Pending) -> int:
-        return pending.frame.arrival_ns + WAIT_NS + round(max(self._lag_s, 0.0) * 1e9)
+        wait = WAIT_NS if self._colour.covers(pending.time_ns) else COLOUR_WAIT_NS
+        return pending.frame.arrival_ns + wait + round(max(self._lag_s, 0.0) * 1e9)
 
     # -- which messages ---------------------------------------------------------------------
 

@@ -87,6 +87,33 @@ def test_a_frame_has_the_colour_of_its_time_and_before(shift: int) -> None:
     assert assembler.counters.undecodable == 0
 
 
+@pytest.mark.parametrize(("late", "seen"), [(50_000_000, 1), (200_000_000, None)])
+def test_a_frame_waits_for_the_colour_of_its_time(late: int, seen: int | None) -> None:
+    """A slow replay: the images of one moment arrive long after each other."""
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    for message in both(0):
+        assembler.push(message)
+    stamp = NOW + PERIOD
+    assert assembler.push(depth(stamp, 1, topic="/cam/depth/image")) == []
+    until = assembler.waits_until_ns
+    assert until is not None and until - stamp < SECOND // 5
+    found = assembler.flush(min(until, stamp + late))
+    image = colour(stamp, 1)
+    found += assembler.push(arrived(COLOUR, image.type, image.payload, stamp, stamp + late))
+    assert [level(frame) for frame in found] == [seen]
+
+
+def test_a_newer_frame_ends_the_wait_for_colour() -> None:
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    for message in both(0):
+        assembler.push(message)
+    assert assembler.push(depth(NOW + PERIOD, 1, topic="/cam/depth/image")) == []
+    (frame,) = assembler.push(depth(NOW + 2 * PERIOD, 2, topic="/cam/depth/image"))
+    assert frame.depth_m[0, 0] == pytest.approx(0.101)
+
+
 def test_a_frame_without_colour_in_half_a_period_has_none() -> None:
     assembler = FrameAssembler()
     assembler.follow_colour()
