@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from bubbleviz.errors import InputError
@@ -17,3 +19,15 @@ def opencv() -> Any:
             f"optical flow: OpenCV is not installed; {how_to_install('colour')}"
         ) from error
     return cv2
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """OpenCV on the calling thread alone, so that it does not hold up what runs beside it."""
+    cv2 = opencv()
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -10,13 +10,11 @@ import numpy as np
 
 from bubbleviz.calibration.rest.depth_statistics import MIN_FRAMES
 from bubbleviz.calibration.rest.noise_correlation import (
-    correlated_samples,
     mean_inflation,
-    spatial_correlation,
     temporal_correlation,
 )
 from bubbleviz.colour.local_contrast import motion_bound, normalised
-from bubbleviz.colour.opencv import opencv
+from bubbleviz.colour.opencv import one_thread, opencv
 from bubbleviz.errors import InputError
 
 FlowPreset = Literal["fast", "balanced", "fine"]
@@ -87,8 +85,6 @@ class OpticalFlow:
     noise_px : (b,) array
         Standard deviation of the motion of a membrane at rest: as learned from the contact-free
         images, and no better than the Cramér–Rao bound.
-    correlated_blocks : float
-        Blocks that are worth one independent sample.
     problem : str
         Why the images are of no use, one clause; empty where they are.
     """
@@ -99,12 +95,11 @@ class OpticalFlow:
         preset: FlowPreset,
         pixel: np.ndarray,
         noise_px: np.ndarray,
-        correlated_blocks: float,
         problem: str,
     ) -> None:
         self.preset, self.shape = preset, reference.shape
         self.pixel, self.noise_px = pixel, noise_px
-        self.correlated_blocks, self.problem = correlated_blocks, problem
+        self.problem = problem
         self._reference = reference
         self._search = _search(preset)
 
@@ -153,7 +148,6 @@ class OpticalFlow:
             preset,
             middle[good],
             noise[good],
-            _correlated_blocks(flows[..., 0], good),
             _why_useless(good, washed_out & ~unseen, unseen),
         )
 
@@ -173,8 +167,9 @@ class OpticalFlow:
         if self.problem:
             return self.nothing(self.problem)
         frame = normalised(grey)
-        forward = _averaged(self._search.calc(self._reference, frame, None))
-        backward = _averaged(self._search.calc(frame, self._reference, None))
+        with one_thread():  # the other cores are left to the depth estimate
+            forward = _averaged(self._search.calc(self._reference, frame, None))
+            backward = _averaged(self._search.calc(frame, self._reference, None))
         moved = forward.reshape(-1, 2)[self.pixel]
         place = moved + np.stack(np.divmod(self.pixel, self.shape[1])[::-1], axis=1)
         disagreement = np.linalg.norm(moved + _sampled(backward, place), axis=1)
@@ -228,12 +223,6 @@ def _grey_variance(frames: np.ndarray) -> np.ndarray:
     lost = mean_inflation(temporal_correlation(sparse, sigma[::4, ::4])) / len(frames)
     share = max(1.0 - lost, 1.0 / len(frames))
     return np.asarray(sigma**2 / share)
-
-
-def _correlated_blocks(flow: np.ndarray, good: np.ndarray) -> float:
-    deviations = np.where(good, flow - flow.mean(axis=0), np.nan)
-    sigma = np.where(good, flow.std(axis=0), np.nan)
-    return correlated_samples(spatial_correlation(deviations, sigma))
 
 
 def _middles(image: np.ndarray) -> np.ndarray:

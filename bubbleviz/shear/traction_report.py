@@ -38,13 +38,16 @@ class TractionReport:
 
     def untouched(self, estimate: Estimate) -> Traction:
         """A frame without contact."""
-        return self._of("no_contact", self._positions(estimate), np.zeros_like(self._mesh.nodes))
+        x = self._positions(estimate)
+        vectors = self._membrane.volume_gradient(x)
+        return self._of("no_contact", x, np.zeros_like(x), vectors)
 
     def alone(self, estimate: Estimate, reason: str) -> Traction:
         """The contact pressure of an estimate, nothing being known of friction."""
         x = self._positions(estimate)
-        force = -estimate.contact_pressure_pa[:, None] * self._membrane.volume_gradient(x)
-        return self._of("depth_alone", x, force, reason=reason)
+        vectors = self._membrane.volume_gradient(x)
+        force = -estimate.contact_pressure_pa[:, None] * vectors
+        return self._of("depth_alone", x, force, vectors, reason=reason)
 
     def solved(
         self,
@@ -70,6 +73,7 @@ class TractionReport:
             "ok",
             state.x,
             force,
+            vectors,
             wrench_covariance=covariance,
             displacement_sigma_m=float(np.sqrt(np.mean(np.sum(moved**2, axis=0)))),
             flow_rms_px=float(np.sqrt(0.5 * np.mean(squares))),
@@ -84,6 +88,7 @@ class TractionReport:
         status: TractionStatus,
         x: np.ndarray,
         force: np.ndarray,
+        vectors: np.ndarray,
         *,
         wrench_covariance: np.ndarray = _ALL_UNKNOWN,
         displacement_sigma_m: float = np.nan,
@@ -91,7 +96,6 @@ class TractionReport:
         flow_noise: float = np.nan,
         reason: str = "",
     ) -> Traction:
-        vectors = self._membrane.volume_gradient(x)
         areas = np.linalg.norm(vectors, axis=1, keepdims=True)
         n, moved = vectors / areas, x - self._mesh.nodes
         normal = np.einsum("ij,ij->i", force, n)[:, None] * n

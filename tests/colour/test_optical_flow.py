@@ -61,7 +61,6 @@ def test_a_membrane_at_rest_does_not_move(rest: list[np.ndarray]) -> None:
     assert np.sqrt(np.mean(field.moved_px**2)) < 0.03
     assert np.median(field.sigma_px) < 0.05
     assert np.mean(np.abs(field.moved_px) < 3.0 * field.sigma_px[:, None]) > 0.99
-    assert flow.correlated_blocks >= 1.0
     np.testing.assert_array_equal(field.pixel, np.sort(field.pixel))
 
 

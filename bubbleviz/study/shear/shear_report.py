@@ -137,7 +137,8 @@ def _preset_table(presets: list[PresetScore]) -> str:
 def write(study: ShearStudy, folder: Path) -> list[Path]:
     """Files of the report; the folder is there."""
     written = [folder / name for name in FILES]
-    for path, rows in zip(written, (study.trials, study.slips, study.presets), strict=False):
-        write_csv(path, rows)
-    write_json(written[-1], as_dict(study))
+    write_csv(written[0], study.trials)
+    write_csv(written[1], study.slips)
+    write_csv(written[2], study.presets)
+    write_json(written[3], as_dict(study))
     return written
