@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import grown
 
@@ -83,15 +84,5 @@ class Region:
 
 def contour_points(region: Region, field: np.ndarray) -> np.ndarray:
     """Points on the zero contour of a nodal field: its cuts of the edges and half way between."""
-    inside = (field > 0.0)[region.corners]
-    count = inside.sum(axis=0)
-    cut = np.flatnonzero((count == 1) | (count == 2))
-    # Turn each cut triangle so that its first corner is the one alone on its side.
-    alone = np.argmax(inside[:, cut] == (count[cut] == 1), axis=0)
-    a, b, c = (region.corners[(alone + k) % 3, cut] for k in range(3))
-    tb = field[a] / (field[a] - field[b])
-    tc = field[a] / (field[a] - field[c])
-    x = region.points
-    one = x[a] + tb[:, None] * (x[b] - x[a])
-    two = x[a] + tc[:, None] * (x[c] - x[a])
-    return np.concatenate([one, 0.5 * (one + two)])
+    pieces = level_line(region.points, region.corners, field)
+    return np.concatenate([pieces[:, 0], pieces.mean(axis=1)])

@@ -33,6 +33,8 @@ POINTS_PER_INCH = 72
 """Resolution of a picture in which text has as many pixels as its font size says."""
 CLICK = 3.0
 """How far the mouse may move in a click, screen pixels."""
+LIGHTS = (((-0.5, 0.7, 1.0), 0.75), ((0.8, -0.3, 0.6), 0.35))
+"""Where each is, seen from the camera (right, up, towards it), and its intensity."""
 
 
 class View(QtInteractor):  # type: ignore[misc]
@@ -265,7 +267,7 @@ class View(QtInteractor):  # type: ignore[misc]
             self.dropped_files.emit(paths)
 
     def _add_lights(self) -> None:
-        for position, intensity in (((-0.5, 0.7, 1.0), 0.75), ((0.8, -0.3, 0.6), 0.35)):
+        for position, intensity in LIGHTS:
             light = pv.Light(light_type="camera light", intensity=intensity)
             light.position = position
             self.add_light(light)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from vtkmodules.vtkFiltersCore import vtkContourFilter
+import numpy as np
+import pyvista as pv
 
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -12,9 +13,12 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
+CHUNK = 256
+"""Lines have room for so many pieces more: it changes seldom, which VTK draws faster."""
+
 
 class ContourLayer(Layer):
-    """Contour lines on the displayed surface; VTK traces them along the triangles.
+    """Contour lines on the displayed surface.
 
     A thick line is the edge of the patch, thin ones are the band that holds the true edge.
     """
@@ -23,21 +27,18 @@ class ContourLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        surface = canvas.surface
-        _traced(self, surface, theme.LINE, line_width=3).SetValue(0, 0.0)
-        self._band = _traced(self, surface, theme.LINE, line_width=1, opacity=0.7)
+        self._edge = _Line(self, theme.LINE, line_width=3)
+        self._band = _Line(self, theme.FAINT_LINE, line_width=1)
         self._has(False)
 
     def draw(self, picture: Picture) -> None:
         """Trace the edge of the patch and its band; nothing without contact."""
         patch = picture.result.trusted_patch
         if patch is not None and patch.area_m2 > 0:
-            self.canvas.surface.mark(patch.level)
-            band = patch.edge_half_width_m
-            self._band.SetNumberOfContours(0 if math.isnan(band) else 2)
-            if not math.isnan(band):
-                self._band.SetValue(0, band)
-                self._band.SetValue(1, -band)
+            surface, band = self.canvas.surface, patch.edge_half_width_m
+            self._edge.draw(surface.line(patch.level))
+            levels = () if math.isnan(band) else (band, -band)
+            self._band.draw(surface.line(patch.level, levels))
         self._has(patch is not None and patch.area_m2 > 0)
 
 
@@ -70,13 +71,13 @@ class _Outline:
 
     def __init__(self, layer: Layer, colour: str) -> None:
         self._surface = Surface(layer.canvas.units)
-        self._contour = _traced(layer, self._surface, colour, -300.0, line_width=2)
+        self._line = _Line(layer, colour, -300.0, line_width=2)
         self._mesh: MembraneMesh | None = None
 
     def draw(self, measured: Measured | None, exaggeration: float) -> None:
         patch = None if measured is None else measured.result.trusted_patch
         if measured is None or patch is None or patch.area_m2 == 0.0:
-            self._contour.SetNumberOfContours(0)
+            self._line.draw(np.empty((0, 2, 3)))
             return
         if measured.mesh is not self._mesh:
             self._mesh = measured.mesh
@@ -84,19 +85,30 @@ class _Outline:
         shape = self._surface.shape_of(measured.result.estimate, exaggeration)
         if shape is not None:
             self._surface.draw(shape)
-        self._surface.mark(patch.level)
-        self._contour.SetValue(0, 0.0)
+        self._line.draw(self._surface.line(patch.level))
 
 
-def _traced(
-    layer: Layer, surface: Surface, colour: str, units: float = -200.0, **look: float
-) -> vtkContourFilter:
-    """Contour lines of a surface's level, drawn by a layer."""
-    contour = vtkContourFilter()
-    contour.SetInputData(surface.poly)
-    contour.ComputeScalarsOff()
-    contour.ComputeNormalsOff()
-    contour.SetInputArrayToProcess(0, 0, 0, 0, surface.LEVEL)
-    line = layer.add(contour, color=colour, lighting=False, **look)
-    in_front(line, units)
-    return contour
+class _Line:
+    """Straight pieces of a line, in a buffer with some room: spare ones have no length."""
+
+    def __init__(self, layer: Layer, colour: str, units: float = -200.0, **look: float) -> None:
+        self._poly = pv.PolyData()
+        self._reserve(1)
+        self.actor = layer.add(self._poly, color=colour, lighting=False, **look)
+        in_front(self.actor, units)
+
+    def draw(self, pieces: np.ndarray) -> None:
+        """Draw pieces (k, 2, 3) in B in place of those before."""
+        self._reserve(len(pieces))
+        ends = pieces.reshape(-1, 3)
+        self._ends[: len(ends)] = ends
+        self._ends[len(ends) :] = ends[-1] if len(ends) else self._ends[0]
+        self._poly.Modified()
+
+    def _reserve(self, count: int) -> None:
+        room = -(-max(count, 1) // CHUNK) * CHUNK
+        if 2 * room > self._poly.n_points:
+            pairs = np.arange(2 * room).reshape(-1, 2)
+            self._poly.points = np.zeros((2 * room, 3))
+            self._poly.lines = np.column_stack([np.full(room, 2), pairs]).ravel()
+            self._ends = self._poly.points

@@ -8,6 +8,7 @@ import numpy as np
 import pyvista as pv
 
 from bubbleviz.diagnostics.probe import Probed
+from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Estimate
 from bubbleviz_ui.model.units import Units
@@ -36,34 +37,35 @@ class Surface:
     Attributes
     ----------
     poly : pyvista.PolyData
-        Nodes in B, m; point data `PRESSURE` in displayed units, and `LEVEL`, positive
-        in the patch.
+        Nodes in B, m; point data `PRESSURE` in displayed units.
     """
 
     PRESSURE = "contact pressure"
-    LEVEL = "patch level"
 
     def __init__(self, units: Units) -> None:
         self._units = units
         self._mesh: MembraneMesh | None = None
         self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
-        self.poly.point_data[self.PRESSURE] = np.zeros(3)
-        self.poly.point_data[self.LEVEL] = np.full(3, -1.0)
-        self.poly.point_data["Normals"] = np.eye(3)
-        self.poly.GetPointData().SetActiveNormals("Normals")
+        self._make_arrays(np.eye(3), np.eye(3))
 
     def set_mesh(self, mesh: MembraneMesh) -> None:
         """Take the reference mesh of another sensor, at rest."""
         self._mesh = mesh
         faces = np.column_stack([np.full(len(mesh.triangles), 3), mesh.triangles])
         self.poly.point_data.clear()
-        self.poly.points = mesh.nodes.astype(float)
+        self.poly.points = mesh.nodes
         self.poly.faces = faces.ravel()
-        self.poly.point_data[self.PRESSURE] = np.zeros(len(mesh.nodes))
-        self.poly.point_data[self.LEVEL] = np.full(len(mesh.nodes), -1.0)
-        self.poly.point_data["Normals"] = mesh.normals.astype(float)
+        self._make_arrays(mesh.nodes, mesh.normals)
+
+    def _make_arrays(self, nodes: np.ndarray, normals: np.ndarray) -> None:
+        """Arrays that are changed in place from now on."""
+        self.poly.points = nodes.astype(float)
+        self.poly.point_data["Normals"] = normals.astype(float)
+        self.poly.point_data[self.PRESSURE] = np.zeros(len(nodes))
         self.poly.GetPointData().SetActiveNormals("Normals")
         self.poly.GetPointData().SetActiveScalars(self.PRESSURE)
+        self._points, self._normals = self.poly.points, self.poly.point_data["Normals"]
+        self._pressure = self.poly.point_data[self.PRESSURE]
 
     def shape_of(self, estimate: Estimate | None, exaggeration: float = 1.0) -> Shape | None:
         """Shape bubbleviz found, its displacement drawn larger; None without an estimate."""
@@ -93,13 +95,15 @@ class Surface:
 
     def draw(self, shape: Shape) -> None:
         """Move the vertices and colour them, in place."""
-        self.poly.points[:] = shape.nodes_m
-        self.poly.point_data["Normals"][:] = shape.normals
-        self.poly.point_data[self.PRESSURE][:] = self._units.pressure.of(1.0) * shape.pressure_pa
-        self.poly.GetPoints().Modified()
+        self._points[:] = shape.nodes_m
+        self._normals[:] = shape.normals
+        self._pressure[:] = self._units.pressure.of(1.0) * shape.pressure_pa
         self.poly.Modified()
 
-    def mark(self, level: np.ndarray) -> None:
-        """Say where the patch is: (n,), positive inside."""
-        self.poly.point_data[self.LEVEL][:] = level
-        self.poly.Modified()
+    def line(self, field: np.ndarray, levels: tuple[float, ...] = (0.0,)) -> np.ndarray:
+        """Pieces (k, 2, 3) of the lines where a field (n,) has some levels, as drawn."""
+        if self._mesh is None:
+            return np.empty((0, 2, 3))
+        nodes, corners = np.asarray(self._points), self._mesh.corners
+        lines = [level_line(nodes, corners, field, level) for level in levels]
+        return np.concatenate([np.empty((0, 2, 3)), *lines])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from vtkmodules.vtkCommonExecutionModel import vtkAlgorithm
 
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -13,7 +14,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.layers.drawn_surface import Shape, Surface
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.render_view import LIGHTS, View
 from bubbleviz_ui.view3d.scale_ranges import Ranges
 
 
@@ -107,3 +108,17 @@ def in_front(actor: Any, units: float) -> None:
     mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, units)
     mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)
     mapper.SetRelativeCoincidentTopologyPointOffsetParameter(units)
+
+
+def light_plainly(actor: Any) -> None:
+    """Have the view's lights shine on an actor that has no specular part.
+
+    The picture is the same; VTK's own shader works out a highlight of each light at every pixel all
+    the same, which doubles the time of the membrane where the processor draws.
+    """
+    shares = []
+    for position, intensity in LIGHTS:
+        towards = ", ".join(f"{x:.9g}" for x in np.array(position) / np.linalg.norm(position))
+        shares.append(f"{intensity:.9g} * max(0.0, dot(normalVCVSOutput, vec3({towards})))")
+    code = f"fragOutput0 = vec4(ambientColor + ({' + '.join(shares)}) * diffuseColor, opacity);"
+    actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Light::Impl", True, code, False)

@@ -6,7 +6,7 @@ from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import ColourBar
 from bubbleviz_ui.view3d.colour_maps import pressure_colours, pressure_map
-from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
+from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front, light_plainly
 
 
 class MembraneLayer(Layer):
@@ -30,6 +30,7 @@ class MembraneLayer(Layer):
             diffuse=0.75,
             specular=0.0,  # a highlight would look like pressure
         )
+        light_plainly(actor)
         actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
         actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
         self._bar = ColourBar(canvas.view, self._table, "contact pressure", upper=True)

@@ -1,0 +1,33 @@
+"""The line on a triangle mesh where a nodal field has a level."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def level_line(
+    points: np.ndarray, corners: np.ndarray, field: np.ndarray, level: float = 0.0
+) -> np.ndarray:
+    """Straight pieces of the line, one in each triangle that it crosses, (k, 2, 3).
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    corners : (3, m) int array
+        Triangles by corner.
+    field : (n,) array
+        Linear on each triangle.
+    level : float
+    """
+    above = field - level
+    inside = (above > 0.0)[corners]
+    count = inside.sum(axis=0)
+    cut = np.flatnonzero((count == 1) | (count == 2))
+    # Turn each cut triangle so that its first corner is the one alone on its side.
+    alone = np.argmax(inside[:, cut] == (count[cut] == 1), axis=0)
+    a, b, c = (corners[(alone + k) % 3, cut] for k in range(3))
+    start = points[a]
+    ends = [
+        start + (above[a] / (above[a] - above[k]))[:, None] * (points[k] - start) for k in (b, c)
+    ]
+    return np.stack(ends, axis=1)
