@@ -130,18 +130,18 @@ def small_nut() -> RigidObject:
 def thin_bar() -> RigidObject:
     """Bar of 36 mm × 8 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
     half = np.array([0.018, 0.004])
-    return _rounded("thin_bar", half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], 0.002)
+    return _rounded("thin_bar", _filleted(half * [[-1, -1], [1, -1], [1, 1], [-1, 1]]), 0.002)
 
 
 def ell() -> RigidObject:
     """L of two arms 26 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
     outline = np.array([[-6, -6], [20, -6], [20, 6], [6, 6], [6, 20], [-6, 20]])
-    return _rounded("ell", 1e-3 * outline, 0.002)
+    return _rounded("ell", _filleted(1e-3 * outline), 0.002)
 
 
 def rounded_cross() -> RigidObject:
     """Cross of two bars 40 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
-    return _rounded("rounded_cross", _cross_outline(0.020, 0.006), 0.002)
+    return _rounded("rounded_cross", _filleted(_cross_outline(0.020, 0.006)), 0.002)
 
 
 def unequal_balls() -> RigidObject:
@@ -232,6 +232,20 @@ def _rounded(
         for each in _ring_of_quads(level * k, (level + 1) % levels * k, k, closed=True)
     ]
     return _outward(name, np.concatenate(rings), np.array(triangles))
+
+
+def _filleted(outline: np.ndarray) -> np.ndarray:
+    """Anticlockwise outline (k, 2) whose right angles are arcs of 3 mm radius."""
+    radius, turn = 0.003, np.linspace(0.0, 0.5 * np.pi, 7)[:, None]
+    ahead = np.roll(outline, -1, axis=0) - outline
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    back = -np.roll(ahead, 1, axis=0)
+    return np.concatenate(
+        [
+            p + radius * (a + b - np.cos(turn) * a - np.sin(turn) * b)
+            for p, a, b in zip(outline, ahead, back, strict=True)
+        ]
+    )
 
 
 def _inset(outline: np.ndarray, by: float) -> np.ndarray:

@@ -97,7 +97,7 @@ VOLUMES_MM3 = {
     "thin_bar": 36 * 8 * 30,
     "small_nut": (18**2 * np.sqrt(3) / 2 - np.pi * 4**2) * 30,
 }
-"""Without what the rounding of the lower edge takes away, which is some per cent."""
+"""Of these rounded edges and corners take some per cent away."""
 
 
 @pytest.mark.parametrize("name", ["cross", *EDGE_OBJECTS])
@@ -108,7 +108,7 @@ def test_objects_of_the_study_are_watertight_with_their_volume(name):
     assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
     volume = np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
     lost = 1.0 - volume / (1e-9 * VOLUMES_MM3[name])
-    assert abs(lost) < 1e-5 if name == "cross" else 0.0 < lost < 0.04
+    assert abs(lost) < 1e-5 if name == "cross" else 0.0 < lost < 0.06
 
 
 def test_patch_width_of_a_strip(bank):
