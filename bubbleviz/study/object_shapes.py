@@ -97,7 +97,10 @@ def bridge() -> RigidObject:
 
 def hex_nut() -> RigidObject:
     """Nut lying flat: 24 mm across flats, 14 mm hole, 10 mm thick."""
-    hexagon = _hexagon(0.024, 12)
+    side = 12
+    corners = 0.024 / np.sqrt(3.0) * _circle(6)
+    t = np.arange(side)[:, None] / side
+    hexagon = np.concatenate([corners[k] * (1.0 - t) + corners[(k + 1) % 6] * t for k in range(6)])
     hole = 0.007 * hexagon / np.linalg.norm(hexagon, axis=1, keepdims=True)
     return _prism("hex_nut", hexagon, hole, 0.010, closed=True, axis="z")
 
@@ -122,7 +125,7 @@ def ring() -> RigidObject:
 
 def small_nut() -> RigidObject:
     """Nut 18 mm across flats with an 8 mm hole, edge rounded by 1.5 mm; not shipped."""
-    hexagon = _hexagon(0.018, 6)
+    hexagon = _filleted(0.018 / np.sqrt(3.0) * _circle(6), 0.003)
     hole = 0.004 * hexagon / np.linalg.norm(hexagon, axis=1, keepdims=True)
     return _rounded("small_nut", hexagon, 0.0015, hole=hole)
 
@@ -130,18 +133,20 @@ def small_nut() -> RigidObject:
 def thin_bar() -> RigidObject:
     """Bar of 36 mm × 8 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
     half = np.array([0.018, 0.004])
-    return _rounded("thin_bar", _filleted(half * [[-1, -1], [1, -1], [1, 1], [-1, 1]]), 0.002)
+    return _rounded(
+        "thin_bar", _filleted(half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], 0.003), 0.002
+    )
 
 
 def ell() -> RigidObject:
     """L of two arms 26 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
     outline = np.array([[-6, -6], [20, -6], [20, 6], [6, 6], [6, 20], [-6, 20]])
-    return _rounded("ell", _filleted(1e-3 * outline), 0.002)
+    return _rounded("ell", _filleted(1e-3 * outline, 0.003), 0.002)
 
 
 def rounded_cross() -> RigidObject:
     """Cross of two bars 40 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
-    return _rounded("rounded_cross", _filleted(_cross_outline(0.020, 0.006)), 0.002)
+    return _rounded("rounded_cross", _filleted(_cross_outline(0.020, 0.006), 0.003), 0.002)
 
 
 def unequal_balls() -> RigidObject:
@@ -194,13 +199,6 @@ def _lathe(name: str, sections: list[tuple[np.ndarray, float]]) -> RigidObject:
     return _outward(name, np.concatenate(rings), np.array(sides + bottom + top))
 
 
-def _hexagon(across: float, side: int) -> np.ndarray:
-    """Outline of a hexagon of some width across flats, `side` points a side."""
-    corners = across / np.sqrt(3.0) * _circle(6)
-    t = np.arange(side)[:, None] / side
-    return np.concatenate([corners[k] * (1.0 - t) + corners[(k + 1) % 6] * t for k in range(6)])
-
-
 def _cross_outline(arm: float, half: float) -> np.ndarray:
     quarter = np.array([[arm, -half], [arm, half], [half, half]])
     turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
@@ -234,18 +232,19 @@ def _rounded(
     return _outward(name, np.concatenate(rings), np.array(triangles))
 
 
-def _filleted(outline: np.ndarray) -> np.ndarray:
-    """Anticlockwise outline (k, 2) whose right angles are arcs of 3 mm radius."""
-    radius, turn = 0.003, np.linspace(0.0, 0.5 * np.pi, 7)[:, None]
+def _filleted(outline: np.ndarray, radius: float) -> np.ndarray:
+    """Anticlockwise outline (k, 2) whose corners are arcs."""
     ahead = np.roll(outline, -1, axis=0) - outline
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    back = -np.roll(ahead, 1, axis=0)
-    return np.concatenate(
-        [
-            p + radius * (a + b - np.cos(turn) * a - np.sin(turn) * b)
-            for p, a, b in zip(outline, ahead, back, strict=True)
-        ]
-    )
+    arcs = []
+    for p, a, b in zip(outline, ahead, -np.roll(ahead, 1, axis=0), strict=True):
+        turn = np.pi - np.arccos(a @ b)
+        half, share = 0.5 * turn, np.linspace(0.0, 1.0, 7)[:, None]
+        center = p + radius / np.cos(half) * (a + b) / np.linalg.norm(a + b)
+        begin, end = (p + radius * np.tan(half) * side - center for side in (b, a))
+        spread = np.sin((1.0 - share) * turn) * begin + np.sin(share * turn) * end
+        arcs.append(center + spread / np.sin(turn))
+    return np.concatenate(arcs)
 
 
 def _inset(outline: np.ndarray, by: float) -> np.ndarray:
