@@ -14,6 +14,7 @@ from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.inflation import Inflation
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.inflated_sensor import InflatedSensor
@@ -40,7 +41,9 @@ class InflatedRubber:
         G at rest.
     mu_h_n_per_m : float
     tension_n_per_m : float
-        γ0: mean tension at rest.
+        γ0: the one tension that balances the gauge pressure over the surface at rest, as
+        identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
+        where shape and pressure do not tell it.
     shape : callable
         Membrane under a gauge pressure in Pa.
     sheet : MembraneMesh
@@ -98,7 +101,7 @@ class InflatedRubber:
 
     @property
     def prestretch(self) -> float:
-        """λ of the mean tension, μh = γ0 / (1 − λ⁻⁶)."""
+        """λ of γ0, μh = γ0 / (1 − λ⁻⁶)."""
         return float((1.0 - self.tension_n_per_m / self.mu_h_n_per_m) ** (-1.0 / 6.0))
 
     @classmethod
@@ -109,7 +112,9 @@ class InflatedRubber:
         axial = AxialRubber(rim_radius_m, mu_h_n_per_m, prestretch, gauge_pressure_pa)
         rest = axial.rest
         ring = rest.r_m * np.gradient(rest.s_m) * rest.stretches[:, 0]
-        tension = float(rest.tensions_n_per_m.mean(axis=1) @ ring / ring.sum())
+        along, around = rest.tensions_n_per_m.T
+        # κ1 + κ2 over G: along T1 κ1 + T2 κ2 = G, and 2 T1 κ2 = G holds the cap inside each circle.
+        tension = float(ring.sum() / (ring @ ((3.0 - around / along) / (2.0 * along))))
         rim = rim_radius_m, rim_radius_m
         flat = swept_mesh(replace(rest, r_m=rest.s_m, z_m=np.zeros_like(rest.s_m)), _NODES)
         made = gauge_pressure_pa, mu_h_n_per_m, tension, partial(_swept, axial), flat, prestretch
@@ -155,8 +160,7 @@ class InflatedRubber:
     ) -> InflatedRubber:
         rubber = RubberMembrane(mesh, 0.0, prestretch**2 * inverse_metric(mesh), mu_h_n_per_m)
         rest = _inflated(rubber, None, gauge_pressure_pa)
-        half_trace = 0.5 * np.trace(rubber.stress(rest.nodes), axis1=1, axis2=2)
-        tension = float(half_trace @ rest.facet_areas / rest.facet_areas.sum())
+        tension = balance_tension(rest, gauge_pressure_pa)
         shape = partial(_inflated, rubber, rest.nodes)
         made = gauge_pressure_pa, mu_h_n_per_m, tension, shape, mesh, prestretch
         return cls(name, rim, *made)

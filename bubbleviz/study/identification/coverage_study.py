@@ -31,7 +31,7 @@ RUBBERS: dict[str, Callable[[], InflatedRubber]] = {
     "round dome": lambda: InflatedRubber.moulded_dome(_ROUND_M, 0.020, 150.0, 1.1, GAUGE_PA),
     "oval dome": lambda: InflatedRubber.moulded_dome(_OVAL_M, 0.020, 150.0, 1.1, GAUGE_PA),
 }
-"""Sheets that were flat, and domes moulded as such; λ of 1.11 to 1.24 at the mean tension."""
+"""Sheets that were flat, and domes moulded as such; λ of 1.11 to 1.24 at γ0."""
 
 QUANTITIES = ("tension_n_per_m", "prestretch", "gauge_pressure_pa")
 """γ0, λ and G."""
