@@ -53,7 +53,7 @@ def sheet_excess(mesh: MembraneMesh) -> float:
         missing = height / float(x[:, 2].max())
         if abs(missing - 1.0) < _NEAR:
             break
-        pressure *= float(np.clip(missing, 0.6, 1.5))
+        pressure *= float(np.clip(missing, 0.6, 4.0))
     bulged = replace(flat, nodes=x)
     half_trace = 0.5 * np.trace(rubber.stress(x), axis1=1, axis2=2)
     mean = float(half_trace @ bulged.facet_areas / bulged.facet_areas.sum())
