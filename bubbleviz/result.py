@@ -169,8 +169,8 @@ class Traction:
     center_m : (3,) array
         Centre of the contact's normal force, m; NaN without contact.
     wrench_covariance : (6, 6) array
-        Of the force, N, and the torque about `center_m`, N·m, by noise and material; NaN where
-        nothing is known of friction.
+        Of the force, N, and the torque about `center_m`, N·m, by noise, material and mesh; NaN
+        where nothing is known of friction.
     displacement_sigma_m : float
         Root mean square over the contact of the standard deviation of a node's displacement by
         noise, in each direction, m.

@@ -38,6 +38,9 @@ def test_of_an_object_that_is_dragged_and_twisted(
     assert np.linalg.norm(force - true) < 0.03 * size
     cosine = force @ true / (np.linalg.norm(force) * size)
     assert np.degrees(np.arccos(min(1.0, cosine))) < 3.0
+    along = force / np.linalg.norm(force)
+    sigma = np.sqrt(along @ traction.wrench_covariance[:3, :3] @ along)
+    assert abs(along @ (force - true)) < 2.0 * sigma < 0.06 * size
     if twist:
         about = truth.center_m
         torque = traction.torque_about(about)[2]
