@@ -134,6 +134,7 @@ class MainWindow(QMainWindow):
         self.busy = BusyBar(self)
         self.hint = HintBar(self)
         self.view = View(self, quality)
+        state.thinned = quality.thinned
         self.scene = Scene(self.view, state.units, state.choices)
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)

@@ -100,3 +100,32 @@ def share_of_shades(picture: np.ndarray, line: str, ground: str) -> float:
     """Pixels that are neither line nor ground, over those that are not ground."""
     on, off = ((picture == rgb(colour)).all(axis=2) for colour in (line, ground))
     return float((~on & ~off).sum() / (~off).sum())
+
+
+def test_the_membrane_is_lit_as_by_vtk(drive: Drive) -> None:
+    driver = drive()
+    driver.state.choose(layers=frozenset({"membrane"}))
+    driver.settle()
+    ours = driver.window.view.pixels().astype(int)
+    assert np.ptp(ours[ours.shape[0] // 2], axis=0).max() > 30  # there is light and shade
+    actor = driver.window.scene.layers["membrane"].actor
+    actor.GetShaderProperty().ClearAllFragmentShaderReplacements()
+    driver.window.view.refresh()
+    driver.settle()
+    assert np.abs(driver.window.view.pixels().astype(int) - ours).max() <= 1
+
+
+@pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)
+def test_playing_shows_fewer_points_where_the_processor_draws(
+    drive: Drive, quality: RenderQuality
+) -> None:
+    driver = drive(quality=quality)
+    driver.state.choose(layers=frozenset({"cloud"}), cloud_colour="plain", cloud_points=200)
+    driver.settle()
+    still = len(driver.window.controller.result.cloud_m)
+    driver.state.set_playing(True)
+    driver.wait(lambda: driver.state.shown > 3)
+    moving = len(driver.window.controller.result.cloud_m)
+    assert moving <= 50 < still if quality is FAST else moving == still
+    driver.state.set_playing(False)
+    driver.wait(lambda: len(driver.window.controller.result.cloud_m) == still)

@@ -177,13 +177,15 @@ class Controller(QObject):
             self._ask_frame()
 
     def _on_playing(self, playing: bool) -> None:
-        if not playing and self.client.demand.looks and self.settled:  # some were left out
+        left_out = bool(self.client.demand.looks) or self.client.shown_thinned
+        if not playing and left_out and self.settled:
             self._ask_frame()  # else they come with what is settled, and the pose is found once
         self._wait_to_settle()
         self._ask_newest()
 
     def _on_frozen(self, frozen: bool) -> None:
-        if frozen and self.client.look_is_old and self.settled:
+        left_out = self.client.look_is_old or self.client.shown_thinned
+        if frozen and left_out and self.settled:
             self._ask_frame()
         self._wait_to_settle()
         self._ask_newest()

@@ -89,7 +89,7 @@ class SensorClient(QObject):
         self._looked_s = 0.0
         self._looked_at: Frame | None = None
         self._settled: Frame | None = None
-        self._shown_products: frozenset[Product] = frozenset()
+        self._shown_as = self.demand
         self._delay = RequestDelay()
         worker.answered.connect(self._on_answer)
 
@@ -105,6 +105,11 @@ class SensorClient(QObject):
         return bool(self.demand.looks) and self._looked_at is not shown
 
     @property
+    def shown_thinned(self) -> bool:
+        """Whether what is shown has fewer points than were asked for, as one frame of many."""
+        return self._shown_as.options.cloud_points != self.demand.options.cloud_points
+
+    @property
     def settled(self) -> bool:
         """Whether what is shown is the same whatever was looked at before it."""
         result = self.result
@@ -113,7 +118,7 @@ class SensorClient(QObject):
     def ask_settled(self) -> None:
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
-            products = self._shown_products - {"pose"}
+            products = self._shown_as.products - {"pose"}
             demand = replace(self._due(self.demand), products=products)
             self.worker.ask(SettleRequest(self.session, demand, self.result.frame.index))
 
@@ -149,11 +154,12 @@ class SensorClient(QObject):
         self.worker.close()
 
     def _due(self, demand: Demand) -> Demand:
-        """What to ask for now: while playing no closer look at every frame."""
+        """What to ask for now: while playing fewer points, and no closer look at every frame."""
         now = time.perf_counter()
-        going_on = self._state.playing and not self._state.frozen
-        if going_on and now - self._looked_s < LOOK_EVERY_S:
-            return replace(demand, looks=frozenset())
+        if self._state.playing and not self._state.frozen:
+            demand = demand.thinned(self._state.thinned)
+            if now - self._looked_s < LOOK_EVERY_S:
+                return replace(demand, looks=frozenset())
         self._looked_s = now
         return demand
 
@@ -181,7 +187,7 @@ class SensorClient(QObject):
         self.history = History(answer.facts.frames)
         self._awaiting = False
         self.result, self.inspection = answer.result, answer.inspection
-        self._shown_products = answer.request.demand.products
+        self._shown_as = answer.request.demand
         self._looked_at = answer.result.frame
         same_patch = self.demand.rule == self._state.choices.rule
         self.history.take(answer.frame, answer.numbers, patch=same_patch)
@@ -205,7 +211,7 @@ class SensorClient(QObject):
             self._take_settled(answer)
         elif not (newest and self._state.frozen):
             self.result, self._settled = answer.result, None
-            self._shown_products = request.demand.products
+            self._shown_as = request.demand
             if request.demand.looks or not self.demand.looks:  # else it was left out
                 self.inspection, self._looked_at = answer.inspection, frame
 
@@ -215,10 +221,12 @@ class SensorClient(QObject):
             return  # another frame is looked at by now
         asked = answer.request.demand
         if not (
-            self._shown_products <= asked.products | {"pose"} and self.demand.looks <= asked.looks
+            self._shown_as.products <= asked.products | {"pose"}
+            and self.demand.looks <= asked.looks
         ):
             return  # more is looked at by now
         self.result = replace(new, frame=shown.frame, pose=shown.pose)
+        self._shown_as = replace(self._shown_as, options=asked.options)
         self.inspection = answer.inspection
         self._settled = self._looked_at = shown.frame
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -85,6 +85,13 @@ class Demand:
     def of_colour(self) -> bool:
         """Whether colour images are needed for it."""
         return bool(self.products & OF_COLOUR) or "colour" in self.looks
+
+    def thinned(self, times: int) -> Demand:
+        """The same with fewer points of the cloud, unless all of them are asked for."""
+        most = self.options.cloud_points
+        if most is None or times == 1:
+            return self
+        return replace(self, options=replace(self.options, cloud_points=most // times))
 
     def covers(self, other: Demand) -> bool:
         """Whether all that another asks for is asked for here."""

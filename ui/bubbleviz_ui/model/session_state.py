@@ -55,6 +55,8 @@ class SessionState(QObject):
         Marked frames, in order.
     history : History
         What was computed so far.
+    thinned : int
+        One in so many points of the cloud is shown while frames follow each other.
     units : Units
     """
 
@@ -75,6 +77,7 @@ class SessionState(QObject):
         self.frame = self.shown = 0
         self.playing = False
         self.frozen = False
+        self.thinned = 1
         self.link: Link = "disconnected"
         self.now = 0
         self.play_range: tuple[int, int] | None = None

@@ -71,7 +71,10 @@ class LayersPanel(QWidget):
         form.addRow("Maximum residual ±", self.residual_max)
         fill(QVBoxLayout(self), *self.boxes.values(), line, form, margins=(6, 10, 2, 10), spacing=5)
         self.cloud_colour.setToolTip("Residual: measured minus modelled range; patch: in it or not")
-        self.cloud_points.setToolTip("Beyond that every n-th point is drawn; all are solved with")
+        self.cloud_points.setToolTip(
+            "Beyond that every n-th point is drawn; all are solved with. Without a GPU a quarter "
+            "of them is drawn while frames follow each other"
+        )
         self.opacity.setToolTip("Opacity of the membrane, 10 … 100 %")
         self.pressure_max.setToolTip("Pressure that has the last colour; lowest value: automatic")
         self.residual_max.setToolTip(

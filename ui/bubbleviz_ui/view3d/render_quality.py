@@ -37,6 +37,8 @@ class RenderQuality:
         Samples a pixel, for smooth edges; 0 for none.
     round_points : bool
         Points are shaded balls instead of flat squares.
+    thinned : int
+        One in so many points of the cloud is drawn while frames follow each other.
     own_swap : bool
         The view puts its pictures on the screen itself, see `direct_swap`; else Qt does.
     renderer : str
@@ -46,6 +48,7 @@ class RenderQuality:
     name: str
     samples: int
     round_points: bool
+    thinned: int
     own_swap: bool
     renderer: str = ""
 
@@ -62,8 +65,8 @@ class RenderQuality:
         return f"{self.name}, by {self.renderer}" if self.renderer else self.name
 
 
-FAST = RenderQuality("fast", samples=0, round_points=False, own_swap=True)
-SMOOTH = RenderQuality("smooth", samples=SAMPLES, round_points=True, own_swap=False)
+FAST = RenderQuality("fast", samples=0, round_points=False, thinned=4, own_swap=True)
+SMOOTH = RenderQuality("smooth", samples=SAMPLES, round_points=True, thinned=1, own_swap=False)
 
 
 def quality_for(renderer: str, wanted: str = "") -> RenderQuality:

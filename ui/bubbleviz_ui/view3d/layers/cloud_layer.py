@@ -18,6 +18,8 @@ CHUNK = 1024
 
 DOT, BALL = 2, 3
 """Size of a point that is flat, and of one that is shaded, px."""
+SPARSE = 0.5
+"""With fewer than this share of the points that may be drawn, flat ones are a pixel larger."""
 
 
 class CloudLayer(Layer):
@@ -63,6 +65,9 @@ class CloudLayer(Layer):
         points = result.cloud_m[::step]
         self._reserve(len(points))
         _fill(self._poly.points, points)
+        if not self.canvas.view.quality.round_points:
+            sparse = len(points) < SPARSE * (picture.choices.cloud_points or 0)
+            self.actor.prop.point_size = DOT + 1 if sparse else DOT
         by_residual = picture.choices.cloud_colour == "residual"
         if by_residual and result.cloud_residual_m is not None:
             self._colour_by_residual(result.cloud_residual_m[::step], picture.ranges.residual_m)
