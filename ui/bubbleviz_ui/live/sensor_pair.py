@@ -165,15 +165,21 @@ class SensorPair(QObject):
         elif isinstance(answer, Waited) and self._playing:
             self._follow()
         elif isinstance(answer, Solved):
+            if self._playing:  # at once, as the chosen one does: neither waits for the other
+                self._follow()
             self._show()
+
+    @property
+    def _alone(self) -> bool:
+        """Whether no picture of the chosen sensor is about to come."""
+        return not self._playing or time.perf_counter() - self._shown_s > ALONE_S
 
     def look(self) -> None:
         """Let the other sensor go on alone while the chosen one sends nothing."""
-        if self._playing and time.perf_counter() - self._shown_s > ALONE_S:
+        if self._playing and self._alone:
             self._follow()
 
     def _on_shown(self) -> None:
-        """Let both go on at once: neither takes the other's time."""
         self._shown_s = time.perf_counter()
         if self.drawing is not None and not self.drawing.visible:
             self._show()
@@ -238,5 +244,5 @@ class SensorPair(QObject):
         if self.drawing is None or result is None or self._controller.result is None:
             return
         self.drawing.show(result, self._state.choices)
-        if time.perf_counter() - self._shown_s > ALONE_S:
+        if self._alone:
             self._view.refresh()
