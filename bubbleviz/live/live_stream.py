@@ -139,10 +139,10 @@ class LiveStream:
         return self._outages
 
     def counters(self) -> Counters:
-        """The counts so far."""
-        with self._lock:
-            counts = replace(self._assembler.counters)
-        return replace(counts, skipped=self._mailbox.skipped, missed=self.source.missed())
+        """The counts so far; the window asks for them and waits for no image to be decoded."""
+        return replace(
+            self._assembler.counters, skipped=self._mailbox.skipped, missed=self.source.missed()
+        )
 
     def check_size(self, images: str, sensor_name: str) -> None:
         """Refuse a source with nothing but images of another size than the sensor's camera has.
@@ -168,9 +168,8 @@ class LiveStream:
 
     def _size_refused(self) -> str:
         """What to say of images that are of another size since the last frame; empty for none."""
-        with self._lock:
-            size, own = self._assembler.other_size, self._assembler.size
-            wrong = self._assembler.counters.wrong_size - self._wrong_before
+        size, own = self._assembler.other_size, self._assembler.size
+        wrong = self._assembler.counters.wrong_size - self._wrong_before
         if wrong < SEVERAL or size is None or own is None:
             return ""
         return (
