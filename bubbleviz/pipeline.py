@@ -350,7 +350,7 @@ class Pipeline:
         """Measured minus modelled range of the cloud's pixels, m."""
         pixels = _made(result.cloud_pixels)
         modelled = self.model.view.ranges(_made(result.estimate).motion_m, pixels)
-        measured = self.model.range_image(result.frame.depth_m).ravel()[pixels]
+        measured = self.model.ranges(result.frame.depth_m, pixels)
         return replace(result, cloud_residual_m=measured - modelled)
 
     def _texture_stage(self, result: Result, options: FrameOptions) -> Result:

@@ -122,3 +122,8 @@ class SensorModel:
         """Range (H, W) of a z-depth image, m: calibrated, NaN in pixels not to be used."""
         ranges = self.camera.range_image(depth_m)
         return ranges if self.pixels is None else self.pixels.corrected(ranges)
+
+    def ranges(self, depth_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """The same of some pixels, by their flat indices, (k,)."""
+        ranges = depth_m.ravel()[pixels] * self.camera.range_per_depth.ravel()[pixels]
+        return ranges if self.pixels is None else self.pixels.of(pixels).corrected(ranges)

@@ -101,6 +101,12 @@ class PixelModel:
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
         return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated, line)
 
+    def of(self, pixels: np.ndarray) -> PixelModel:
+        """What is known of some pixels, by their flat indices; arrays (k,)."""
+        mask, bias, noise = (x.ravel()[pixels] for x in (self.mask, self.bias_m, self.noise_m))
+        line = None if self.line is None else self.line.at(pixels)
+        return PixelModel(mask, bias, noise, self.correlated_pixels, line)
+
     def corrected(self, range_m: np.ndarray) -> np.ndarray:
         """Measured range (H, W) straightened and less the bias, m; NaN in pixels not to be used."""
         straight = range_m if self.line is None else self.line.straighten(range_m)
