@@ -141,7 +141,7 @@ def thin_bar() -> RigidObject:
 def ell() -> RigidObject:
     """L of two arms 26 mm × 12 mm, edge rounded by 2 mm, 30 mm tall; not shipped."""
     outline = np.array([[-6, -6], [20, -6], [20, 6], [6, 6], [6, 20], [-6, 20]])
-    return _rounded("ell", _filleted(1e-3 * outline, 0.003), 0.002)
+    return _rounded("ell", _filleted(1e-3 * outline, 0.005), 0.002)
 
 
 def rounded_cross() -> RigidObject:
