@@ -155,7 +155,14 @@ def _free_part(
     start = [contact_radius, tip + sag, -slope, 0.0]
     longest = 6.0 * (bubble.rim_radius_m + bubble.height_m)
     result = solve_ivp(
-        along, (0.0, longest), start, events=at_rim_plane, rtol=1e-10, atol=1e-13, dense_output=True
+        along,
+        (0.0, longest),
+        start,
+        "DOP853",
+        events=at_rim_plane,
+        rtol=1e-10,
+        atol=1e-13,
+        dense_output=True,
     )
     # V = ∫ π r² (−dz) of the free part, less the dent between tip and contact circle.
     dense: Any = result.sol
