@@ -31,8 +31,8 @@ _INSIDE = 4
 and 16 that with the steadiest edge in the hold of the real press."""
 _INWARD = 1.75
 """Way inside from the edge, in ℓ, on which a blurred step has all but risen; at least one mesh
-edge. Chosen on presses into three membranes: 2 takes more from contacts on a dome that are too
-small already."""
+edge. Chosen on presses of four objects into three membranes: 2 takes more from contacts on a dome
+that are too small already. On six others (`presses.EDGE_OBJECTS`) 1.5 is as good and 2 worse."""
 _ROUND = 0.16
 """How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
 edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the

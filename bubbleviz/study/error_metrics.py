@@ -10,8 +10,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import Region, contour_points
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.simulation.touching_share import touching_share
@@ -81,8 +81,8 @@ class Judge:
         """IoU of the true edge drawn by its signed distance from the estimator's nodes."""
         own, mesh, truth = self._view.mesh, sighting.mesh, sighting.truth
         share = touching_share(mesh, truth.contact_pressure_pa) - 0.5
-        edge = contour_points(Region.of(mesh, np.ones(len(share), bool)), share)
-        away = cKDTree(edge).query(own.nodes)[0]
+        edge = level_line(mesh.nodes, mesh.corners, share)
+        away = cKDTree(np.concatenate([edge[:, 0], edge.mean(axis=1)])).query(own.nodes)[0]
         level = np.where(at_nodes(own, mesh, share) > 0.0, away, -away)
         drawn = self._view.above(at_nodes(own, mesh, truth.displacement_3d_m), level, 0.0)
         return iou(drawn[::stride, ::stride], truth.patch_mask[::stride, ::stride])

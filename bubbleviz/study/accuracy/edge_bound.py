@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
+from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.mesh_region import Region, contour_points
 from bubbleviz.simulation.touching_share import touching_share
 from bubbleviz.study.error_metrics import at_nodes
 from bubbleviz.study.truth_bank import Sighting
@@ -114,9 +114,8 @@ def _ranges(
 
 def _edge(mesh: MembraneMesh, share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middles (s, 3) of the pieces of the edge, their normals in the membrane and lengths."""
-    points = contour_points(Region.of(mesh, np.ones(len(mesh.nodes), bool)), share - 0.5 + 1e-9)
-    begin, middle = np.split(points, 2)
-    along = 2.0 * (middle - begin)
+    pieces = level_line(mesh.nodes, mesh.corners, share - 0.5)
+    middle, along = pieces.mean(axis=1), pieces[:, 1] - pieces[:, 0]
     normal = np.cross(along, mesh.normals[cKDTree(mesh.nodes).query(middle)[1]])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     return middle, normal, np.linalg.norm(along, axis=1)
