@@ -29,7 +29,10 @@ os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder ther
 
 REPOSITORY = Path(__file__).parents[1]
 LONG = ("study", "calibration", "ui/bench", "ui/calibration", "ui/live", "batch", "live")
-"""Rooms whose files take longest: they begin first, so that no process ends on one of them."""
+"""Rooms whose files take longest: they begin first, so that no process ends on one of them.
+
+After them come the other windows, and last the rooms without.
+"""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -43,7 +46,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _turn(item: pytest.Item) -> int:
     room = item.path.parent.relative_to(REPOSITORY / "tests").as_posix()
-    return LONG.index(room) if room in LONG else len(LONG)
+    if room in LONG:
+        return LONG.index(room)
+    return len(LONG) + (room.split("/")[0] != "ui")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -43,7 +43,8 @@ def sheet_excess(mesh: MembraneMesh) -> float:
     inflation = Inflation(rubber, np.zeros_like(flat.nodes))
     height = float(mesh.nodes[:, 2].max())
     x, held = flat.nodes, 0.0
-    pressure = 0.5 * mean_curvature(mesh) * rubber.mean_tension
+    stretch = _PRESTRETCH * float(np.sqrt(mesh.facet_areas.sum() / flat.facet_areas.sum()))
+    pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # as if all were stretched alike
     for _ in range(_ROUNDS):
         try:
             x, held = inflation.at(pressure, x), pressure
@@ -53,7 +54,7 @@ def sheet_excess(mesh: MembraneMesh) -> float:
         missing = height / float(x[:, 2].max())
         if abs(missing - 1.0) < _NEAR:
             break
-        pressure *= float(np.clip(missing, 0.6, 4.0))
+        pressure *= float(np.clip(missing, 0.6, 1.5))
     bulged = replace(flat, nodes=x)
     half_trace = 0.5 * np.trace(rubber.stress(x), axis1=1, axis2=2)
     mean = float(half_trace @ bulged.facet_areas / bulged.facet_areas.sum())
