@@ -68,8 +68,6 @@ class SolvedTraction:
     unknowns : Unknowns
     motion : (n, 3) array
         To first order, m.
-    shear_weight : float
-        Λ over λ.
     factor : tuple
         Cholesky factor of the Hessian of the columns `active`.
     active : (c,) int array
@@ -85,7 +83,6 @@ class SolvedTraction:
 
     unknowns: Unknowns
     motion: np.ndarray
-    shear_weight: float
     factor: tuple[np.ndarray, bool]
     active: np.ndarray
     columns: np.ndarray
@@ -170,7 +167,6 @@ class TractionProblem:
         return SolvedTraction(
             Unknowns(x[:s], x[s : 3 * s], gas),
             motion,
-            weight,
             factor,
             active,
             self._columns,
