@@ -13,7 +13,7 @@ from bubbleviz.files.tables import table, write_csv, write_json
 from bubbleviz.study.report_files import Target, at_least, at_most, target_table
 from bubbleviz.study.shear.flow_presets import PresetScore
 from bubbleviz.study.shear.shear_study import ShearTrial
-from bubbleviz.study.shear.slip_study import SlipTrial
+from bubbleviz.study.shear.slip_study import EXACT, SlipTrial
 
 FILES = ("shear.csv", "slip.csv", "flow_presets.csv", "shear.json")
 TARGET_NOISE_PX = 0.03
@@ -48,7 +48,8 @@ def targets(study: ShearStudy) -> list[Target]:
     sticking = [t.slip > 0.0 for t in some if np.isfinite(t.slip) and np.isnan(t.friction)]
     alarms = sum(sticking) + sum(t.alarms for t in study.slips)
     judged = len(sticking) + sum(t.judged for t in study.slips)
-    latest = max((np.nan_to_num(t.found_in, nan=np.inf) for t in study.slips), default=np.nan)
+    found_in = [t.found_in for t in study.slips if t.flow == EXACT]
+    latest = max(np.nan_to_num(found_in, nan=np.inf), default=np.nan)
     return [
         at_least("share of frames solved", len(solved) / max(1, len(some)), 1.0),
         at_most("force error, %", 100.0 * _worst(t.force_error for t in solved), 3.0),

@@ -29,6 +29,8 @@ _STEP_M, _SLIP_M = 1e-4, 2.5e-4
 _RING = 0.55
 """Of the contact's radius, from which on it slips."""
 _FLOW_PX = 0.03
+EXACT = f"{_FLOW_PX:g} px"
+"""`SlipTrial.flow` of exact flow with noise."""
 _PRESETS: tuple[FlowPreset, ...] = ("fast", "balanced")
 _AT_REST = 8
 """Images without contact that a preset learns from."""
@@ -80,7 +82,7 @@ def run_slip(grid: ShearGrid, done: Callable[[int], None]) -> list[SlipTrial]:
                 for k, truth in enumerate(truths)
             ]
             depths, flows = [each.depth_m for each in seen], [each.flow for each in seen]
-            trials.append(_trial(model, radius_m, f"{_FLOW_PX:g} px", depths, flows))
+            trials.append(_trial(model, radius_m, EXACT, depths, flows))
         printed = PrintedMembrane(
             Speckle(seed=grid.seed), MembraneView(model.camera, truths[0].mesh)
         )
