@@ -95,15 +95,30 @@ def bench_monkey(
 @click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
 @click.option("--window", is_flag=True, help="With the window open, on a screen nobody sees.")
+@click.option(
+    "--size",
+    nargs=2,
+    type=click.IntRange(16, 4096),
+    metavar="WIDTH HEIGHT",
+    help="Of the images in the window, pixels; by default the sensor's.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def bench_live(
-    minutes: float, rate: float, sensor: str, out: Path | None, window: bool, as_json: bool
+    minutes: float,
+    rate: float,
+    sensor: str,
+    out: Path | None,
+    window: bool,
+    size: tuple[int, int] | None,
+    as_json: bool,
 ) -> int:
     """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
+    if size is not None and not window:
+        raise click.UsageError("--size goes with --window")
     if window:
         from bubbleviz_ui.bench.window_soak import window_soak
 
-        whole = window_soak(sensor, 60.0 * minutes, rate, out)
+        whole = window_soak(sensor, 60.0 * minutes, rate, out, size)
         click.echo(whole.to_json() if as_json else whole.to_text())
         return whole.soak.exit_code
     from bubbleviz_ui.bench.live_soak import soak

@@ -17,11 +17,12 @@ from statistics import quantiles
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
-from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.bench.live_soak import (
     free_port,
     gaps_in,
     resident_bytes,
+    resized_file,
     sequences,
     start_publisher,
 )
@@ -148,27 +149,11 @@ def _published(
     publishers: list[subprocess.Popen[str]],
 ) -> SensorPlace:
     """Have a process stream a synthetic sensor of another image size; the place to see it from."""
-    sensor = folder / f"{place.name}.toml"
-    sensor.write_text(sensor_to_toml(resized(load_sensor(place.sensor), size)), encoding="utf-8")
+    sensor = resized_file(load_sensor(place.sensor), size, folder, place.name)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     source = f"{place.source}&rate={rate_hz:g}&encoding=16UC1&frames=90"
-    publishers.append(start_publisher(str(sensor), endpoint, source))
-    return place.model_copy(update={"sensor": str(sensor), "source": f"zenoh:{endpoint}"})
-
-
-def resized(sensor: Sensor, size: tuple[int, int]) -> Sensor:
-    """The same sensor and field of view with other pixels."""
-    camera = sensor.camera
-    x, y = size[0] / camera.width, size[1] / camera.height
-    update = {
-        "width": size[0],
-        "height": size[1],
-        "fx": x * camera.fx,
-        "fy": y * camera.fy,
-        "cx": x * (camera.cx + 0.5) - 0.5,
-        "cy": y * (camera.cy + 0.5) - 0.5,
-    }
-    return sensor.model_copy(update={"camera": camera.model_copy(update=update)})
+    publishers.append(start_publisher(sensor, endpoint, source))
+    return place.model_copy(update={"sensor": sensor, "source": f"zenoh:{endpoint}"})
 
 
 @dataclass(frozen=True)

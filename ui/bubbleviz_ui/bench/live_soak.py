@@ -28,7 +28,7 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 
 WARM_UP_S = 20.0
 """Until then memory may grow: one round of the press, every buffer filled once."""
@@ -143,6 +143,24 @@ def images_sent(publisher: subprocess.Popen[str]) -> int:
     publisher.terminate()
     sent = json.loads(publisher.communicate(timeout=30)[0])["sent"]
     return next(int(count) for topic, count in sent.items() if topic.endswith("image_raw"))
+
+
+def resized_file(sensor: Sensor, size: tuple[int, int], folder: Path, name: str = "sensor") -> str:
+    """File of the same sensor and field of view with other pixels: width and height."""
+    camera = sensor.camera
+    x, y = size[0] / camera.width, size[1] / camera.height
+    update = {
+        "width": size[0],
+        "height": size[1],
+        "fx": x * camera.fx,
+        "fy": y * camera.fy,
+        "cx": x * (camera.cx + 0.5) - 0.5,
+        "cy": y * (camera.cy + 0.5) - 0.5,
+    }
+    other = sensor.model_copy(update={"camera": camera.model_copy(update=update)})
+    path = folder / f"{name}.toml"
+    path.write_text(sensor_to_toml(other), encoding="utf-8")
+    return str(path)
 
 
 def free_port() -> int:

@@ -9,8 +9,10 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import quantiles
 
 from bubbleviz.errors import InputError
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.bench.live_soak import (
     Measured,
     SoakReport,
@@ -19,10 +21,11 @@ from bubbleviz_ui.bench.live_soak import (
     images_sent,
     report_of,
     resident_bytes,
+    resized_file,
     start_publisher,
 )
 from bubbleviz_ui.bench.live_window import live_window, run_of
-from bubbleviz_ui.bench.replay_rate import run_for
+from bubbleviz_ui.bench.replay_rate import beats, run_for
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.window_session import WindowSession
 
@@ -39,12 +42,16 @@ class WindowSoak:
         Its latency is from the stamp to the picture.
     pictures_hz : float
         Pictures VTK drew a second.
+    blocked_p99_ms, blocked_ms : float
+        Between two beats of the event loop: 99th percentile, and the longest.
     load_average, cores : float, int
         Of the machine over the last minute.
     """
 
     soak: SoakReport
     pictures_hz: float
+    blocked_p99_ms: float
+    blocked_ms: float
     load_average: float
     cores: int
 
@@ -56,31 +63,59 @@ class WindowSoak:
     def to_text(self) -> str:
         """A few lines for people, with units."""
         return (
-            f"{self.soak.to_text()}\nwindow    {self.pictures_hz:.1f} pictures/s; load "
+            f"{self.soak.to_text()}\nwindow    {self.pictures_hz:.1f} pictures/s; blocked "
+            f"{self.blocked_p99_ms:.0f} ms p99, {self.blocked_ms:.0f} ms at most; load "
             f"{self.load_average:.1f} on {self.cores} cores"
         )
 
 
 def window_soak(
-    sensor_name: str, seconds: float, rate_hz: float = 60.0, out: Path | None = None
+    sensor_name: str,
+    seconds: float,
+    rate_hz: float = 60.0,
+    out: Path | None = None,
+    size: tuple[int, int] | None = None,
 ) -> WindowSoak:
-    """Stream over Zenoh into the window for some time, recording everything."""
+    """Stream over Zenoh into the window for some time, recording everything.
+
+    Parameters
+    ----------
+    sensor_name : str
+    seconds, rate_hz : float
+    out : Path, optional
+        Where the recording stays.
+    size : (int, int), optional
+        Width and height of the images in place of the sensor's, pixels.
+    """
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"
+        if size is not None:
+            sensor_name = resized_file(load_sensor(sensor_name), size, Path(folder))
         endpoint = f"tcp/127.0.0.1:{free_port()}"
-        publisher = start_publisher(sensor_name, endpoint, f"synthetic:?rate={rate_hz:g}")
+        source = f"synthetic:?rate={rate_hz:g}&encoding=16UC1"
+        publisher = start_publisher(sensor_name, endpoint, source)
         try:
-            with live_window(single(f"zenoh:{endpoint}", sensor_name)) as session:
-                measured, pictures_hz = _soak(session, seconds, path, publisher)
+            with live_window(single(f"zenoh:{endpoint}", sensor_name)) as session, beats() as gaps:
+                measured, pictures_hz = _soak(session, seconds, path, publisher, gaps)
         finally:
             publisher.kill()
             publisher.communicate()
-        load, cores = os.getloadavg()[0], os.cpu_count() or 1
-        return WindowSoak(report_of(measured, path, seconds, rate_hz), pictures_hz, load, cores)
+        return WindowSoak(
+            report_of(measured, path, seconds, rate_hz),
+            pictures_hz,
+            quantiles(gaps, n=100)[-1],
+            max(gaps),
+            os.getloadavg()[0],
+            os.cpu_count() or 1,
+        )
 
 
 def _soak(
-    session: WindowSession, seconds: float, path: Path, publisher: subprocess.Popen[str]
+    session: WindowSession,
+    seconds: float,
+    path: Path,
+    publisher: subprocess.Popen[str],
+    gaps_ms: list[float],
 ) -> tuple[Measured, float]:
     live, run = session.window.live_controller, run_of(session)
     stream = run.frames[0].stream
@@ -91,6 +126,7 @@ def _soak(
     skipped, solved = stream.counters().skipped, len(run.frames[0])
     pictures, memory = session.window.view.render_count, list[tuple[float, int]]()
     began = time.monotonic()
+    gaps_ms.clear()  # of starting
     while (elapsed := time.monotonic() - began) < seconds:
         run_for(min(STEP_S, seconds - elapsed))
         memory.append((time.monotonic() - began, resident_bytes()))
