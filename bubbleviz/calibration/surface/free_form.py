@@ -7,9 +7,7 @@ The correction c is the P1 field that minimises
 
 with mass M and stiffness L of the mesh: bending at scales below ℓ, back to the cap (zero) where
 nothing is seen. λ is the one under which tiles of pixels left out are predicted best: smaller
-follows the camera's fixed pattern, which is no shape; larger misses the shape. The cast range is
-that of the cap's own curved surface moved by c, so that the nodes lie on the surface: flat facets
-fitted to it would stand out at their nodes and steepen beside the rim, where few pixels look.
+follows the camera's fixed pattern, which is no shape; larger misses the shape.
 """
 
 from __future__ import annotations
@@ -113,7 +111,6 @@ def fit_free_form(
     camera: DepthCamera,
     range_m: np.ndarray,
     use: np.ndarray,
-    bulge_m: np.ndarray,
     scale_m: float,
     tile_px: int,
     progress: Progress = quiet,
@@ -129,8 +126,6 @@ def fit_free_form(
         Mean contact-free range, m; NaN: no return.
     use : (H, W) bool array
         Pixels of the membrane that may take part.
-    bulge_m : (H, W) array
-        Range of the cap less that of the flat facets of `start`, m; NaN where either lacks.
     scale_m : float
         Length ℓ beyond which a correction is the cap's business, m.
     tile_px : int
@@ -139,8 +134,7 @@ def fit_free_form(
     """
     arms = start.nodes / np.linalg.norm(start.nodes, axis=1, keepdims=True)
     caster = RayCaster(camera.center, camera.directions, start.triangles)
-    to_facets = range_m - bulge_m
-    pixels = np.flatnonzero((use & np.isfinite(to_facets)).ravel())
+    pixels = np.flatnonzero((use & np.isfinite(range_m)).ravel())
     prior = _prior(start, scale_m)
     fold = fold_of(pixels, use.shape[1], tile_px)
     correction = np.zeros(len(start.nodes))
@@ -151,7 +145,7 @@ def fit_free_form(
         hits = caster.cast(nodes, arms, pixels)
         hit = np.searchsorted(pixels, hits.ray)
         D = range_jacobian(hits, start.triangles, len(nodes))
-        target = to_facets.ravel()[hits.ray] - hits.range_m + D @ correction
+        target = range_m.ravel()[hits.ray] - hits.range_m + D @ correction
         residual = target - D @ correction
         about = residual - np.median(residual)
         sigma = robust_sigma(residual)

@@ -37,7 +37,6 @@ from bubbleviz.calibration.surface.segmentation import away_from_edges, membrane
 from bubbleviz.calibration.tension.bootstrap import tile_numbers, tile_side
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.observer import facet_error
-from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -136,7 +135,6 @@ def fit_surfaces(
         camera,
         statistics.range_m,
         usable,
-        _bulge(start, camera, fits.cap.ellipsoid),
         scale_m=_SCALE * float(np.abs(start.nodes[start.rim, :2]).max(axis=0).min()),
         tile_px=side,
         progress=progress,
@@ -226,19 +224,6 @@ def _centred(fits: Fits, camera: DepthCamera, on: Ellipsoid) -> tuple[Fits, Dept
         fits, sphere=moved(fits.sphere), cap=moved(fits.cap), ellipsoid=moved(fits.ellipsoid)
     )
     return fits, DepthCamera(camera.intrinsics, T_B_C)
-
-
-def _bulge(mesh: MembraneMesh, camera: DepthCamera, cap: Ellipsoid) -> np.ndarray:
-    """Range of a cap less that of its mesh's flat facets, (H, W), m; NaN where rays miss."""
-    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
-        mesh.nodes, mesh.normals
-    )
-    ways = camera.directions[hits.ray]
-    points = camera.center + hits.range_m[:, None] * ways
-    facing = np.einsum("ij,ij->i", cap.normals(points), ways)
-    bulge = np.full(len(camera.directions), np.nan)
-    bulge[hits.ray] = -cap.distance(points) / facing
-    return bulge.reshape(camera.intrinsics.height, camera.intrinsics.width)
 
 
 def _left_out_squares(

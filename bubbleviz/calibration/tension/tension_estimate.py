@@ -88,8 +88,8 @@ class TensionEstimate:
         Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
         pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
         zero), `facets` (of the mesh that γ0 is used on), `surface` (shape that was not seen or is
-        finer than the fit, all of what the free form moves γ0 by against a cap, and all of what a
-        cap fitted to the upper half moves it by), `statics`
+        finer than the fit, all of what the free form moves γ0 by against a cap, and where a cap was
+        chosen all of what one fitted to the upper half moves it by), `statics`
         (what shape and pressure leave open of the mean tension: anything between that of a film
         and that of a sheet that was flat) and, where that has an interval, `gauge_pressure`.
     by_surface : dict of str to float
@@ -162,7 +162,9 @@ def estimate_tension(
     other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     moved = by_surface["free-form"] - by_surface[other]
     unseen = _shape_error(samples, surfaces, gauge_pressure_pa)
-    half = _upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other]
+    half = 0.0
+    if surfaces.chosen != "free-form":
+        half = _upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other]
     shape = float(np.linalg.norm([unseen, moved, half]))
     parts = {
         "pixels": draws.tiles[:, 0],
