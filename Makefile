@@ -18,7 +18,7 @@ test test-all: setup
 	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 test-all pages: export TEST_ALL = 1
-# as bytecode, what the processes of tests import; read again by each of them
+# Even where the environment forbids it: else every process of a test compiles what it imports
 test test-all pages: export PYTHONDONTWRITEBYTECODE =
 
 lint: setup

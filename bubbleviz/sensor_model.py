@@ -126,4 +126,4 @@ class SensorModel:
     def ranges(self, depth_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         """The same of some pixels, by their flat indices, (k,)."""
         ranges = depth_m.ravel()[pixels] * self.camera.range_per_depth.ravel()[pixels]
-        return ranges if self.pixels is None else self.pixels.of(pixels).corrected(ranges)
+        return ranges if self.pixels is None else self.pixels.at(pixels).corrected(ranges)

@@ -22,7 +22,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # `nohup` and `make te
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line sets it
 os.environ["MPLBACKEND"] = "agg"  # a figure's window would be left to tests of windows
 _SETTINGS = TemporaryDirectory(prefix="bubbleviz-tests-")
-# lists of fonts, compiled shaders: they take seconds in every process that makes them anew
+# the user's lists of fonts and compiled shaders, which take seconds to make
 os.environ.setdefault("XDG_CACHE_HOME", str(Path.home() / ".cache"))
 os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
 os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder there

@@ -101,7 +101,7 @@ class PixelModel:
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
         return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated, line)
 
-    def of(self, pixels: np.ndarray) -> PixelModel:
+    def at(self, pixels: np.ndarray) -> PixelModel:
         """What is known of some pixels, by their flat indices; arrays (k,)."""
         mask, bias, noise = (x.ravel()[pixels] for x in (self.mask, self.bias_m, self.noise_m))
         line = None if self.line is None else self.line.at(pixels)

@@ -25,7 +25,7 @@ def normalised(grey: np.ndarray) -> np.ndarray:
     mean = cv2.blur(image, side)
     contrast = cv2.sqrBoxFilter(image, -1, side)
     image = image - mean
-    mean *= mean  # in place from here on: to ask for memory takes as long as to compute
+    mean *= mean  # in place from here on: allocating takes as long as computing
     contrast -= mean
     np.maximum(contrast, 0.0, out=contrast)
     contrast += np.float32(_LEAST_CONTRAST**2)

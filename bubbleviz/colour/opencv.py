@@ -23,7 +23,7 @@ def opencv() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV on the calling thread alone, so that it does not hold up what runs beside it."""
+    """OpenCV uses the calling thread alone: its pool would compete with what runs beside it."""
     cv2 = opencv()
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)

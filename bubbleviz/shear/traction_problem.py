@@ -19,7 +19,7 @@ from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, p
 from bubbleviz.shear.friction_cone import within_cone
 
 _DECADES = np.linspace(-8.0, 8.0, 129)
-"""Of Λ/λ: from the roughest tangential traction that is compared to the smoothest."""
+"""log₁₀ of Λ/λ: from the roughest tangential traction that is compared to the smoothest."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def test_the_worst_frame_is_judged(bad: dict[str, object], missed: set[str]) -> 
     [
         ({"found_in": 3.0}, {"slip found, frame"}),
         ({"found_in": np.nan}, {"slip found, frame"}),
-        ({"alarms": 2}, {"false slip, share of frames"}),
+        ({"alarms": 2}, {"false slip by contact size, share of frames"}),
     ],
 )
 def test_slip_of_the_worst_contact_is_judged(bad: dict[str, float], missed: set[str]) -> None:

@@ -131,7 +131,7 @@ def _notes(found: Identification) -> list[str]:
         "facets": "the flat facets of the mesh: more nodes",
         "gauge_pressure": "the gauge pressure: record the open chamber (--vented)",
         "statics": "the oval rim, over which shape and pressure leave the mean tension open",
-        "surface": "shape that is hidden, finer than the fit or not of its kind: uncover the rim",
+        "surface": "a shape that is hidden, too fine for the fit, or no ellipsoid: uncover the rim",
     }[part]
     notes = [
         f"Most of the interval comes from {cause}.",

@@ -88,8 +88,8 @@ class TensionEstimate:
         Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
         pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
         zero), `facets` (of the mesh that γ0 is used on), `surface` (shape that was not seen or is
-        finer than the fit, all of what the free form moves γ0 by against a cap, and where a cap was
-        chosen all of what one fitted to the upper half moves it by), `statics`
+        finer than the fit, the whole difference between free form and cap, and, where a cap was
+        chosen, between that and one fitted to the upper half alone), `statics`
         (what shape and pressure leave open of the mean tension: anything between that of a film
         and that of a sheet that was flat) and, where that has an interval, `gauge_pressure`.
     by_surface : dict of str to float
@@ -288,8 +288,8 @@ def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float)
 def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
     """γ0, N/m, of the cap fitted to the upper half of the points alone.
 
-    A cap of the right kind has the same γ0 but for noise. A membrane that is none, as a bulged
-    sheet, is missed by microns, which cost the cap about as much of γ0 as the half changes.
+    Of a sphere or an ellipsoid it is that of the whole, up to noise. A bulged sheet departs from
+    either by microns; the error of γ0 by that is about as large as this differs.
     """
     points = mean_points(samples, surfaces.camera, np.flatnonzero(surfaces.usable))
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]

@@ -242,7 +242,8 @@ class RubberMembrane:
     def stress(self, x: np.ndarray) -> np.ndarray:
         """Cauchy stress times thickness of every triangle, (m, 3, 3), N/m."""
         facets = self._facets(x)
-        area, n = 0.5 * facets.double, (facets.vector / facets.double).T
+        double = facets.double
+        area, n = 0.5 * double, (facets.vector / double).T
         edges = x[self.mesh.triangles[:, 1:]] - x[self.mesh.triangles[:, :1]]  # (m, 2, 3)
         springs = self.mu_h * self.stress_free_area / area
         slope, _ = self._area_law(area)
@@ -300,8 +301,9 @@ class RubberMembrane:
         ∂²A/∂x_a∂x_b = A (e_a e_bᵀ − e_b e_aᵀ + (e_a·e_b) n nᵀ) with e_a = ∇φ_a.
         """
         facets = self._facets(x)
-        area, n = 0.5 * facets.double, facets.vector / facets.double
-        e = _cross((n / facets.double)[:, None], facets.edges).swapaxes(0, 1)
+        double = facets.double
+        area, n = 0.5 * double, facets.vector / double
+        e = _cross((n / double)[:, None], facets.edges).swapaxes(0, 1)
         slope, bend = self._area_law(area)
         k = slope * area
         first, second = e[_FIRST], e[_SECOND]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from bubbleviz.study.report_files import Target, at_least, at_most, target_table
 FILES = ("edge.csv", "edge.json", "edge_presses.csv")
 _LEAST_IOU = {"0.05 mm": 0.90, "0.15 mm": 0.88, "0.5 mm": 0.83, "1 %": 0.78}
 _LARGEST_AREA_ERROR, _LEAST_IN_BAND = 0.04, 0.9
-_GROUPS = ("study's own", "others")
+_OWN, _OTHERS = "study's own", "others"
 
 
 @dataclass(frozen=True)
@@ -59,17 +58,17 @@ class Edge:
 
 def edges(accuracy: Accuracy) -> list[Edge]:
     """Both groups of objects, then each object, by noise."""
-    return list(_edges(accuracy))
-
-
-def _edges(accuracy: Accuracy) -> Iterator[Edge]:
-    own = {row.object_name: row.object_name in EDGE_OBJECTS for row in accuracy.rows}
-    named = [(name, [k for k in own if own[k] is (name == _GROUPS[0])]) for name in _GROUPS]
-    for name, objects in [*named, *((each, [each]) for each in own)]:
-        for noise in dict.fromkeys(row.noise for row in accuracy.rows):
-            rows = [r for r in accuracy.rows if r.noise == noise and r.object_name in objects]
-            if rows:
-                yield _edge(name, noise, rows, accuracy)
+    objects = list(dict.fromkeys(row.object_name for row in accuracy.rows))
+    groups = {
+        _OWN: [name for name in objects if name in EDGE_OBJECTS],
+        _OTHERS: [name for name in objects if name not in EDGE_OBJECTS],
+    } | {name: [name] for name in objects}
+    return [
+        _edge(group, noise, rows, accuracy)
+        for group, members in groups.items()
+        for noise in dict.fromkeys(row.noise for row in accuracy.rows)
+        if (rows := [r for r in accuracy.rows if r.noise == noise and r.object_name in members])
+    ]
 
 
 def _edge(name: str, noise: str, rows: list[Row], accuracy: Accuracy) -> Edge:
@@ -111,7 +110,7 @@ def targets(accuracy: Accuracy) -> list[Target]:
     """Whether each group of objects meets what the patch is aimed at."""
     found = []
     for edge in edges(accuracy):
-        if edge.objects not in _GROUPS or edge.noise not in _LEAST_IOU:
+        if edge.objects not in (_OWN, _OTHERS) or edge.noise not in _LEAST_IOU:
             continue
         name = f"{edge.objects}, {edge.noise}"
         found += [

@@ -116,7 +116,7 @@ def test_the_membrane_is_lit_as_by_vtk(drive: Drive) -> None:
 
 
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)
-def test_playing_shows_fewer_points_where_the_processor_draws(
+def test_playing_shows_fewer_points_with_software_rendering(
     drive: Drive, quality: RenderQuality
 ) -> None:
     driver = drive(quality=quality)

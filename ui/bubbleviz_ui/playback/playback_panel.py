@@ -28,7 +28,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
 SOON_MS = 200
-"""While playing: the numbers of a picture paint the timeline, too."""
+"""Between repaints of the timeline while playing, ms; new numbers repaint it besides."""
 MODES = {False: "real time", True: "every frame"}
 JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
 JUMP_KEYS = {-1.0: "Ctrl+←", -0.1: "Shift+←", 0.1: "Shift+→", 1.0: "Ctrl+→"}

@@ -14,7 +14,7 @@ from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 CHUNK = 256
-"""Lines have room for so many pieces more: it changes seldom, which VTK draws faster."""
+"""Lines have room for a multiple of so many pieces: VTK is slower where their number changes."""
 
 
 class ContourLayer(Layer):
@@ -89,7 +89,7 @@ class _Outline:
 
 
 class _Line:
-    """Straight pieces of a line, in a buffer with some room: spare ones have no length."""
+    """Straight pieces of a line in a buffer with spare room, whose pieces have no length."""
 
     def __init__(self, layer: Layer, colour: str, units: float = -200.0, **look: float) -> None:
         self._poly = pv.PolyData()

@@ -111,10 +111,10 @@ def in_front(actor: Any, units: float) -> None:
 
 
 def light_plainly(actor: Any) -> None:
-    """Have the view's lights shine on an actor that has no specular part.
+    """Light an actor that has no specular part by the view's lights without highlights.
 
-    The picture is the same; VTK's own shader works out a highlight of each light at every pixel all
-    the same, which doubles the time of the membrane where the processor draws.
+    The picture is the same; VTK's own shader computes a highlight of each light at every pixel
+    nevertheless, which doubles the time of the membrane with software rendering.
     """
     shares = []
     for position, intensity in LIGHTS:
