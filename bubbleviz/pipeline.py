@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from bubbleviz.shear.traction_state import TractionStart
 
 _T = TypeVar("_T")
+_GOLDEN = 0.5 * (3.0 - 5.0**0.5)
+"""Shift of a lattice from row to row over its period: no small multiple is near a whole."""
 
 Product = Literal[
     "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "flow", "traction", "slip",
@@ -342,8 +344,8 @@ class Pipeline:
         """Points of the pixels with a return, evenly fewer where there are too many."""
         depth_m, most = result.frame.depth_m, options.cloud_points
         pixels = np.flatnonzero(np.isfinite(depth_m))
-        if most is not None:
-            pixels = pixels[:: max(1, -(-len(pixels) // most))]
+        if most is not None and len(pixels) > most:
+            pixels = _evenly(pixels, depth_m.shape[1], most)
         return replace(result, cloud_m=self.camera.points(depth_m, pixels), cloud_pixels=pixels)
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
@@ -409,6 +411,16 @@ def stages(products: frozenset[Product]) -> frozenset[Product]:
     """The products that are made on the way to these, and these."""
     required = (stages(frozenset(_STAGES[name].requires)) for name in products)
     return products.union(*required)
+
+
+def _evenly(pixels: np.ndarray, width: int, most: int) -> np.ndarray:
+    """At most so many of some pixels, ascending flat indices, on a lattice over the image.
+
+    Every n-th of them in reading order would be in stripes.
+    """
+    step = -(-len(pixels) // most)
+    rows, columns = np.divmod(pixels, width)
+    return pixels[(columns + round(_GOLDEN * step) * rows) % step == 0][:most]
 
 
 def _made(product: _T | None) -> _T:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from bubbleviz.camera.observer import Measured, RangeObserver
 from bubbleviz.colour.optical_flow import FlowField
@@ -82,6 +83,20 @@ def test_a_pipeline_that_nobody_asks_to_estimate_builds_no_solver(
     result = pipeline.process(source[PRESSED], frozenset({"cloud"}))
     assert result.cloud_m is not None
     assert len(result.cloud_m) == np.isfinite(source[PRESSED].depth_m).sum()
+
+
+@pytest.mark.parametrize("most", [50, 90, 130, 333, 700])
+def test_a_smaller_cloud_is_spread_evenly(
+    pipeline: Pipeline, source: DentSource, most: int
+) -> None:
+    frame = source[PRESSED]
+    result = pipeline.process(frame, frozenset({"cloud"}), FrameOptions(cloud_points=most))
+    assert result.cloud_pixels is not None and len(result.cloud_pixels) <= most
+    left_out = np.ones(frame.depth_m.shape, bool)
+    left_out.ravel()[result.cloud_pixels] = False
+    seen = np.isfinite(frame.depth_m)
+    period = np.ceil(seen.sum() / most)
+    assert distance_transform_edt(left_out)[seen].max() <= 1.5 * np.sqrt(period) + 1.0
 
 
 def test_kappa_thresholds_again_without_solving(pipeline: Pipeline, source: DentSource) -> None:

@@ -60,19 +60,16 @@ class CloudLayer(Layer):
         if result.cloud_m is None or len(result.cloud_m) == 0:
             self._has(False)
             return
-        most = picture.choices.cloud_points or len(result.cloud_m)
-        step = -(-len(result.cloud_m) // most)
-        points = result.cloud_m[::step]
-        self._reserve(len(points))
-        _fill(self._poly.points, points)
+        self._reserve(len(result.cloud_m))
+        _fill(self._poly.points, result.cloud_m)
         if not self.canvas.view.quality.round_points:
-            sparse = len(points) < SPARSE * (picture.choices.cloud_points or 0)
+            sparse = len(result.cloud_m) < SPARSE * (picture.choices.cloud_points or 0)
             self.actor.prop.point_size = DOT + 1 if sparse else DOT
         by_residual = picture.choices.cloud_colour == "residual"
         if by_residual and result.cloud_residual_m is not None:
-            self._colour_by_residual(result.cloud_residual_m[::step], picture.ranges.residual_m)
+            self._colour_by_residual(result.cloud_residual_m, picture.ranges.residual_m)
         else:
-            self._colour(result if picture.choices.cloud_colour == "patch" else None, step)
+            self._colour(result if picture.choices.cloud_colour == "patch" else None)
         self._poly.Modified()
         self._has(True)
         self._bar.set_visible(self._visible and by_residual)
@@ -94,14 +91,14 @@ class CloudLayer(Layer):
         self.actor.mapper.scalar_range = (-high, high)
         self._use(self.RESIDUAL, direct=False)
 
-    def _colour(self, patch_of: Result | None, step: int) -> None:
+    def _colour(self, patch_of: Result | None) -> None:
         """Colour all points alike but those of a result's patch."""
         colours = self._poly.point_data[self.COLOUR]
         colours[:] = rgb(self._plain)
         patch = patch_of.patch if patch_of is not None else None
         pixels = patch_of.cloud_pixels if patch_of is not None else None
         if patch is not None and patch.pixel_mask is not None and pixels is not None:
-            inside = patch.pixel_mask.ravel()[pixels[::step]]
+            inside = patch.pixel_mask.ravel()[pixels]
             colours[: len(inside)][inside] = rgb(theme.PATCH_POINT)
         self._use(self.COLOUR, direct=True)
 
