@@ -468,7 +468,13 @@ def _huber_weights(squares: np.ndarray) -> np.ndarray:
 
 def facet_error(mesh: MembraneMesh) -> float:
     """Distance in m between flat facets and the surface they stand for: the median sagitta."""
+    return float(np.median(sagittas(mesh)))
+
+
+def sagittas(mesh: MembraneMesh) -> np.ndarray:
+    """Distance of the sides of every triangle from the arcs they stand for, (m, 3), m."""
     i, j = mesh.triangles, np.roll(mesh.triangles, -1, axis=1)
     edge = mesh.nodes[j] - mesh.nodes[i]
     turn = np.einsum("ijk,ijk->ij", mesh.normals[j] - mesh.normals[i], edge)
-    return float(np.median(np.abs(turn)) / 8.0)
+    sagitta: np.ndarray = np.abs(turn) / 8.0
+    return sagitta

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy import sparse
 
 from bubbleviz.camera.block_squares import BlockSquares
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.observer import sagittas
 from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -75,7 +76,8 @@ class PinnedPoints:
     tangents : (k, 2, 3) array
         Orthonormal, along the facet of each.
     covariance : (k, 3, 3) array
-        Of the positions along the facets, by the noise of the flow, m².
+        Of the positions, m²: along the facets by the noise of the flow, along the rays by the
+        distance between facets and the surface they stand for.
     area : (k,) array
         That one pixel sees, m².
     """
@@ -102,7 +104,7 @@ class FlowObserver:
     """
 
     def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
-        self._camera = camera
+        self._camera, self._mesh = camera, mesh
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         hits = caster.cast(mesh.nodes, mesh.normals)
         if not len(hits.ray):
@@ -154,10 +156,15 @@ class FlowObserver:
         along = np.linalg.inv(slopes @ tangents.swapaxes(1, 2))  # m/px
         step = np.einsum("kij,kj->ki", along, moved_px + self._rest_px[point] - pixels)
         spread = np.einsum("kji,kjx->kix", along, tangents) * sigma_px[:, None, None]
+        flat = replace(self._mesh, nodes=nodes)
+        distance = sagittas(flat).mean(axis=1)[self._triangle[point]]
+        out = np.cross(tangents[:, 0], tangents[:, 1])
+        ray = places - self._camera.center
+        ray *= (distance / np.einsum("kx,kx->k", ray, out))[:, None]
         return PinnedPoints(
             places + np.einsum("ki,kix->kx", step, tangents),
             tangents,
-            np.einsum("kix,kiy->kxy", spread, spread),
+            np.einsum("kix,kiy->kxy", spread, spread) + ray[:, :, None] * ray[:, None],
             np.abs(np.linalg.det(along)),
         )
 

@@ -51,9 +51,9 @@ class Eyes:
         chosen = TractionOptions(**options)
         self.pipeline.watch_texture(lambda frame: self.flows[frame.index].flow, options=chosen)
 
-    def see(self, truth: ShearTruth, seed: int = 0) -> Frame:
+    def see(self, truth: ShearTruth, seed: int = 0, flow_px: float = FLOW_PX) -> Frame:
         """The next frame."""
-        seen = sighting(self.pipeline.camera, truth, NOISE, FLOW_PX, seed)
+        seen = sighting(self.pipeline.camera, truth, NOISE, flow_px, seed)
         self.flows.append(seen)
         index = len(self.flows) - 1
         return Frame(index, index / 30.0, seen.depth_m)
