@@ -151,6 +151,20 @@ def test_time_is_shared(open_bench: Open) -> None:
     bench.wait(lambda: other(bench) > newest + 2)
 
 
+def test_both_stop_at_one_moment(open_bench: Open) -> None:
+    """Whatever was asked for before and comes after."""
+    bench = paired(open_bench)
+    frames = bench.run.frames[1]
+    for _ in range(3):
+        bench.follow(3)
+        bench.state.set_playing(False)
+        bench.messages_come(3, sensor=1)
+        bench.wait(lambda: bench.shown == bench.state.frame and bench.window.controller.settled)
+        now = bench.state.facts.times_s[bench.state.frame]
+        bench.wait(lambda now=now: other(bench) == frames.at(now))
+        bench.state.set_playing(True)
+
+
 @pytest.mark.long
 def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: Open) -> None:
     bench = paired(open_bench)

@@ -11,7 +11,15 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Answer, Failed, Opened, OpenRequest, Solved, Waited
+from bubbleviz_ui.engine.requests import (
+    Answer,
+    Failed,
+    NewestRequest,
+    Opened,
+    OpenRequest,
+    Solved,
+    Waited,
+)
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.live.connection import LiveRun
@@ -165,7 +173,9 @@ class SensorPair(QObject):
         elif isinstance(answer, Waited) and self._playing:
             self._follow()
         elif isinstance(answer, Solved):
-            if self._playing:  # at once, as the chosen one does: neither waits for the other
+            # At once, as the chosen one does: neither waits for the other. A frame that was asked
+            # for while they went on may come when they stand still, at another moment.
+            if self._playing or isinstance(answer.request, NewestRequest):
                 self._follow()
             self._show()
 
@@ -187,7 +197,7 @@ class SensorPair(QObject):
             self._follow()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        if not by_playback:
+        if not (by_playback and self._playing):
             self._follow()
 
     def _on_choices(self, names: frozenset[str]) -> None:

@@ -80,6 +80,8 @@ class DrawnLayers:
         self.surface, self._ranges = Surface(units), ranges
         canvas = Canvas(view, self.surface, units)
         self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
+        for layer in self.by_name.values():
+            layer.set_visible(False)  # until there is a result
         self._picture: Picture | None = None
         view.rendering.connect(self._keep_scale)
 
