@@ -131,13 +131,16 @@ class SensorClient(QObject):
         """Request for a frame that is wanted now."""
         return FrameRequest(self.session, self._due(demand), index, time.perf_counter())
 
-    def ask_newest(self, demand: Demand) -> None:
-        """Ask for the newest frame of a live source, unless that is asked for already."""
+    def ask_newest(self, demand: Demand, *, at_once: bool = False) -> None:
+        """Ask for the newest frame of a live source, unless that is asked for already.
+
+        Not `at_once`: when the window will have drawn the last one.
+        """
         if self._awaiting:
             return
         self._awaiting, self.demand = True, demand
         wanted = replace(self._due(demand), products=demand.products | self.extra)
-        from_s = time.perf_counter() + self._delay.hold_s
+        from_s = time.perf_counter() + (0.0 if at_once else self._delay.hold_s)
         self.worker.ask(NewestRequest(self.session, wanted, from_s, demand.of_colour))
 
     def ask_patch(self) -> None:

@@ -159,7 +159,7 @@ class SensorPair(QObject):
         if second is None or second.opened is None or run is None or facts is None:
             return
         if self._playing:
-            second.ask_newest(self._demand)
+            second.ask_newest(self._demand, at_once=True)
         else:
             time_s = float(facts.times_s[self._state.frame])
             second.ask_frame(run.frames[1 - self.chosen].at(time_s), self._demand)
