@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.observer import Measured, Misfit, RangeObserver, ShapeRanges
+from bubbleviz.camera.observer import (
+    Measured,
+    Misfit,
+    Observation,
+    RangeObserver,
+    ShapeRanges,
+)
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
@@ -283,6 +289,7 @@ class RubberEstimator:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
+        A start that the image is less like than the membrane at rest is left for that.
         While the shape is far from the image only those nodes are looked at that pull most. How
         much more than the noise is left decides how far the image is trusted, so that the frame is
         solved until the two agree: it does not hang on the frames before.
@@ -298,6 +305,8 @@ class RubberEstimator:
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
+            if warm and steps == 1 and _is_nearer_at_rest(observation, view):
+                return self._solve(measured, measured_gas, RubberStart())
             seen = weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return _Failure("no_data")
@@ -490,6 +499,13 @@ class RubberEstimator:
             force_sigma_n=three,
             reason=reason,
         )
+
+
+def _is_nearer_at_rest(observation: Observation, view: ShapeRanges) -> bool:
+    """Whether an image is more like the membrane at rest than like a shape."""
+    weight, at_rest = observation.weight[view.block], observation.residual_m[view.block]
+    there = at_rest - view.model_m[view.block]
+    return bool(weight @ there**2 > weight @ at_rest**2)
 
 
 def _alike(found: float, noise: float) -> bool:

@@ -219,6 +219,16 @@ def test_how_a_frame_is_reached_does_not_matter(noise_m):
     np.testing.assert_array_equal(again.force_n, cold.force_n)
 
 
+def test_a_start_that_is_further_from_the_image_than_rest_is_left():
+    solver = estimator()
+    _, far = solver.estimate(image_of(0.011, 0.008, NOISE_M))
+    for depth, x in ((0.002, -0.012), (0.0, 0.008)):
+        image = image_of(depth, x, NOISE_M, seed=1)
+        cold, warm = solver.estimate(image)[0], solver.estimate(image, start=far)[0]
+        np.testing.assert_array_equal(warm.displacement_3d_m, cold.displacement_3d_m)
+        np.testing.assert_array_equal(warm.contact_pressure_pa, cold.contact_pressure_pa)
+
+
 def image_of(depth, x, noise_m, seed=0):
     mesh, contact = pressed("sphere", depth, x)
     return seen(mesh, contact.displacement_3d_m, noise_m, seed=seed)
