@@ -18,9 +18,7 @@ def detection_threshold(equilibrium: Equilibrium, Q: sparse.csr_array) -> np.nda
     """
     n = len(equilibrium.A)
     sample = sampled(n)
-    unit = np.zeros((n, len(sample)))
-    unit[sample, np.arange(len(sample))] = 1.0
-    M = equilibrium.response(unit)
+    M = equilibrium.response(sample)
     sigma = np.sqrt(np.einsum("ij,ij->j", M, Q @ M)) / equilibrium.A[sample]
     return universal_threshold(sigma, n) * equilibrium.A
 

@@ -57,8 +57,7 @@ class Equilibrium:
         self.beta = gas.beta[free] * scales.length_m / scales.pressure_pa
         # SuperLU's symmetric mode: half the fill of its default for a positive definite matrix.
         factor = splu(self.L, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        self._factor = factor
-        # L is symmetric, and of a vector SuperLU's transposed solve is the faster one.
+        # L is symmetric, and SuperLU's transposed solve is the faster one.
         self._solve = partial(factor.solve, trans="T")
         self.bulge = self._solve(self.A)
         """Displacement under unit pressure, L⁻¹A, (n,)."""
@@ -68,7 +67,7 @@ class Equilibrium:
     def inverse(self) -> np.ndarray | None:
         """L⁻¹, (n, n), with its rows together in memory; None beyond `DENSE_LIMIT`."""
         n = len(self.A)
-        return self._factor.solve(np.eye(n)).T if n <= DENSE_LIMIT else None
+        return self._solve(np.eye(n)).T if n <= DENSE_LIMIT else None
 
     def displacement(
         self, pressure: np.ndarray, measured_gas: float | None = None
@@ -125,9 +124,14 @@ class Equilibrium:
             g = g - Q @ (measured_gas * self.bulge)
         return self.adjoint(g, measured_gas is not None)
 
-    def response(self, pressures: np.ndarray, gas_measured: bool = False) -> np.ndarray:
-        """M P of Eq. 24 for contact pressures P in columns, (n, k): u = −M p_c."""
-        M = self._factor.solve(self.A[:, None] * pressures)
+    def response(self, nodes: np.ndarray, gas_measured: bool = False) -> np.ndarray:
+        """Columns (n, k) of M in Eq. 24, u = −M p_c, of some nodes (k,)."""
+        if self.inverse is not None:  # symmetric: its rows are its columns
+            M = (self.A[nodes, None] * self.inverse[nodes]).T
+        else:
+            unit = np.zeros((len(self.A), len(nodes)))
+            unit[nodes, np.arange(len(nodes))] = self.A[nodes]
+            M = self._solve(unit)
         if not gas_measured:
             M -= np.outer(self.bulge, self.gas_response(M))
         return M

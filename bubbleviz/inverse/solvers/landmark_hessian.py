@@ -130,9 +130,7 @@ class _Columns:
         return self._data[:, self._place[nodes]]
 
     def _column(self, node: int) -> np.ndarray:
-        unit = np.zeros((len(self._place), 1))
-        unit[node] = 1.0
-        M = self._equilibrium.response(unit, self._gas_measured)[:, 0]
+        M = self._equilibrium.response(np.array([node]), self._gas_measured)[:, 0]
         return self._equilibrium.adjoint(self._Q @ M, self._gas_measured)
 
     def _reserve(self, columns: int) -> None:

@@ -22,7 +22,7 @@ class ReducedHessian:
     """
 
     def __init__(self, equilibrium: Equilibrium, Q: sparse.csr_array, lambda_: float) -> None:
-        M = equilibrium.response(np.eye(len(equilibrium.A)), gas_measured=True)
+        M = equilibrium.response(np.arange(len(equilibrium.A)), gas_measured=True)
         self._measured = M.T @ (Q @ M) + (lambda_ * equilibrium.L).toarray()
         # The gas law adds −b wᵀ to M: two rank-one terms (b: bulge under unit pressure).
         bulge_pull = Q @ equilibrium.bulge
