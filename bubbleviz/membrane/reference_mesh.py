@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from bubbleviz.errors import InputError
@@ -31,10 +33,16 @@ def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
     membrane = sensor.membrane
     cap = cap_of(sensor)
     if cap is not None:
-        return mesh_cap(cap, membrane.nodes if nodes is None else nodes)
+        return _meshed(cap, membrane.nodes if nodes is None else nodes)
     if membrane.mesh_file is not None:
         return load_membrane(sensor.resolve(membrane.mesh_file))
     raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its numbers')
+
+
+@lru_cache(maxsize=8)
+def _meshed(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
+    """The same mesh for every recording of a sensor; nothing changes a mesh."""
+    return mesh_cap(cap, nodes)
 
 
 def cap_of(sensor: Sensor) -> EllipsoidalCap | None:

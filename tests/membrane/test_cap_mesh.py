@@ -78,6 +78,7 @@ def test_build_mesh_follows_the_sensor_file():
     assert len(mesh.nodes) == pytest.approx(sensor.membrane.nodes, rel=0.05)
     assert mesh.nodes[:, 2].max() == pytest.approx(0.05, abs=1e-12)
     assert len(build_mesh(sensor, 200).nodes) == pytest.approx(200, rel=0.05)
+    assert build_mesh(sensor) is mesh  # made once for all recordings of a sensor
 
 
 def test_refined_mesh_keeps_area_volume_and_rim():
