@@ -64,19 +64,21 @@ class Driver:
         self.bot.waitUntil(done, timeout=PATIENCE_MS)
 
     def settle(self) -> None:
-        """Wait until the frame at the cursor is shown and painted."""
-        result = lambda: self.window.controller.result  # noqa: E731
-        # while playing the cursor is ahead of the solver, on a slow machine always
-        self.wait(
-            lambda: (
-                result() is not None
-                and (self.state.playing or result().frame.index == self.state.frame)
-                and self.window.controller.settled
-            )
-        )
+        """Have the frame at the cursor shown, settled now and not in a moment, and painted."""
+        controller = self.window.controller
+        self.wait(self.at_the_cursor)
+        if not controller.settled:
+            controller.settle()
+        self.wait(lambda: self.at_the_cursor() and controller.settled)
         count = self.window.view.render_count
         self.window.view.refresh()
         self.wait(lambda: self.window.view.render_count > count)
+
+    def at_the_cursor(self) -> bool:
+        """Whether what is shown is the frame at the cursor."""
+        result = self.window.controller.result
+        # while playing the cursor is ahead of the solver, on a slow machine always
+        return result is not None and (self.state.playing or result.frame.index == self.state.frame)
 
     def seek(self, frame: int) -> None:
         self.state.seek(frame)

@@ -25,9 +25,14 @@ Drive = Callable[..., Driver]
 FRAME = 75
 
 
+def settled_by_itself(driver: Driver) -> None:
+    """Wait until the window has settled the frame at the cursor."""
+    driver.wait(lambda: driver.at_the_cursor() and driver.window.controller.settled)
+
+
 def shown(driver: Driver) -> tuple[float, float]:
     """Force, N, and area, m², of the patch that is shown, once nothing changes any more."""
-    driver.settle()
+    settled_by_itself(driver)
     patch = driver.window.controller.result.patch
     return float(np.linalg.norm(patch.force_n)), patch.area_m2
 
@@ -35,7 +40,7 @@ def shown(driver: Driver) -> tuple[float, float]:
 def test_opened_sought_and_stepped_to_a_frame_has_the_same_area(drive: Drive) -> None:
     alone = shown(drive(frame=FRAME))
     driver = drive(frame=110)
-    driver.seek(FRAME)
+    driver.state.seek(FRAME)
     sought = shown(driver)
     driver.seek(FRAME - 3)
     driver.window.playback.forward.setFocus()
@@ -66,7 +71,7 @@ def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
     driver.bot.mouseClick(driver.window.playback.play, Qt.MouseButton.LeftButton)
     driver.wait(lambda: driver.state.frame >= FRAME)
     driver.bot.mouseClick(driver.window.playback.play, Qt.MouseButton.LeftButton)
-    driver.settle()
+    settled_by_itself(driver)
     assert driver.window.controller.client.demand.looks
     assert not driver.window.controller.client.look_is_old
     assert driver.window.controller.result.pose is not None
