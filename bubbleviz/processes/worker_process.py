@@ -76,19 +76,28 @@ class WorkerProcess:
         self.send(function, *args)
         return self.outcome(limit_s)
 
-    def send(self, function: Callable[..., Any], *args: Any) -> None:
-        """Begin a call; `pipe` is ready when it has ended, and `outcome` tells how."""
+    @property
+    def pid(self) -> int | None:
+        """Number of the process; None while there is none."""
+        process = self._process
+        return None if process is None else int(process.pid)
+
+    def send(self, function: Callable[..., Any], *args: Any, keep: bool = False) -> None:
+        """Begin a call; `pipe` is ready when it has ended, and `outcome` tells how.
+
+        With `keep` what it returns stays there: the first argument of the calls after it.
+        """
         if self._process is None:
             self._start()
         self._sent_s = time.perf_counter()
         with suppress(OSError):  # it died: told by the outcome
-            self.pipe.send((function, args))
+            self.pipe.send((function, args, keep))
 
     def outcome(self, limit_s: float | None = None) -> Outcome:
         """Wait for the end of the call; give up after `limit_s`."""
         kind: Kind
         try:
-            answered = self.pipe.poll(limit_s)
+            answered = limit_s is None or self.pipe.poll(limit_s)
             kind, value, detail = self.pipe.recv() if answered else ("hung", None, "")
         except (EOFError, OSError):
             self._process.join()
@@ -100,6 +109,12 @@ class WorkerProcess:
         if kind in ("hung", "died"):
             self.stop()
         return Outcome(kind, value, detail, elapsed)
+
+    def kill(self) -> None:
+        """End the process from another thread: `outcome` tells that it died."""
+        process = self._process
+        if process is not None:
+            process.kill()
 
     def stop(self) -> None:
         """End the process, whatever it does."""

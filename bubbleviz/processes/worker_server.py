@@ -7,6 +7,7 @@ import threading
 import time
 import traceback
 from multiprocessing.connection import Connection
+from typing import Any
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -17,7 +18,7 @@ def serve(pipe: Connection, parent: int, memory_limit_bytes: int | None) -> None
     Parameters
     ----------
     pipe : Connection
-        Gives (function, args), takes (kind, value, detail) of an `Outcome`.
+        Gives (function, args, keep), takes (kind, value, detail) of an `Outcome`.
     parent : int
         Process without which this one ends.
     memory_limit_bytes : int or None
@@ -29,13 +30,17 @@ def serve(pipe: Connection, parent: int, memory_limit_bytes: int | None) -> None
     tqdm.set_lock(threading.RLock())  # its own is a semaphore that outlives a process killed
     if memory_limit_bytes is not None:
         _limit_memory(memory_limit_bytes)
+    kept: tuple[Any, ...] = ()
     while True:
         try:
-            function, args = pipe.recv()  # imports the function, and BLAS with it
+            function, args, keep = pipe.recv()  # imports the function, and BLAS with it
         except EOFError:
             return
         try:
-            answer = "returned", function(*args), ""
+            value = function(*kept, *args)
+            if keep:
+                kept, value = (value,), None
+            answer = "returned", value, ""
         except BaseException as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{last.filename.rsplit('/', 1)[-1]}:{last.lineno}"

@@ -12,6 +12,7 @@ import subprocess
 import tempfile
 import time
 from dataclasses import asdict, dataclass
+from multiprocessing import active_children
 from pathlib import Path
 from statistics import quantiles
 
@@ -59,7 +60,8 @@ class PairReport:
     memory_growth_bytes : int
         Resident memory at the end less that at the beginning.
     cores_used : dict
-        Processor time of each thread of the window a second; `publishers` of the other processes.
+        Processor time of each thread of the window a second; `solver processes` of those that solve
+        for it, `publishers` of those that send.
     load_average, cores : float, int
     """
 
@@ -173,6 +175,8 @@ class _Counts:
     ) -> _Counts:
         used = thread_seconds()
         used["publishers"] = sum(process_seconds(each.pid) for each in publishers)
+        solvers = [each.pid for each in active_children() if each.pid is not None]
+        used["solver processes"] = sum(process_seconds(pid) for pid in solvers)
         return cls(
             time.monotonic(),
             [frames.stream.counters().frames for frames in run.frames],

@@ -190,7 +190,8 @@ class Opened:
 class Solved:
     """A frame's products, its numbers, what was looked at closer, and when that was done.
 
-    `outages` are those of a live source so far.
+    `outages` are those of a live source so far; `remark` is what the user has to be told of how it
+    was solved.
     """
 
     request: FrameRequest | NewestRequest
@@ -199,6 +200,7 @@ class Solved:
     inspection: Inspection
     done_s: float = float("nan")
     outages: tuple[Gap, ...] = ()
+    remark: str = ""
 
 
 @dataclass(frozen=True)

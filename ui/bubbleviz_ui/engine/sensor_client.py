@@ -184,6 +184,8 @@ class SensorClient(QObject):
         elif isinstance(answer, Thresholded):
             self._take_patch(answer)
         self.answered.emit(answer)
+        if isinstance(answer, Solved) and answer.remark:
+            self.answered.emit(Failed(answer.request, answer.remark, ""))
 
     def _take_opened(self, answer: Opened) -> None:
         self.opened, self.facts, self.demand = answer, answer.facts, answer.request.demand

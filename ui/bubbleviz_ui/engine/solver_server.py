@@ -16,6 +16,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import gas_warning
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.processes.pipeline_process import PipelineProcess
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation.synthetic_source import truth_of
@@ -57,7 +58,10 @@ PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 
 @dataclass(frozen=True)
 class Session:
-    """An open source and what is made of its frames; only the solver thread changes it."""
+    """An open source and what is made of its frames; only the solver thread changes it.
+
+    `beside` solves the newest frames of a camera on another core.
+    """
 
     number: int
     source: FrameSource
@@ -66,6 +70,13 @@ class Session:
     side_by_side: SideBySide
     shear: ShearReference
     kept: KeptEstimates = field(default_factory=KeptEstimates)
+    beside: PipelineProcess | None = None
+
+    def close(self) -> None:
+        """Let go of the source, and end the process beside."""
+        self.source.close()
+        if self.beside is not None:
+            self.beside.close()
 
 
 class Server:
@@ -119,7 +130,7 @@ class Server:
     def close(self) -> None:
         """Let go of the open source."""
         if self.session is not None:
-            self.session.source.close()
+            self.session.close()
             self.session = None
 
     def _solve(self, session: Session, request: FrameRequest) -> Solved:
@@ -144,13 +155,16 @@ class Server:
     ) -> Solved:
         settled = isinstance(request, SettleRequest)
         of = session.source, session.pipeline, session.shear
-        result = _process(*of, frame, request.demand, settled=settled)
+        beside = session.beside if isinstance(request, NewestRequest) else None
+        known = "" if beside is None else beside.lost
+        result = _process(*of, frame, request.demand, beside=beside, settled=settled)
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
         inspection = _look(session, result, request.demand)
         numbers, done_s = _kept_numbers(session, result), time.perf_counter()
         outages = session.source.outages if isinstance(session.source, LiveFrames) else ()
-        return Solved(request, result, numbers, inspection, done_s, outages)
+        remark = "" if beside is None or beside.lost == known else _lost(session, beside)
+        return Solved(request, result, numbers, inspection, done_s, outages, remark)
 
     def _follow(self, session: Session, request: FollowRequest) -> Followed:
         obj = None
@@ -224,7 +238,10 @@ class Server:
         self.close()
         settings = SideBySide(sensor, pipeline.camera.intrinsics)
         inspector = Inspector(pipeline)
-        session = Session(request.session, source, pipeline, inspector, settings, shear)
+        beside = _beside(source, pipeline)
+        session = Session(
+            request.session, source, pipeline, inspector, settings, shear, beside=beside
+        )
         self.session = session
         grows = isinstance(source, LiveFrames)
         remarks = [str(getattr(source, "remark", ""))]  # recordings have one
@@ -291,6 +308,7 @@ def _process(
     frame: Frame,
     demand: Demand,
     *,
+    beside: PipelineProcess | None = None,
     settled: bool = False,
 ) -> Result:
     """Products of a frame; a live one's gas pressure is zeroed. `NothingOpen` has none."""
@@ -301,10 +319,26 @@ def _process(
     products = shear.products(source, pipeline, frame.index, demand)
     if settled:
         pipeline.settle(frame)
-    result = pipeline.process(frame, products, demand.options)
+    result = (beside or pipeline).process(frame, products, demand.options)
     if products & SHEAR:
         shear.collect(result)
     return result
+
+
+def _beside(source: FrameSource, pipeline: Pipeline) -> PipelineProcess | None:
+    """A process for the frames of a camera; a simulation has no images to hurry for."""
+    if not isinstance(source, LiveFrames) or source.simulated:
+        return None
+    beside = PipelineProcess(pipeline)
+    source.at_end(beside.end)
+    return beside
+
+
+def _lost(session: Session, beside: PipelineProcess) -> str:
+    return (
+        f"{session.source.name}: the process that solved its frames has ended ({beside.lost}); "
+        "they are solved in the window's own from now on, which may be slower"
+    )
 
 
 def _in_words(error: Exception) -> str:

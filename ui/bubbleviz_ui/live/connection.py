@@ -40,6 +40,8 @@ class LiveRun:
     def close(self) -> None:
         """Stop the sources; a recording ends whole."""
         self.session.__exit__()
+        for source in self.frames:
+            source.end()
 
 
 class Connection(QObject):

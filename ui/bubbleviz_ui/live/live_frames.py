@@ -66,6 +66,8 @@ class LiveFrames:
         self._listeners: tuple[Listener, ...] = ()
         self._first: tuple[Frame, float] | None = None
         self._let_go_of_colour: Callable[[], None] | None = None
+        self._at_end: Callable[[], None] | None = None
+        self._over = False
         self.outages: tuple[Gap, ...] = ()
 
     @property
@@ -92,6 +94,18 @@ class LiveFrames:
 
     def close(self) -> None:
         """Nothing: the stream goes on for the recorder, and for another sensor file."""
+
+    def at_end(self, callback: Callable[[], None]) -> None:
+        """Have this called, in place of what was to be, once no more frames will come."""
+        self._at_end = callback
+        if self._over:
+            callback()
+
+    def end(self) -> None:
+        """Say that no more frames will come."""
+        self._over = True
+        if self._at_end is not None:
+            self._at_end()
 
     def came(self, timeout_s: float) -> bool:
         """Wait for the first frame, with camera info or without where none comes."""

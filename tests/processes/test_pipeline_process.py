@@ -1,0 +1,145 @@
+"""A pipeline in another process: the same answers, and nothing lost with the process."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_press import small_source, write_small_sensor
+
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import FrameOptions, Pipeline
+from bubbleviz.processes.pipeline_process import OF_DEPTH, PipelineProcess
+from bubbleviz.sensor import load_sensor
+
+OPTIONS = FrameOptions(cloud_points=500)
+
+
+@pytest.fixture(scope="module")
+def sensor_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def frames(sensor_file: Path) -> list[Frame]:
+    source = small_source(sensor_file)
+    return [source[k] for k in range(len(source))]
+
+
+@pytest.fixture
+def pipeline(sensor_file: Path) -> Pipeline:
+    return Pipeline.of(load_sensor(sensor_file))
+
+
+def started(process: PipelineProcess, frame: Frame) -> int:
+    """Have a frame solved again and again until it is in the other process."""
+    while process.pid is None:
+        process.process(frame, OF_DEPTH, OPTIONS)
+        assert process.lost == ""
+    return process.pid
+
+
+@pytest.fixture
+def process(pipeline: Pipeline, frames: list[Frame]) -> Iterator[PipelineProcess]:
+    """One that has solved the first frame."""
+    with closing(PipelineProcess(pipeline, patience_s=1.0)) as process:
+        started(process, frames[0])
+        yield process
+
+
+def gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_frames_have_the_answers_they_have_here(
+    process: PipelineProcess, sensor_file: Path, frames: list[Frame]
+) -> None:
+    here = Pipeline.of(load_sensor(sensor_file))
+    here.process(frames[0], OF_DEPTH, OPTIONS)
+    for frame in frames[1:]:
+        a, b = process.process(frame, OF_DEPTH, OPTIONS), here.process(frame, OF_DEPTH, OPTIONS)
+        assert a.frame is frame and set(a.times_ms) == set(b.times_ms)
+        assert a.estimate.status == b.estimate.status
+        for one, two in (
+            (a.estimate.displacement_m, b.estimate.displacement_m),
+            (a.estimate.contact_pressure_pa, b.estimate.contact_pressure_pa),
+            (a.patch.level, b.patch.level),
+            (a.cloud_m, b.cloud_m),
+            (a.cloud_residual_m, b.cloud_residual_m),
+        ):
+            scale = np.nanmax(np.abs(two))
+            np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * scale)
+        np.testing.assert_array_equal(a.patch.pixel_mask, b.patch.pixel_mask)
+    assert {each.estimate.status for each in (a, b)} == {"no_contact"}
+
+
+def test_they_are_solved_there_and_counted_here(
+    process: PipelineProcess, pipeline: Pipeline, frames: list[Frame]
+) -> None:
+    before = pipeline.counts["estimate"]
+    pipeline.restart()
+    cold = pipeline.estimate_aside(frames[2])
+    process.process(frames[2], OF_DEPTH, OPTIONS)
+    assert pipeline.counts["estimate"] == before + 1
+    again = pipeline.estimate_aside(frames[2])  # from rest still: nothing was solved here
+    np.testing.assert_array_equal(again.contact_pressure_pa, cold.contact_pressure_pa)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [(signal.SIGKILL, "the process ended with code -9"), (signal.SIGSTOP, "no answer for 1 s")],
+)
+def test_a_process_that_dies_or_hangs_costs_no_frame(
+    process: PipelineProcess, frames: list[Frame], how: signal.Signals, words: str
+) -> None:
+    pid = process.pid
+    assert pid is not None
+    os.kill(pid, how)
+    for frame in frames[2:]:
+        result = process.process(frame, OF_DEPTH, OPTIONS)
+        assert result.estimate is not None and result.frame is frame
+        assert process.lost == words
+    assert process.pid is None and gone(pid)
+
+
+def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(
+    process: PipelineProcess, frames: list[Frame]
+) -> None:
+    wrong = Frame(7, 0.0, np.ones((3, 4), np.float32))
+    with pytest.raises(InputError, match="frame 7: image is 4×3 pixels"):
+        process.process(wrong, OF_DEPTH)
+    assert process.process(frames[1], OF_DEPTH).estimate is not None
+    assert process.pid is not None and process.lost == ""
+
+
+def test_what_depth_alone_does_not_tell_is_made_here(
+    process: PipelineProcess, frames: list[Frame]
+) -> None:
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.process(frames[1], frozenset({"estimate", "pose"})).estimate is not None
+    assert process.lost == ""  # nobody has noticed
+
+
+def test_closing_ends_it_also_while_it_is_built(pipeline: Pipeline, frames: list[Frame]) -> None:
+    first = PipelineProcess(pipeline)
+    pid = started(first, frames[0])
+    first.close()
+    assert gone(pid) and first.lost == ""
+    assert first.process(frames[1], OF_DEPTH).estimate is not None  # here
+    assert first.pid is None
+    with closing(PipelineProcess(pipeline)) as second:
+        second.process(frames[0], OF_DEPTH)
+        second.end()
+        assert second.process(frames[1], OF_DEPTH).estimate is not None
+        assert second.pid is None and second.lost == ""

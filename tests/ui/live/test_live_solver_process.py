@@ -1,0 +1,120 @@
+"""Frames of a camera are solved in a process of its own, as long as there is one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import active_children
+
+import numpy as np
+import pytest
+from live_bench import SYNTHETIC, Bench, Open, connected, robot, sensor_file
+
+from bubbleviz.calibration.pressure_zero import PressureZero
+from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.bench.live_soak import free_port
+from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved
+from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
+from bubbleviz_ui.model.demand import Demand
+
+
+@contextmanager
+def camera(open_bench: Open) -> Iterator[Bench]:
+    """A window on a robot in a process of its own, whose frames are solved in another one."""
+    bench, port = open_bench(), free_port()
+    with robot(port):
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
+        bench.wait(in_use)
+        bench.follow()
+        yield bench
+
+
+def in_use() -> bool:
+    """Whether frames are solved in another process."""
+    return any(thread.name == "solver watch" for thread in threading.enumerate())
+
+
+def none_left() -> bool:
+    return not active_children() and not in_use()
+
+
+def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
+    """Each frame with its gas pressure zeroed first."""
+    demand, newest = Demand(frozenset({"patch"})), NewestRequest(1, Demand(frozenset({"patch"})))
+    zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
+    zero.restore(zero.reference_pa + 40.0, waiting=False)
+    server, stream = Server(), open_stream("synthetic:?rate=100&frames=1000", sensor)
+    frames = LiveFrames("press", stream, zero)
+    with stream:
+        while not frames.came(60.0):
+            pass
+        frames.begin(frames.first_ns)
+        server.serve(OpenRequest(1, "press", LiveOpener(frames), lambda: sensor, 0, demand))
+        assert server.session is not None and server.session.beside is not None
+        beside, own = (
+            server.session.beside,
+            Pipeline.of(sensor, server.session.source[0].intrinsics),
+        )
+        compared = 0
+        while compared < 3:
+            there, solved = beside.pid, server.serve(newest)
+            if there is None or not isinstance(solved, Solved):
+                continue
+            frame, found = solved.result.frame, solved.result.estimate
+            assert frame.gas_pressure_pa == frames[frame.index].gas_pressure_pa - 40.0
+            own.settle(frame)
+            expected = own.process(frame, demand.products).estimate
+            assert found.status == expected.status and found.trusted
+            np.testing.assert_allclose(found.displacement_m, expected.displacement_m, atol=5e-5)
+            assert beside.pid == there
+            compared += 1
+        server.close()
+    assert none_left()
+
+
+def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench: Open) -> None:
+    with camera(open_bench) as bench:
+        (child,) = active_children()
+        before = bench.shown
+        os.kill(child.pid, signal.SIGKILL)
+        bench.wait(bench.window.message.isVisible)
+        text = bench.window.message.label.text()
+        assert "process that solved its frames has ended" in text and "code -9" in text
+        bench.follow(5)
+        assert none_left()
+        known = bench.state.history.values["latency_ms"][before : bench.shown]
+        assert np.isfinite(known).all()  # also of the frame that it was given
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_it_ends_with_the_source(open_bench: Open, *, frozen: bool) -> None:
+    with camera(open_bench) as bench:
+        bench.state.freeze(frozen)
+        bench.window.live.leave.click()
+        bench.wait(none_left)
+
+
+def test_it_ends_with_another_source(open_bench: Open) -> None:
+    with camera(open_bench) as bench:
+        bench.connect(single(SYNTHETIC, sensor_file(bench.folder)))
+        bench.wait(none_left)
+        bench.follow()
+        assert none_left()
+
+
+def test_it_ends_with_the_window(open_bench: Open) -> None:
+    with camera(open_bench) as bench:
+        bench.window.close()
+        bench.wait(none_left)
+
+
+def test_a_simulation_has_none(open_bench: Open) -> None:
+    connected(open_bench).follow(5)
+    assert none_left()
