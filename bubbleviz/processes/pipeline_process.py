@@ -50,6 +50,7 @@ class PipelineProcess:
         self._busy_since_s: float | None = None
         self._hung = False
         self._over = Event()
+        self._watcher: Thread | None = None
 
     @property
     def pid(self) -> int | None:
@@ -82,6 +83,8 @@ class PipelineProcess:
         self._built = False
         self._over.set()
         self._worker.stop()
+        if self._watcher is not None:
+            self._watcher.join()  # it sees that it is over at once
 
     def _start(self, products: frozenset[Product]) -> None:
         self._started = True
@@ -98,7 +101,8 @@ class PipelineProcess:
             return self._built
         if self._returned(self._worker.outcome()):
             self._built = True
-            Thread(target=self._watch, name="solver watch", daemon=True).start()
+            self._watcher = Thread(target=self._watch, name="solver watch", daemon=True)
+            self._watcher.start()
         return self._built
 
     def _call(self, *args: object) -> Outcome:
