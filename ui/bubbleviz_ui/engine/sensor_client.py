@@ -140,7 +140,7 @@ class SensorClient(QObject):
             return
         self._awaiting, self.demand = True, demand
         wanted = replace(self._due(demand), products=demand.products | self.extra)
-        from_s = time.perf_counter() + (0.0 if at_once else self._delay.hold_s)
+        from_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
         self.worker.ask(NewestRequest(self.session, wanted, from_s, demand.of_colour))
 
     def ask_patch(self) -> None:
@@ -202,9 +202,10 @@ class SensorClient(QObject):
         now = time.perf_counter()
         self.solves.tick(now)
         newest = isinstance(request, NewestRequest)
-        if newest:
+        if isinstance(request, NewestRequest):
             self._awaiting = False
-            self._delay.waited(now - answer.done_s)
+            if request.from_s:  # else it waited for the picture of another sensor
+                self._delay.waited(now - answer.done_s)
             self._grow(frame.time_s, answer.outages)
         if newest and frame.arrival_ns:
             numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
