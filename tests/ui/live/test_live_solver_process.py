@@ -1,4 +1,4 @@
-"""Frames of a camera are solved in a process of its own, as long as there is one."""
+"""Frames of two cameras are solved in a process each, as long as there is one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from multiprocessing import active_children
 
 import numpy as np
 import pytest
-from live_bench import SYNTHETIC, Bench, Open, connected, robot, sensor_file
+from live_bench import SYNTHETIC, Bench, Open, robot, sensor_file, two
 
 from bubbleviz.calibration.pressure_zero import PressureZero
 from bubbleviz.live.sources.open_stream import open_stream
@@ -26,19 +26,21 @@ from bubbleviz_ui.model.demand import Demand
 
 
 @contextmanager
-def camera(open_bench: Open) -> Iterator[Bench]:
-    """A window on a robot in a process of its own, whose frames are solved in another one."""
+def cameras(open_bench: Open) -> Iterator[Bench]:
+    """A window on a robot in a process of its own, whose frames two sensors have solved."""
     bench, port = open_bench(), free_port()
     with robot(port):
-        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
-        bench.wait(in_use)
+        pair, source = two(bench.folder), f"zenoh:tcp/127.0.0.1:{port}"
+        places = tuple(each.model_copy(update={"source": source}) for each in pair.sensors)
+        bench.connect(pair.model_copy(update={"sensors": places}))
+        bench.wait(lambda: in_use() == 2)
         bench.follow()
         yield bench
 
 
-def in_use() -> bool:
-    """Whether frames are solved in another process."""
-    return any(thread.name == "solver watch" for thread in threading.enumerate())
+def in_use() -> int:
+    """Number of processes in which frames are solved."""
+    return sum(thread.name == "solver watch" for thread in threading.enumerate())
 
 
 def none_left() -> bool:
@@ -51,7 +53,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     zero.restore(zero.reference_pa + 40.0, waiting=False)
     server, stream = Server(), open_stream("synthetic:?rate=100&frames=1000", sensor)
-    frames = LiveFrames("press", stream, zero)
+    frames = LiveFrames("press", stream, zero, paired=True)
     with stream:
         while not frames.came(60.0):
             pass
@@ -81,10 +83,10 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
 
 
 def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench: Open) -> None:
-    with camera(open_bench) as bench:
-        (child,) = active_children()
+    with cameras(open_bench) as bench:
         before = bench.shown
-        os.kill(child.pid, signal.SIGKILL)
+        for child in active_children():
+            os.kill(child.pid, signal.SIGKILL)
         bench.wait(bench.window.message.isVisible)
         text = bench.window.message.label.text()
         assert "process that solved its frames has ended" in text and "code -9" in text
@@ -96,14 +98,14 @@ def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench: Op
 
 @pytest.mark.parametrize("frozen", [False, True])
 def test_it_ends_with_the_source(open_bench: Open, *, frozen: bool) -> None:
-    with camera(open_bench) as bench:
+    with cameras(open_bench) as bench:
         bench.state.freeze(frozen)
         bench.window.live.leave.click()
         bench.wait(none_left)
 
 
 def test_it_ends_with_another_source(open_bench: Open) -> None:
-    with camera(open_bench) as bench:
+    with cameras(open_bench) as bench:
         bench.connect(single(SYNTHETIC, sensor_file(bench.folder)))
         bench.wait(none_left)
         bench.follow()
@@ -111,11 +113,17 @@ def test_it_ends_with_another_source(open_bench: Open) -> None:
 
 
 def test_it_ends_with_the_window(open_bench: Open) -> None:
-    with camera(open_bench) as bench:
+    with cameras(open_bench) as bench:
         bench.window.close()
         bench.wait(none_left)
 
 
-def test_a_simulation_has_none(open_bench: Open) -> None:
-    connected(open_bench).follow(5)
+def test_a_camera_alone_and_a_simulation_have_none(open_bench: Open) -> None:
+    bench, port = open_bench(), free_port()
+    with robot(port):
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
+        bench.follow(5)
+        assert none_left()
+    bench.connect(two(bench.folder))
+    bench.follow(5)
     assert none_left()

@@ -60,7 +60,7 @@ PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 class Session:
     """An open source and what is made of its frames; only the solver thread changes it.
 
-    `beside` solves the newest frames of a camera on another core.
+    `beside` solves the newest frames of one of two cameras on another core.
     """
 
     number: int
@@ -326,8 +326,11 @@ def _process(
 
 
 def _beside(source: FrameSource, pipeline: Pipeline) -> PipelineProcess | None:
-    """A process for the frames of a camera; a simulation has no images to hurry for."""
-    if not isinstance(source, LiveFrames) or source.simulated:
+    """A process for the frames of one of two cameras: one alone leaves a core to its solver thread.
+
+    A simulation has no images to hurry for.
+    """
+    if not isinstance(source, LiveFrames) or source.simulated or not source.paired:
         return None
     beside = PipelineProcess(pipeline)
     source.at_end(beside.end)

@@ -97,6 +97,7 @@ class Connection(QObject):
                 each.stream,
                 each.zero,
                 simulated=is_simulated(each.place.source),
+                paired=len(session.sensors) > 1,
             )
             for k, each in enumerate(session.sensors)
         )

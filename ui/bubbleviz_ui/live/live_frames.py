@@ -47,6 +47,8 @@ class LiveFrames:
     zero : PressureZero
     simulated : bool
         Of a simulation.
+    paired : bool
+        Another sensor's frames come at the same time.
 
     Attributes
     ----------
@@ -55,9 +57,16 @@ class LiveFrames:
     """
 
     def __init__(
-        self, name: str, stream: LiveStream, zero: PressureZero, *, simulated: bool = False
+        self,
+        name: str,
+        stream: LiveStream,
+        zero: PressureZero,
+        *,
+        simulated: bool = False,
+        paired: bool = False,
     ) -> None:
-        self.name, self.stream, self.zero, self.simulated = name, stream, zero, simulated
+        self.name, self.stream, self.zero = name, stream, zero
+        self.simulated, self.paired = simulated, paired
         self._epoch_ns = 0
         self._kept: deque[Frame] = deque()
         self._bytes = 0
