@@ -136,3 +136,23 @@ def test_what_is_asked_for_meanwhile_is_not_lost(qtbot: QtBot, sensor: Sensor) -
     assert client.inspection.kappa_curve is not None
     assert client.settled
     client.close()
+
+
+def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(
+    qtbot: QtBot, sensor: Sensor
+) -> None:
+    """Looks are left out of most frames while playing, but not because of one that never came."""
+    solver, state = Waiting(), SessionState()
+    demand = Demand(frozenset({"estimate", "patch"}), frozenset({"kappa_curve"}))
+    client = SensorClient(state, solver)
+    solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, Demand(demand.products)))
+    state.open(client.facts, 3, playing=True, history=client.history)
+    client.ask_newest(demand)
+    client.ask_frame(3, demand)
+    newest, frame = solver.requests
+    assert newest.demand.looks and not frame.demand.looks
+    solver.answer(newest)  # there is none: the source does not grow
+    client.ask_frame(3, demand)
+    solver.answer(solver.requests[-1])
+    assert client.inspection.kappa_curve is not None
+    client.close()

@@ -177,6 +177,8 @@ class SensorClient(QObject):
             return
         elif isinstance(answer, Waited):
             self._awaiting = False
+            if answer.request.demand.looks:  # nothing was looked at
+                self._looked_s = 0.0
         elif isinstance(answer, Solved):
             self._take_solved(answer)
         elif isinstance(answer, Followed) and answer.solved is not None:
