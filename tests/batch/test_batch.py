@@ -29,6 +29,7 @@ from bubbleviz.errors import InputError
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
+LONG = 500  # frames
 Eventually = Callable[[Callable[[], object]], None]
 FILES = {"result.npz", "result.csv", "summary.json"}
 
@@ -72,9 +73,9 @@ def lives(process: psutil.Process) -> bool:
 
 @pytest.fixture(scope="module")
 def long_original(sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Takes long enough to be stopped in the middle."""
+    """Takes longer than a worker outlives its parent: 0.2 s."""
     path = tmp_path_factory.mktemp("long") / "z.mcap"
-    return write_press(path, sensor, (0.044, 0.043) * 50)
+    return write_press(path, sensor, (0.044, 0.043) * (LONG // 2))
 
 
 @pytest.fixture
@@ -223,7 +224,7 @@ def test_killed_in_the_middle_then_resumed(
     assert told == {**dict.fromkeys(NAMES, "kept"), long_recording.name: "done"}
     assert {n: (out / n / "result.npz").stat().st_mtime_ns for n in NAMES} == kept
     assert not hidden_in(out)
-    assert table_of(out)[long_recording.name]["frames"] == "100"
+    assert table_of(out)[long_recording.name]["frames"] == str(LONG)
 
 
 def test_interrupted_leaves_whole_files(
