@@ -15,7 +15,8 @@ run: setup
 	@.venv/bin/bubbleviz $(ARGS)
 
 test test-all: setup
-	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	.venv/bin/python -m pytest -n 2 --max-worker-restart 0 --dist loadfile \
+	    --no-loadscope-reorder $(ARGS)
 
 test-all pages: export TEST_ALL = 1
 # Even where the environment forbids it: else every process of a test compiles what it imports

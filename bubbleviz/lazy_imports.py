@@ -97,9 +97,11 @@ def everything_stays() -> Iterator[None]:
 
     Python would look again and again at all that is loaded, a quarter of the time of the imports.
     """
+    looked = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         gc.freeze()
-        gc.enable()
+        if looked:
+            gc.enable()

@@ -44,6 +44,12 @@ def press(sensor: Sensor) -> FrameSource:
     return CachedSource(default_press(sensor))
 
 
+@pytest.fixture(scope="session")
+def qapp() -> QApplication:
+    """The window's own application, in tests without a window as well."""
+    return application()
+
+
 @pytest.fixture
 def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable[..., Driver]]:
     """Open windows: `drive(open_source=…, frame=…, playing=…, live=…, quality=…)`."""

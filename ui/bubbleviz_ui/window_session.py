@@ -270,6 +270,7 @@ def application() -> QApplication:
     """The Qt application with the window's look; made once."""
     from PySide6.QtWidgets import QApplication
 
+    from bubbleviz_ui.engine.garbage import GarbageCollector
     from bubbleviz_ui.shell import theme
 
     sys.setswitchinterval(SWITCH_S)
@@ -280,6 +281,8 @@ def application() -> QApplication:
         if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
             os.environ.setdefault("QT_QPA_PLATFORM", "xcb")  # VTK draws through X
         made = QApplication(["bubbleviz"])
+    if made.findChild(GarbageCollector) is None:
+        GarbageCollector(made)
     made.setApplicationName("bubbleviz")
     made.setStyle("Fusion")
     theme.apply(made, theme.chosen("system", theme.system_scheme()))

@@ -9,7 +9,7 @@ from live_bench import IMAGE, Open, connected, contents, record_dents, robot, se
 
 from bubbleviz.live.source_status import STALE_AFTER_S
 from bubbleviz_ui.bench.live_soak import free_port
-from bubbleviz_ui.engine.request_delay import RequestDelay
+from bubbleviz_ui.engine.request_slots import RequestDelay
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
 

@@ -13,7 +13,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import Gap
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
-from bubbleviz_ui.engine.request_delay import RequestDelay
+from bubbleviz_ui.engine.request_slots import RequestDelay
 from bubbleviz_ui.engine.requests import (
     Answer,
     Failed,
