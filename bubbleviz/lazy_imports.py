@@ -92,6 +92,22 @@ def made_later(module: str, cls: str) -> Iterator[None]:
 
 
 @contextmanager
+def hidden(package: str) -> Iterator[None]:
+    """Import others as where a package is not installed.
+
+    pyvista would load mypy wherever that is, for a plugin of it. Does nothing when it is loaded.
+    """
+    if package in sys.modules:
+        yield
+        return
+    sys.modules[package] = None  # type: ignore[assignment]  # what makes Python not find it
+    try:
+        yield
+    finally:
+        del sys.modules[package]
+
+
+@contextmanager
 def everything_stays() -> Iterator[None]:
     """Import many modules without looking for garbage: all they make stays until the end.
 

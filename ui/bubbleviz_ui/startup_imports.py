@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import linecache
 import sys
 
-from bubbleviz.lazy_imports import everything_stays, import_later, import_without, made_later
+from bubbleviz.lazy_imports import (
+    everything_stays,
+    hidden,
+    import_later,
+    import_without,
+    made_later,
+)
 
 
 def import_the_window() -> None:
@@ -14,5 +21,10 @@ def import_the_window() -> None:
     import_without("matplotlib", "pyplot")
     import_without("scipy", "ndimage")
     import_later("pooch")
-    with everything_stays(), made_later("matplotlib.backends.backend_agg", "FigureCanvasAgg"):
+    charts = made_later("matplotlib.backends.backend_agg", "FigureCanvasAgg")
+    with everything_stays(), charts, hidden("mypy"):
+        # First what knows no Qt: PySide6 reads the source of every module that is imported after it
+        import pyvista.plotting  # noqa: F401
+
         import bubbleviz_ui.main_window  # noqa: F401
+    linecache.clearcache()  # the sources it read, tens of MB
