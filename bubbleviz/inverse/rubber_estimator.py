@@ -224,7 +224,7 @@ class RubberEstimator:
         """λ, τ and resolution by what the camera says of the membrane at rest."""
         mesh, everything = self.mesh, self.observer.observe_everything()
         smoothness = 1.0 / (self.options.pressure_scale * self.held_pressure_pa) ** 2
-        view = self.observer.around(mesh.nodes)
+        view = self._view_at_rest = self.observer.around(mesh.nodes)
         weight = everything.weight[view.block]
         n = len(mesh.free)
         sample = mesh.free[sampled(n)]
@@ -290,9 +290,10 @@ class RubberEstimator:
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
         A start that the image is less like than the membrane at rest is left for that.
-        While the shape is far from the image only those nodes are looked at that pull most. How
-        much more than the noise is left decides how far the image is trusted, so that the frame is
-        solved until the two agree: it does not hang on the frames before.
+        While the shape is far from the image, or it is not known yet how much more than the noise
+        is left, only those nodes are looked at that pull most. That noise decides how far the image
+        is trusted, so that the frame is solved until the two agree: it does not hang on the frames
+        before.
         """
         state, warm = start.state or self._rest, start.state is not None
         begin, view = state.x, start.view
@@ -301,7 +302,8 @@ class RubberEstimator:
         far_steps, noise, noises, steps = 0, start.noise, 1, 0
         while steps < _STEPS:
             steps += 1
-            view = self.observer.around(state.x, view)
+            at_rest = state is self._rest
+            view = self._view_at_rest if at_rest else self.observer.around(state.x, view)
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
@@ -316,7 +318,8 @@ class RubberEstimator:
             gas_error = self._gas_error(rubber, view, measured_gas)
             ranges = Ranges(view.jacobian, error, weight, gas_error)
             began = time.perf_counter()
-            rounds = (_ROUNDS if standing else 1) if selecting else 0
+            known = warm or noises > 1  # how much more than the noise is left
+            rounds = (_ROUNDS if standing and known else 1) if selecting else 0
             contact = self._contact(rubber, ranges, state, measured_gas, rounds)
             solve_ms += 1e3 * (time.perf_counter() - began)
             if not contact.converged:
@@ -328,13 +331,14 @@ class RubberEstimator:
             far_steps += selecting and far and moved < 0.9 * self._longest_m
             lasting = warm and contact.pressure.any() and self._serves(begin, state.x)
             if balanced and (lasting or moved <= self._near_m):
-                if (selecting and contact.complete) or chosen > _SELECTIONS:
+                chosen_well = (selecting and contact.complete) or chosen > _SELECTIONS
+                if chosen_well or (chosen and not known):
                     left = error - view.jacobian @ (state.x - before.x).ravel()
                     found = noise
                     # where contact was looked for in vain, what it would explain is left
                     if not contact.pivots or contact.pressure.any():
                         found = self.observer.noise_left(observation, view.block, left)
-                    if noises == _NOISES or _alike(found, noise):
+                    if noises == _NOISES or (chosen_well and _alike(found, noise)):
                         break
                     noise, noises, chosen, steps = found, noises + 1, 0, 0
                 selecting = standing = True
