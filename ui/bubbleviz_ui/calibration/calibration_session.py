@@ -19,6 +19,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_answer import Answer, Work, answer
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.memory_release import release_memory
 from bubbleviz_ui.engine.requests import Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.model.messages import UserMessage
@@ -176,10 +177,13 @@ class Calibration(QObject):
         if opener is None or given is None or in_use is None:
             return
         benches = self.benches
-        self._jobs.replace(
-            lambda progress: answer(benches.of(work, opener, given), work, in_use, progress),
-            self._on_computed,
-        )
+
+        def compute(progress: Progress) -> Answer:
+            found = answer(benches.of(work, opener, given), work, in_use, progress)
+            release_memory()  # hundreds of MB that it worked with
+            return found
+
+        self._jobs.replace(compute, self._on_computed)
 
     def _on_computed(self, done: Done) -> None:
         if not self._tell_problem(done):
