@@ -49,8 +49,8 @@ class UsedPixels:
 
     def residuals(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured minus reference range in a z-depth image (H, W), (k,), m; NaN: no return."""
-        ranges = depth_m.ravel().take(self.number, mode="clip")  # unchecked: all are inside
-        ranges *= self.scale
+        depths = depth_m.ravel().take(self.number, mode="clip")  # unchecked: all are inside
+        ranges = depths * self.scale  # not in place: images of any type come
         if self.line is not None:
             ranges = self.line.straighten(ranges)
         ranges -= self.reference_m

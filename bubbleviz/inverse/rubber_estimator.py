@@ -299,7 +299,8 @@ class RubberEstimator:
         begin, view = state.x, start.view
         rubber, solve_ms = start.rubber, 0.0
         selecting, standing, chosen = True, warm, 0
-        far_steps, noise, noises, steps = 0, start.noise, 1, 0
+        far_steps, noise, steps = 0, start.noise, 0
+        noises: list[float] = []  # that the frame was solved with
         while steps < _STEPS:
             steps += 1
             at_rest = state is self._rest
@@ -318,7 +319,7 @@ class RubberEstimator:
             gas_error = self._gas_error(rubber, view, measured_gas)
             ranges = Ranges(view.jacobian, error, weight, gas_error)
             began = time.perf_counter()
-            known = warm or noises > 1  # how much more than the noise is left
+            known = warm or bool(noises)  # how much more than the noise is left
             rounds = (_ROUNDS if standing and known else 1) if selecting else 0
             contact = self._contact(rubber, ranges, state, measured_gas, rounds)
             solve_ms += 1e3 * (time.perf_counter() - began)
@@ -338,9 +339,10 @@ class RubberEstimator:
                     # where contact was looked for in vain, what it would explain is left
                     if not contact.pivots or contact.pressure.any():
                         found = self.observer.noise_left(observation, view.block, left)
-                    if noises == _NOISES or (chosen_well and _alike(found, noise)):
+                    if chosen_well and _settled(found, noise, noises):
                         break
-                    noise, noises, chosen, steps = found, noises + 1, 0, 0
+                    noises.append(noise if chosen_well else np.inf)
+                    noise, chosen, steps = found, 0, 0
                 selecting = standing = True
                 chosen += 1
             elif far_steps == _FAR_STEPS:
@@ -510,6 +512,15 @@ def _is_nearer_at_rest(observation: Observation, view: ShapeRanges) -> bool:
     weight, at_rest = observation.weight[view.block], observation.residual_m[view.block]
     there = at_rest - view.model_m[view.block]
     return bool(weight @ there**2 > weight @ at_rest**2)
+
+
+def _settled(found: float, noise: float, before: list[float]) -> bool:
+    """Whether a frame is solved that was solved with one noise and leaves another one.
+
+    Two may follow each other for ever, each with its own support: the larger one stays.
+    """
+    alternate = found < noise and any(_alike(found, other) for other in before)
+    return len(before) + 1 >= _NOISES or alternate or _alike(found, noise)
 
 
 def _alike(found: float, noise: float) -> bool:
