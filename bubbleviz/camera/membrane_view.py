@@ -59,7 +59,8 @@ class MembraneView:
         nodes and is linear between them.
         """
         mask, mesh = np.zeros(self.shape, bool), self.mesh
-        reaching = mesh.corners[:, (field > level)[mesh.corners].any(axis=0)]
+        triangles = np.flatnonzero((field > level).take(mesh.corners).any(axis=0))
+        reaching = mesh.corners.take(triangles, axis=1)
         if not reaching.size:
             return mask
         met = np.zeros(len(mesh.nodes), bool)
@@ -96,7 +97,7 @@ def _fill(mask: np.ndarray, bounds: np.ndarray, first: np.ndarray, last: np.ndar
     count = np.maximum(last - first + 1, 0) * bounds.any(axis=(0, 2))
     area = np.repeat(np.arange(len(count)), count)
     row = np.arange(len(area)) + np.repeat(first - np.cumsum(count) + count, count)
-    slope, across, offset = bounds[:, area].transpose(2, 0, 1)
+    slope, across, offset = bounds.transpose(2, 0, 1).take(area, axis=2)
     here = across * row + offset
     with np.errstate(divide="ignore", invalid="ignore"):
         end = -here / slope
@@ -104,7 +105,8 @@ def _fill(mask: np.ndarray, bounds: np.ndarray, first: np.ndarray, last: np.ndar
     nothing = (slope == 0.0) & (here < 0.0)
     left = np.where(slope > 0.0, end, np.where(nothing, width, -1.0)).max(axis=0)
     right = np.where(slope < 0.0, end, width).min(axis=0)
-    left, right = np.ceil(left.clip(0, width)), np.floor(right.clip(-1, width - 1)) + 1
+    left = np.ceil(np.minimum(np.maximum(left, 0), width))  # `clip` takes three times as long
+    right = np.floor(np.minimum(np.maximum(right, -1), width - 1)) + 1
     some = left < right
     if not some.any():
         return

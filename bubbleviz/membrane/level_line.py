@@ -20,14 +20,15 @@ def level_line(
     level : float
     """
     above = field - level
-    inside = (above > 0.0)[corners]
+    inside = (above > 0.0).take(corners)
     count = inside.sum(axis=0)
     cut = np.flatnonzero((count == 1) | (count == 2))
     # Turn each cut triangle so that its first corner is the one alone on its side.
     alone = np.argmax(inside[:, cut] == (count[cut] == 1), axis=0)
     a, b, c = (corners[(alone + k) % 3, cut] for k in range(3))
-    start = points[a]
-    ends = [
-        start + (above[a] / (above[a] - above[k]))[:, None] * (points[k] - start) for k in (b, c)
-    ]
-    return np.stack(ends, axis=1)
+    start, height = points.take(a, axis=0), above[a]
+    pieces = np.empty((len(cut), 2, 3))
+    for end, k in enumerate((b, c)):
+        share = height / (height - above[k])
+        pieces[:, end] = start + share[:, None] * (points.take(k, axis=0) - start)
+    return pieces

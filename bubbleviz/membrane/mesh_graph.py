@@ -9,7 +9,7 @@ from scipy import sparse
 def grown(rings: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Nodes (n,) bool in or next to a set of nodes."""
     wider = mask.copy()
-    wider[rings[:, mask]] = True
+    wider[rings.take(np.flatnonzero(mask), axis=1)] = True
     return wider
 
 
@@ -20,12 +20,12 @@ def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarra
     around = np.where(mask[around], around, nodes)
     while True:  # each node learns of the lowest one in its part, by neighbours and by that one
         lower = lowest[around].min(axis=0, initial=len(mask))
-        if np.array_equal(lower, lowest[nodes]):
+        if (lower == lowest[nodes]).all():  # `np.array_equal` takes several times as long
             break
         lowest[nodes] = lower
         lowest[nodes] = lowest[lower]
-    first, part = np.unique(lower, return_inverse=True)
-    return len(first), part
+    first = nodes[lower == nodes]
+    return len(first), np.searchsorted(first, lower)
 
 
 def adjacency(rings: np.ndarray, nodes: np.ndarray) -> np.ndarray:

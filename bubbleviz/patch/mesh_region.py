@@ -41,8 +41,8 @@ class Region:
     def of(cls, mesh: MembraneMesh, mask: np.ndarray) -> Region:
         """The part that a set of nodes (n,) bool is."""
         index = np.flatnonzero(mask)
-        around = mesh.rings[:, index]
-        outside = ~mask[around]
+        around = mesh.rings.take(index, axis=1)
+        outside = ~mask.take(around)
         number = np.cumsum(mask) - 1
         rings = np.where(outside, np.arange(len(index)), number[around])
         return cls(
@@ -50,7 +50,7 @@ class Region:
             mesh.nodes[index],
             rings,
             np.count_nonzero(rings != rings[0], axis=0),
-            number[mesh.corners[:, mask[mesh.corners].all(axis=0)]],
+            number[mesh.corners[:, mask.take(mesh.corners).all(axis=0)]],
             outside.any(axis=0) | mesh.rim[index],
         )
 
@@ -66,8 +66,8 @@ class Region:
     def maximum(self, field: np.ndarray, rings: float) -> np.ndarray:
         """Largest value within some rings of a node, in proportion between whole numbers."""
         for _ in range(int(rings)):
-            field = field[self.rings].max(axis=0)
-        return field + rings % 1.0 * (field[self.rings].max(axis=0) - field)
+            field = field.take(self.rings).max(axis=0)
+        return field + rings % 1.0 * (field.take(self.rings).max(axis=0) - field)
 
     def touches(self, mask: np.ndarray) -> np.ndarray:
         """Nodes in or next to a set of nodes."""
@@ -78,11 +78,11 @@ class Region:
         found, more = mask & flag, True
         while more:
             wider = mask & self.touches(found)
-            more, found = not np.array_equal(wider, found), wider
+            more, found = bool(np.count_nonzero(wider) > np.count_nonzero(found)), wider
         return found
 
 
 def contour_points(region: Region, field: np.ndarray) -> np.ndarray:
     """Points on the zero contour of a nodal field: its cuts of the edges and half way between."""
     pieces = level_line(region.points, region.corners, field)
-    return np.concatenate([pieces[:, 0], pieces.mean(axis=1)])
+    return np.concatenate([pieces[:, 0], 0.5 * (pieces[:, 0] + pieces[:, 1])])

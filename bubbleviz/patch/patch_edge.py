@@ -122,7 +122,7 @@ class PatchEdge:
         """Nodes (k,) bool below the floor, but for holes too small to be seen."""
         low = over <= 0.0
         outside = region.any_in_part(low, region.open)
-        if np.array_equal(outside, low):
+        if (outside == low).all():
             return low
         seen = outside | (self._distance(region, over, blur) < -_HOLE * blur)
         return region.any_in_part(low, seen)

@@ -153,9 +153,8 @@ def areas_above(
     """
     if field.max() <= min(levels):
         return (0.0,) * len(levels)
-    corners = field[mesh.corners]
-    reaching = corners.max(axis=0) > min(levels)
-    low, middle, high = np.sort(corners[:, reaching], axis=0)
+    reaching = np.flatnonzero((field > min(levels)).take(mesh.corners).any(axis=0))
+    low, middle, high = np.sort(field[mesh.corners.take(reaching, axis=1)], axis=0)
     level = np.asarray(levels, float)[:, None]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         one = (high - level) ** 2 / ((high - low) * (high - middle))
