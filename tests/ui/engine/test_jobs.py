@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+from PySide6.QtCore import QCoreApplication
 from pytestqt.qtbot import QtBot
 
 from bubbleviz.errors import InputError
@@ -134,3 +135,15 @@ def test_closing_waits_no_longer_than_it_is_told(qtbot: QtBot) -> None:
     assert not ended.is_set()
     go_on.set()
     assert ended.wait(240.0)  # it is not lost
+
+
+def test_jobs_that_end_after_their_window_do_no_harm(qtbot: QtBot) -> None:
+    """Their threads are the last to know of them, while their ends are told in the GUI thread."""
+    for _ in range(5_000):
+        jobs, go_on = Jobs("held"), threading.Event()
+        jobs.run(lambda _, go_on=go_on: go_on.wait())
+        jobs.close(0.0)
+        del jobs
+        go_on.set()
+        for _ in range(5):
+            QCoreApplication.processEvents()

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import QObject, Qt, Signal
+from PySide6.QtCore import QCoreApplication, QObject, Qt, Signal
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.progress import Cancelled, Progress
@@ -115,6 +115,8 @@ class Jobs(QObject):
             done, _ = wait([self._executor.submit(lambda: None)], timeout_s)
             self._executor.shutdown(wait=bool(done))
             self._executor = None
+            if not done:  # or the thread would be the last to hold this object, and delete it there
+                self.setParent(QCoreApplication.instance())
 
     def _serve(self, waiting: _Waiting) -> None:
         if waiting in self._wanted:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from threading import Thread
 
-from PySide6.QtCore import QObject, Qt, Signal
+from PySide6.QtCore import QCoreApplication, QObject, Qt, Signal
 
 from bubbleviz_ui.engine.jobs import PATIENCE_S
 from bubbleviz_ui.engine.request_slots import RequestSlots
@@ -66,6 +66,8 @@ class Worker(QObject):
         then fail, and the exit code is lost (scipy#25404).
         """
         self._thread.join(timeout_s)
+        if self.running:  # or it would be the last to hold this object, and delete it there
+            self.setParent(QCoreApplication.instance())
 
     def _run(self) -> None:
         while (request := self._slots.take()) is not None:
