@@ -70,8 +70,8 @@ class ImageOptions:
         How far off the membrane around the contact may be, as motions of the object in the
         directions that the contact determines would move it: stiffness and gas are known no better.
     rounding_m : float
-        How far edges may lie further back than modelled: objects are rounded there by that much,
-        and a membrane of some thickness does not follow them.
+        Radius of edges, which are modelled sharp: objects are rounded there, and a membrane of some
+        thickness does not follow them.
     step_m : float
         Longest step of the patch's edge: the membrane around an edge is curved over some
         millimetres, and derivatives hold over half of that.

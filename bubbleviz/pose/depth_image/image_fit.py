@@ -61,7 +61,7 @@ class PredictedImage:
     held : (b,) bool array
         Pixels that see membrane lying on a face.
     rounding : (b,) array
-        Derivatives of their residuals by how far edges lie further back than modelled.
+        Derivatives of their residuals by the radius of the object's edges.
     """
 
     T_B_O: np.ndarray

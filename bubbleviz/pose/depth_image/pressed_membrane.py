@@ -41,7 +41,7 @@ class Press:
     slopes : (6, k, 3) array
         Their derivatives by small motions of the object in B about the centre.
     rounding : (k, 3) array
-        Their derivative by how far edges of the object lie further back than modelled.
+        Their derivative by the radius of the object's edges.
     force_n : (3,) array
         Of the object on the membrane.
     held : (m,) bool array

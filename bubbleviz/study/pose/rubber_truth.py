@@ -1,8 +1,4 @@
-"""Presses into the exact membrane, on a mesh that is fine where the object touches.
-
-The forward model holds nodes: where an edge of the object lies between them it cuts into the
-membrane, so that on an even mesh the contact is smaller than the object by a triangle.
-"""
+"""Presses into the exact membrane, as the camera would see them."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
@@ -21,12 +16,11 @@ from bubbleviz.membrane.forward_model import Contact
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import build_rubber
-from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.sensor import Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.refined_press import refined_press
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 
 PRESTRETCH = 1.2
@@ -34,13 +28,6 @@ PRESTRETCH = 1.2
 
 TRUTH_NODES = 2_600
 """Before it is refined: other nodes than the estimator's, and as coarse where nothing touches."""
-
-_AROUND = 1.5
-"""Way around touching nodes, in edges of the mesh, in which triangles are cut at each level: a
-contact that becomes larger on the finer mesh stays in it."""
-
-_LEVELS, _AT_EDGES = 1, 2
-"""Levels around all that touches, and more of them along edges of the object."""
 
 
 class RubberTruth(NamedTuple):
@@ -96,33 +83,13 @@ class RubberPresses:
         SolveError
             No equilibrium was found.
         """
-        mesh, contact = self._solved(self.mesh, model, T_B_O)
-        touching = np.flatnonzero(contact.contact_pressure_pa > 0.0)
-        places = mesh.nodes[touching]
-        edges = np.zeros(len(places), bool)
-        if model.creases is not None:
-            now = mesh.deformed(contact.displacement_3d_m)[touching]
-            local = (now - T_B_O[:3, 3]) @ T_B_O[:3, :3]
-            edges = model.creases.tree.query(local)[0] < 0.5 * mesh.edge_length
-        edge_m = mesh.edge_length
-        for level in range(_LEVELS + _AT_EDGES):
-            chosen = places if level < _LEVELS else places[edges]
-            if len(chosen):
-                away = np.asarray(cKDTree(chosen).query(mesh.nodes)[0])
-                near = (away < _AROUND * edge_m)[mesh.triangles].any(axis=1)
-                mesh, edge_m = refine(mesh, near), 0.7 * edge_m
-        mesh, contact = self._solved(mesh, model, T_B_O)
+        mesh, contact = refined_press(
+            self.rubber, partial(Gas.of, self.pneumatics), self.mesh, model.obj, T_B_O
+        )
         if not contact.converged:
             raise SolveError(f"no equilibrium of {model.obj.name} at this pose")
         view = MembraneView(self.camera, mesh)
         return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
-
-    def _solved(
-        self, mesh: MembraneMesh, model: ObjectModel, T_B_O: np.ndarray
-    ) -> tuple[MembraneMesh, Contact]:
-        rubber = self.rubber(mesh)
-        gas = Gas.of(self.pneumatics, rubber.mesh)
-        return rubber.mesh, RubberForward(rubber, gas).press(model.obj, T_B_O)
 
 
 def _rubber_of(sensor: Sensor, tension_n_per_m: float, mesh: MembraneMesh) -> RubberMembrane:
