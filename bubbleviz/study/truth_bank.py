@@ -155,6 +155,10 @@ class TruthBank:
             self._sightings[press] = self._kept(press)
         return self._sightings[press]
 
+    def pose(self, press: Press) -> np.ndarray:
+        """T_B_O (4, 4) of a press."""
+        return press.pose(self.mesh, self.seed)
+
     def frame(self, sighting: Sighting, noise: DepthNoise, index: int, stride: int = 1) -> Frame:
         """Frame number `index` of a press: new noise for every number; every stride-th pixel."""
         return self.seen(sighting.range_m, noise, index, stride)
@@ -181,7 +185,7 @@ class TruthBank:
         return _load(press, path)
 
     def _made(self, press: Press) -> RubberTruth:
-        work = self._presses, press, press.pose(self.mesh, self.seed)
+        work = self._presses, press, self.pose(press)
         if self._limit_s is None:
             return _pressed(*work)
         with WorkerProcess(MEMORY_LIMIT_BYTES) as worker:

@@ -22,17 +22,14 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.study.pose.pose_errors import PoseJudge, TrueContact
-from bubbleviz.study.pose.rubber_truth import (
-    TRUTH_NODES,
-    RubberPresses,
-    RubberTruth,
-    rubber_sensor,
-)
+from bubbleviz.study.pose.rubber_truth import TRUTH_NODES, RubberPresses, rubber_sensor
 from bubbleviz.study.presses import Press, made
+from bubbleviz.study.truth_bank import Sighting, TruthBank
 
 START_M, START_RAD = 3e-3, np.radians(8.0)  # how far off starts are
 SHALLOWEST_M, DEEPEST_M = 0.007, 0.012  # of the presses
 FRAMES = 4  # of each press, with noise of their own
+LIMIT_S = 300.0  # of a press whose equilibrium is looked for
 
 _PRODUCTS: frozenset[Product] = frozenset({"pose"})
 
@@ -103,7 +100,7 @@ def run_rubber_study(
 ) -> RubberStudy:
     """Run a grid; `tick` is called with an object's name for each of its presses."""
     own = SensorModel.of(rubber_sensor(sensor))
-    presses = RubberPresses.of(own, grid.truth_nodes)
+    bank = TruthBank(RubberPresses.of(own, grid.truth_nodes), grid.seed, limit_s=LIMIT_S)
     trials: list[RubberTrial] = []
     omitted: list[str] = []
     for name in grid.objects:
@@ -112,8 +109,7 @@ def run_rubber_study(
         for depth in random.uniform(SHALLOWEST_M, DEEPEST_M, grid.presses):
             press = Press(name, float(depth), False)
             try:
-                truth = presses.press(bench.model, press.pose(presses.mesh, grid.seed))
-                trials += bench.trials(truth, press, grid, random)
+                trials += bench.trials(bank.sighting(press), bank.pose(press), grid, random)
             except (InputError, SolveError) as error:
                 omitted.append(f"{name} {1e3 * depth:.1f} mm: {error}")
             tick(name)
@@ -131,25 +127,29 @@ class _Bench:
         self._image = ImageFit(pipeline.estimator.observer, pressed, options)
 
     def trials(
-        self, truth: RubberTruth, press: Press, grid: RubberGrid, random: np.random.Generator
+        self,
+        sighting: Sighting,
+        T_B_O: np.ndarray,
+        grid: RubberGrid,
+        random: np.random.Generator,
     ) -> list[RubberTrial]:
-        """From every start."""
-        found, displacement = truth.contact, truth.contact.displacement_3d_m
+        """From every start, the object truly at T_B_O (4, 4)."""
+        truth = sighting.truth
         true = self._judge.touching(
-            truth.mesh, displacement, found.contact_pressure_pa, truth.T_B_O
+            sighting.mesh, truth.displacement_3d_m, truth.contact_pressure_pa, T_B_O
         )
-        seen = self._seen(truth, true, grid.noise_relative)
+        seen = self._seen(sighting, true, grid.noise_relative)
         trials = []
         for start in range(grid.starts):
             ways = random.standard_normal((2, 3))
             ways *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(ways, axis=1)[:, None]
             T = moved(true.T_B_O, ways.ravel(), true.center)
-            trials.append(self._trial(truth, press, true, seen, T, grid, start))
+            trials.append(self._trial(sighting, true, seen, T, grid, start))
         return trials
 
-    def _seen(self, truth: RubberTruth, true: TrueContact, noise_relative: float) -> TrueContact:
+    def _seen(self, sighting: Sighting, true: TrueContact, noise_relative: float) -> TrueContact:
         """The contact with the directions that an image of it determines."""
-        depth = self._pipeline.camera.depth_image(truth.range_m).astype(np.float32)
+        depth = self._pipeline.camera.depth_image(sighting.range_m).astype(np.float32)
         result = self._pipeline.process(Frame(0, 0.0, depth), frozenset({"estimate", "patch"}))
         if result.estimate is None or result.patch is None:
             return true
@@ -159,13 +159,12 @@ class _Bench:
         if image is None:
             return true
         J = image.jacobian @ about(true.center, image.center)
-        sigma = noise_relative * float(np.nanmedian(truth.range_m))
+        sigma = noise_relative * float(np.nanmedian(sighting.range_m))
         return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
 
     def _trial(
         self,
-        truth: RubberTruth,
-        press: Press,
+        sighting: Sighting,
         true: TrueContact,
         seen: TrueContact,
         start: np.ndarray,
@@ -176,14 +175,14 @@ class _Bench:
         noise, camera = DepthNoise(relative=grid.noise_relative), self._pipeline.camera
         times = []
         for k in range(FRAMES):
-            ranges = noise.apply(truth.range_m, grid.seed + number, k)
+            ranges = noise.apply(sighting.range_m, grid.seed + number, k)
             depth = camera.depth_image(ranges).astype(np.float32)
             result = self._pipeline.process(Frame(k, k / 30.0, depth), _PRODUCTS)
             times.append(result.times_ms.get("pose", np.nan))
         pose = result.pose
         trial = RubberTrial(
-            press.object_name,
-            press.depth_m,
+            sighting.press.object_name,
+            sighting.press.depth_m,
             "none" if pose is None else pose.status,
             determined=int(true.directions.determined.sum()),
             seen=int(seen.directions.determined.sum()),
