@@ -59,7 +59,7 @@ by then the shape stands, or model and data contradict each other."""
 _SELECTIONS, _ROUNDS = 2, 6
 """Times that the support is looked for anew where the shape stands, and how often nodes that pull
 are added to it each time."""
-_LONGEST = 1.0
+_LONGEST = 2.0
 """Longest step in mesh edges."""
 _NOISE_ALIKE, _NOISES = 1.1, 8
 """Factor between the noise that a frame was solved with and the one it leaves within which they are
@@ -290,15 +290,15 @@ class RubberEstimator:
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
         A start that the image is less like than the membrane at rest is left for that.
-        While the shape is far from the image, or it is not known yet how much more than the noise
-        is left, only those nodes are looked at that pull most. That noise decides how far the image
-        is trusted, so that the frame is solved until the two agree: it does not hang on the frames
-        before.
+        How much more than the noise is left decides how far the image is trusted. The first step
+        to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
+        nodes are looked at that pull most. The frame is solved until noise and answer agree: they
+        do not hang on the frames before.
         """
         state, warm = start.state or self._rest, start.state is not None
         begin, view = state.x, start.view
         rubber, solve_ms = start.rubber, 0.0
-        selecting, standing, chosen = True, warm, 0
+        selecting, chosen = True, 0
         far_steps, noise, steps = 0, start.noise, 0
         noises: list[float] = []  # that the frame was solved with
         while steps < _STEPS:
@@ -320,7 +320,7 @@ class RubberEstimator:
             ranges = Ranges(view.jacobian, error, weight, gas_error)
             began = time.perf_counter()
             known = warm or bool(noises)  # how much more than the noise is left
-            rounds = (_ROUNDS if standing and known else 1) if selecting else 0
+            rounds = (_ROUNDS if known else 1) if selecting else 0
             contact = self._contact(rubber, ranges, state, measured_gas, rounds)
             solve_ms += 1e3 * (time.perf_counter() - began)
             if not contact.converged:
@@ -330,29 +330,30 @@ class RubberEstimator:
             moved = float(np.abs(state.x - before.x).max())
             far = moved > self._far_m
             far_steps += selecting and far and moved < 0.9 * self._longest_m
+            left = error - view.jacobian @ (state.x - before.x).ravel()
             lasting = warm and contact.pressure.any() and self._serves(begin, state.x)
-            if balanced and (lasting or moved <= self._near_m):
-                chosen_well = (selecting and contact.complete) or chosen > _SELECTIONS
-                if chosen_well or (chosen and not known):
-                    left = error - view.jacobian @ (state.x - before.x).ravel()
-                    found = noise
-                    # where contact was looked for in vain, what it would explain is left
-                    if not contact.pivots or contact.pressure.any():
-                        found = self.observer.noise_left(observation, view.block, left)
-                    if chosen_well and _settled(found, noise, noises):
-                        break
-                    noises.append(noise if chosen_well else np.inf)
-                    noise, chosen, steps = found, 0, 0
-                selecting = standing = True
+            stands = balanced and (lasting or moved <= self._near_m)
+            done = stands and ((selecting and contact.complete) or chosen > _SELECTIONS)
+            if done or (balanced and not known and not self._contradicts(state.gas, measured_gas)):
+                found = noise
+                # where contact was looked for in vain, what it would explain is left
+                if not contact.pivots or contact.pressure.any():
+                    found = self.observer.noise_left(observation, view.block, left)
+                if done and _settled(found, noise, noises):
+                    break
+                noises.append(noise if done else np.inf)
+                noise, chosen, steps = found if not _alike(found, 1.0) else 1.0, 0, 0
+            if stands:
+                selecting = True
                 chosen += 1
             elif far_steps == _FAR_STEPS:
                 return _Failure("not_converged", state)
             else:
-                selecting, standing = far, False
+                selecting = far
         else:
             return _Failure("not_converged", state)
         misfit = self.observer.left(observation, view.block, left)
-        contradicts = measured_gas is not None and self._contradicts(state.gas, measured_gas)
+        contradicts = self._contradicts(state.gas, measured_gas)
         sigma = self._sigma(rubber, ranges, state, contact)
         return _Answer(state, contact, misfit, contradicts, sigma, rubber, view, noise, solve_ms)
 
@@ -440,8 +441,10 @@ class RubberEstimator:
 
     # -- what is to be believed -----------------------------------------------------------------
 
-    def _contradicts(self, asked_pa: float, measured_pa: float) -> bool:
-        """Whether the shape asks for another p_v than was measured."""
+    def _contradicts(self, asked_pa: float, measured_pa: float | None) -> bool:
+        """Whether the shape asks for another p_v than was measured, if it was."""
+        if measured_pa is None:
+            return False
         certain = IMPLAUSIBLE_MISFIT * self.gas_sigma(measured_pa)
         return abs(asked_pa - measured_pa) > max(certain, GAS_LAG * self.held_pressure_pa)
 
