@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -12,7 +12,6 @@ from scipy import sparse
 from bubbleviz.camera.observer import (
     Measured,
     Misfit,
-    Observation,
     RangeObserver,
     ShapeRanges,
 )
@@ -59,8 +58,10 @@ by then the shape stands, or model and data contradict each other."""
 _SELECTIONS, _ROUNDS = 2, 6
 """Times that the support is looked for anew where the shape stands, and how often nodes that pull
 are added to it each time."""
-_LONGEST = 1.0
+_LONGEST = 2.0
 """Longest step in mesh edges."""
+_ALIKE = 0.25
+"""Share of an image's squares at rest that the last contact may leave to be the better start."""
 _NOISE_ALIKE, _NOISES = 1.1, 8
 """Factor between the noise that a frame was solved with and the one it leaves within which they are
 the same, and how many are tried."""
@@ -107,6 +108,8 @@ class RubberStart:
         What this frame's image told; None where none was looked at.
     view : ShapeRanges or None
         The camera's model at the last shape that it was found at.
+    contact : RubberStart or None
+        Of the last frame in contact before frames without one.
     """
 
     state: State | None = None
@@ -115,6 +118,11 @@ class RubberStart:
     reached: State | None = None
     measured: Measured | None = None
     view: ShapeRanges | None = None
+    contact: RubberStart | None = None
+
+    def of_contact(self) -> RubberStart | None:
+        """Where the last frame in contact ended."""
+        return self.contact if self.state is None else replace(self, measured=None)
 
 
 @dataclass(frozen=True)
@@ -264,7 +272,7 @@ class RubberEstimator:
                 return self._nothing("implausible", beyond), RubberStart()
         measured = self.observer.measure(depth_m)
         try:
-            answer = self._solve(measured, gas, start)
+            answer = self._solve(measured, gas, self._nearest(measured, start))
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = _Failure("not_converged")
         if isinstance(answer, _Failure):
@@ -274,13 +282,28 @@ class RubberEstimator:
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white):
             nothing = self._nothing("implausible", doubt, answer.misfit.rms_m)
             return nothing, RubberStart(reached=answer.state, measured=measured)
-        touching = answer.state if answer.state.pressure.any() else None
-        start = RubberStart(
-            touching, answer.rubber, answer.noise, answer.state, measured, answer.view
-        )
-        return self._report(answer), start
+        ended = answer.state, measured, answer.view
+        if answer.state.pressure.any():
+            return self._report(answer), RubberStart(ended[0], answer.rubber, answer.noise, *ended)
+        contact = start.of_contact()
+        return self._report(answer), RubberStart(None, answer.rubber, answer.noise, *ended, contact)
 
     # -- one frame ------------------------------------------------------------------------------
+
+    def _nearest(self, measured: Measured, start: RubberStart) -> RubberStart:
+        """The membrane at rest, unless the image is more like the last contact.
+
+        Much more like it where frames without contact lie between: a seek, or another press.
+        """
+        last = start.of_contact()
+        if last is None or last.view is None:
+            return start
+        observation, block = self.observer.weigh(measured), last.view.block
+        weight, at_rest = observation.weight[block], observation.residual_m[block]
+        left = weight @ (at_rest - last.view.model_m[block]) ** 2
+        if left <= (1.0 if start.state is not None else _ALIKE) * (weight @ at_rest**2):
+            return last
+        return start if start.state is None else RubberStart()
 
     def _solve(
         self, measured: Measured, measured_gas: float | None, start: RubberStart
@@ -289,16 +312,15 @@ class RubberEstimator:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
-        A start that the image is less like than the membrane at rest is left for that.
-        While the shape is far from the image, or it is not known yet how much more than the noise
-        is left, only those nodes are looked at that pull most. That noise decides how far the image
-        is trusted, so that the frame is solved until the two agree: it does not hang on the frames
-        before.
+        How much more than the noise is left decides how far the image is trusted. The first step
+        to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
+        nodes are looked at that pull most. The frame is solved until noise and answer agree: they
+        do not hang on the frames before.
         """
         state, warm = start.state or self._rest, start.state is not None
         begin, view = state.x, start.view
         rubber, solve_ms = start.rubber, 0.0
-        selecting, standing, chosen = True, warm, 0
+        selecting, chosen = True, 0
         far_steps, noise, steps = 0, start.noise, 0
         noises: list[float] = []  # that the frame was solved with
         while steps < _STEPS:
@@ -308,8 +330,6 @@ class RubberEstimator:
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
-            if warm and steps == 1 and _is_nearer_at_rest(observation, view):
-                return self._solve(measured, measured_gas, RubberStart())
             seen = weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return _Failure("no_data")
@@ -320,7 +340,7 @@ class RubberEstimator:
             ranges = Ranges(view.jacobian, error, weight, gas_error)
             began = time.perf_counter()
             known = warm or bool(noises)  # how much more than the noise is left
-            rounds = (_ROUNDS if standing and known else 1) if selecting else 0
+            rounds = (_ROUNDS if known else 1) if selecting else 0
             contact = self._contact(rubber, ranges, state, measured_gas, rounds)
             solve_ms += 1e3 * (time.perf_counter() - began)
             if not contact.converged:
@@ -330,29 +350,30 @@ class RubberEstimator:
             moved = float(np.abs(state.x - before.x).max())
             far = moved > self._far_m
             far_steps += selecting and far and moved < 0.9 * self._longest_m
+            left = error - view.jacobian @ (state.x - before.x).ravel()
             lasting = warm and contact.pressure.any() and self._serves(begin, state.x)
-            if balanced and (lasting or moved <= self._near_m):
-                chosen_well = (selecting and contact.complete) or chosen > _SELECTIONS
-                if chosen_well or (chosen and not known):
-                    left = error - view.jacobian @ (state.x - before.x).ravel()
-                    found = noise
-                    # where contact was looked for in vain, what it would explain is left
-                    if not contact.pivots or contact.pressure.any():
-                        found = self.observer.noise_left(observation, view.block, left)
-                    if chosen_well and _settled(found, noise, noises):
-                        break
-                    noises.append(noise if chosen_well else np.inf)
-                    noise, chosen, steps = found, 0, 0
-                selecting = standing = True
+            stands = balanced and (lasting or moved <= self._near_m)
+            done = stands and ((selecting and contact.complete) or chosen > _SELECTIONS)
+            if done or (balanced and not known and not self._contradicts(state.gas, measured_gas)):
+                found = noise
+                # where contact was looked for in vain, what it would explain is left
+                if not contact.pivots or contact.pressure.any():
+                    found = self.observer.noise_left(observation, view.block, left)
+                if done and _settled(found, noise, noises):
+                    break
+                noises.append(noise if done else np.inf)
+                noise, chosen, steps = found if not _alike(found, 1.0) else 1.0, 0, 0
+            if stands:
+                selecting = True
                 chosen += 1
             elif far_steps == _FAR_STEPS:
                 return _Failure("not_converged", state)
             else:
-                selecting, standing = far, False
+                selecting = far
         else:
             return _Failure("not_converged", state)
         misfit = self.observer.left(observation, view.block, left)
-        contradicts = measured_gas is not None and self._contradicts(state.gas, measured_gas)
+        contradicts = self._contradicts(state.gas, measured_gas)
         sigma = self._sigma(rubber, ranges, state, contact)
         return _Answer(state, contact, misfit, contradicts, sigma, rubber, view, noise, solve_ms)
 
@@ -440,8 +461,10 @@ class RubberEstimator:
 
     # -- what is to be believed -----------------------------------------------------------------
 
-    def _contradicts(self, asked_pa: float, measured_pa: float) -> bool:
-        """Whether the shape asks for another p_v than was measured."""
+    def _contradicts(self, asked_pa: float, measured_pa: float | None) -> bool:
+        """Whether the shape asks for another p_v than was measured, if it was."""
+        if measured_pa is None:
+            return False
         certain = IMPLAUSIBLE_MISFIT * self.gas_sigma(measured_pa)
         return abs(asked_pa - measured_pa) > max(certain, GAS_LAG * self.held_pressure_pa)
 
@@ -505,13 +528,6 @@ class RubberEstimator:
             force_sigma_n=three,
             reason=reason,
         )
-
-
-def _is_nearer_at_rest(observation: Observation, view: ShapeRanges) -> bool:
-    """Whether an image is more like the membrane at rest than like a shape."""
-    weight, at_rest = observation.weight[view.block], observation.residual_m[view.block]
-    there = at_rest - view.model_m[view.block]
-    return bool(weight @ there**2 > weight @ at_rest**2)
 
 
 def _settled(found: float, noise: float, before: list[float]) -> bool:

@@ -32,5 +32,7 @@ def symmetric_lu(
         matrix,
         permc_spec=order,
         diag_pivot_thresh=0.0,  # no pivoting: keeps the symmetric order
+        relax=1,  # a mesh fills little: supernodes made larger by zeros cost more than they save
+        panel_size=1,
         options={"SymmetricMode": True},
     )

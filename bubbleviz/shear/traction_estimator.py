@@ -205,12 +205,14 @@ class TractionEstimator:
                 way = float(np.abs(motion).max())
                 lasting = warm and float(np.abs(state.x - begin).max()) <= self._serves_m
                 found = balanced and wanted.solved.converged
-                if found and (way <= self._near_m or lasting):
+                stands = found and way <= self._near_m
+                ahead = look if stands else self._look(frame, state.x, look.view)
+                better = ahead.misfit(before) < misfit
+                if stands or (found and lasting and better):
                     left = look.after(motion)
                     state = self._with_noise(left, state)
                     return self._report.solved(state, rubber, wanted.solved, nodes, left), state
-                ahead = self._look(frame, state.x, look.view)
-                if balanced and ahead.misfit(before) < misfit:
+                if balanced and better:
                     break
             look, state = ahead, self._with_noise(ahead, state)
         return self._report.nothing("not_converged", NOT_CONVERGED), None
