@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -12,6 +12,7 @@ from scipy import sparse
 from bubbleviz.camera.observer import (
     Measured,
     Misfit,
+    Observation,
     RangeObserver,
     ShapeRanges,
 )
@@ -60,8 +61,6 @@ _SELECTIONS, _ROUNDS = 2, 6
 are added to it each time."""
 _LONGEST = 2.0
 """Longest step in mesh edges."""
-_ALIKE = 0.25
-"""Share of an image's squares at rest that the last contact may leave to be the better start."""
 _NOISE_ALIKE, _NOISES = 1.1, 8
 """Factor between the noise that a frame was solved with and the one it leaves within which they are
 the same, and how many are tried."""
@@ -108,8 +107,6 @@ class RubberStart:
         What this frame's image told; None where none was looked at.
     view : ShapeRanges or None
         The camera's model at the last shape that it was found at.
-    contact : RubberStart or None
-        Of the last frame in contact before frames without one.
     """
 
     state: State | None = None
@@ -118,11 +115,6 @@ class RubberStart:
     reached: State | None = None
     measured: Measured | None = None
     view: ShapeRanges | None = None
-    contact: RubberStart | None = None
-
-    def of_contact(self) -> RubberStart | None:
-        """Where the last frame in contact ended."""
-        return self.contact if self.state is None else replace(self, measured=None)
 
 
 @dataclass(frozen=True)
@@ -272,7 +264,7 @@ class RubberEstimator:
                 return self._nothing("implausible", beyond), RubberStart()
         measured = self.observer.measure(depth_m)
         try:
-            answer = self._solve(measured, gas, self._nearest(measured, start))
+            answer = self._solve(measured, gas, start)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = _Failure("not_converged")
         if isinstance(answer, _Failure):
@@ -282,28 +274,13 @@ class RubberEstimator:
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white):
             nothing = self._nothing("implausible", doubt, answer.misfit.rms_m)
             return nothing, RubberStart(reached=answer.state, measured=measured)
-        ended = answer.state, measured, answer.view
-        if answer.state.pressure.any():
-            return self._report(answer), RubberStart(ended[0], answer.rubber, answer.noise, *ended)
-        contact = start.of_contact()
-        return self._report(answer), RubberStart(None, answer.rubber, answer.noise, *ended, contact)
+        touching = answer.state if answer.state.pressure.any() else None
+        start = RubberStart(
+            touching, answer.rubber, answer.noise, answer.state, measured, answer.view
+        )
+        return self._report(answer), start
 
     # -- one frame ------------------------------------------------------------------------------
-
-    def _nearest(self, measured: Measured, start: RubberStart) -> RubberStart:
-        """The membrane at rest, unless the image is more like the last contact.
-
-        Much more like it where frames without contact lie between: a seek, or another press.
-        """
-        last = start.of_contact()
-        if last is None or last.view is None:
-            return start
-        observation, block = self.observer.weigh(measured), last.view.block
-        weight, at_rest = observation.weight[block], observation.residual_m[block]
-        left = weight @ (at_rest - last.view.model_m[block]) ** 2
-        if left <= (1.0 if start.state is not None else _ALIKE) * (weight @ at_rest**2):
-            return last
-        return start if start.state is None else RubberStart()
 
     def _solve(
         self, measured: Measured, measured_gas: float | None, start: RubberStart
@@ -312,6 +289,7 @@ class RubberEstimator:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
+        A start that the image is less like than the membrane at rest is left for that.
         How much more than the noise is left decides how far the image is trusted. The first step
         to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
         nodes are looked at that pull most. The frame is solved until noise and answer agree: they
@@ -330,6 +308,8 @@ class RubberEstimator:
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
+            if warm and steps == 1 and _is_nearer_at_rest(observation, view):
+                return self._solve(measured, measured_gas, RubberStart())
             seen = weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return _Failure("no_data")
@@ -528,6 +508,13 @@ class RubberEstimator:
             force_sigma_n=three,
             reason=reason,
         )
+
+
+def _is_nearer_at_rest(observation: Observation, view: ShapeRanges) -> bool:
+    """Whether an image is more like the membrane at rest than like a shape."""
+    weight, at_rest = observation.weight[view.block], observation.residual_m[view.block]
+    there = at_rest - view.model_m[view.block]
+    return bool(weight @ there**2 > weight @ at_rest**2)
 
 
 def _settled(found: float, noise: float, before: list[float]) -> bool:
