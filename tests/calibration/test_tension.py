@@ -149,7 +149,9 @@ def test_curvature_of_an_ellipsoid_is_the_divergence_of_its_normals():
     for k, step in enumerate(1e-6 * np.eye(3)):
         normals = surface.normals(points + step), surface.normals(points - step)
         divergence += (normals[0] - normals[1])[:, k] / 2e-6
-    np.testing.assert_allclose(ellipsoid_curvature(surface, points), divergence, rtol=1e-6)
+    beside = surface.centre_m + rng.uniform(0.7, 1.3, (20, 1)) * (points - surface.centre_m)
+    for places in (points, beside):  # below or above the surface it is that of the surface
+        np.testing.assert_allclose(ellipsoid_curvature(surface, places), divergence, rtol=1e-6)
     ball = Ellipsoid(np.zeros(3), np.full(3, 0.08), np.eye(3))
     assert cap_tension(ball, 0.08 * unit, np.ones(20), 1000.0) == pytest.approx(40.0)
 

@@ -83,6 +83,15 @@ def test_gap_takes_the_lowest_part_of_a_thin_object(mesh):
         assert finder.gaps(obj, at(z=H - 0.01))[top] == pytest.approx(-0.01, rel=1e-4)
 
 
+@pytest.mark.parametrize("name", ["hex_nut", "torus"])
+def test_an_object_whose_normals_point_inward_bounds_the_same(mesh, name):
+    obj, finder = load_object(name), GapFinder(mesh)
+    turned = RigidObject(name, obj.vertices, obj.triangles[:, ::-1])
+    same = finder.gaps(turned, at(z=H - 0.004))
+    assert np.isfinite(same).any()
+    np.testing.assert_allclose(same, finder.gaps(obj, at(z=H - 0.004)), atol=1e-12)
+
+
 def test_object_at_the_far_side_of_a_tall_dome_is_left_to_that_side():
     tall = mesh_cap(spherical_cap(A, 1.6 * A), 800)
     radius = (1 + 1.6**2) / 3.2 * A
