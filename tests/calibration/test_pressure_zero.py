@@ -45,6 +45,8 @@ def test_a_rest_that_is_interrupted_begins_anew() -> None:
         assert zero.waiting is (k < ENOUGH - 1)
     assert zero.offset_pa == pytest.approx(-70.0)
     assert not zero.wants_next()
+    zero.zero_now()
+    assert zero.waiting and zero.offset_pa == pytest.approx(-70.0)  # till there is another
 
 
 def test_another_sensor_file_keeps_what_was_measured_and_asks_anew() -> None:
