@@ -178,6 +178,22 @@ def test_bootstrap_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
     assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
 
 
+def test_intervals_cover_where_many_numbers_are_fitted_to_few_tiles():
+    """Least squares of eight numbers from sixteen tiles of one pixel: one of them, 300 times."""
+    rng = np.random.default_rng(0)
+    tiles, fitted, still = 16, 8, np.zeros((1, 16, 1))
+    covered = []
+    for seed in range(300):
+        design = rng.standard_normal((tiles, fitted))
+        influence = np.linalg.pinv(design)
+        noise = rng.standard_normal(tiles)
+        residual = noise - design @ (influence @ noise)
+        table = ScoreTable((influence[0] * residual)[:, None], still, fitted)
+        low, high = np.percentile(draw_errors(table, 1, seed, draws=300).total, [2.5, 97.5])
+        covered.append(low < influence[0] @ noise < high)
+    assert 0.88 < np.mean(covered) < 0.98
+
+
 def test_scores_are_sums_of_influence_times_error_over_the_samples_that_count():
     """Pixel by pixel: what is beyond its limit or missing is not in the mean, nor in a score."""
     rng = np.random.default_rng(0)
