@@ -14,6 +14,7 @@ from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.study.presses import made
+from tests.membrane.plate import plate
 
 PRECISION = Precision(1e12, 3e-3)
 WEAK = 1e-3 * np.eye(6)
@@ -93,6 +94,28 @@ def test_contact_with_the_wrong_side_does_not_count(frustum):
     registration = Registration(frustum, PRECISION)
     assert registration.stage_one(right, T, Prior(T, WEAK), iterations=1).fitness > 0.99
     assert registration.stage_one(wrong, T, Prior(T, WEAK), iterations=1).fitness == 0.0
+
+
+def test_a_face_lies_at_the_mean_of_its_points_weighted_by_their_pressure_first():
+    """Stage one by force, stage two by area; how much the whole pressure is decides nothing."""
+    slab = ObjectModel(plate(half=0.02))
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-4e-3, 4e-3, 9)] * 2))
+    height = np.where(x * y > 0.0, 4e-5, -2e-5)  # a saddle: no plane but a level one is nearer
+    contact = contact_of(np.column_stack([x, y, height]), np.tile([0.0, 0.0, -1.0], (81, 1)))
+    contact = replace(contact, pressure_pa=np.where(height > 0.0, 3e3, 1e3))
+    start = moved(np.eye(4), np.array([0.0, 0.0, 3e-4, 0.0, 0.0, 0.0]), contact.center)
+    registration, prior = Registration(slab, PRECISION), Prior(start, WEAK)
+    by_force = np.average(height, weights=contact.pressure_pa)
+    for fit, expected in (
+        (registration.stage_one(contact, start, prior, iterations=40), by_force),
+        (registration.stage_two(contact, start, prior, iterations=40), height.mean()),
+    ):
+        assert fit.T_B_O[2, 3] == pytest.approx(expected, abs=1e-6)
+    strong = Prior(start, np.diag([1.0, 1.0, 1e8, 1.0, 1.0, 1.0]))
+    harder = replace(contact, pressure_pa=7.0 * contact.pressure_pa)
+    one, two = (registration.stage_one(each, start, strong) for each in (contact, harder))
+    assert by_force + 2e-5 < one.T_B_O[2, 3] < start[2, 3] - 2e-5
+    np.testing.assert_allclose(two.T_B_O, one.T_B_O, atol=1e-9)
 
 
 def test_free_membrane_pushes_the_object_out(frustum):
