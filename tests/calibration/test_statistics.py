@@ -9,7 +9,7 @@ from bubbleviz.calibration.rest.noise_correlation import mean_inflation, spatial
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights, upper_fence
 from bubbleviz.calibration.surface.rim_height import rim_height
-from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.camera.pixel_model import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 
 
@@ -165,3 +165,21 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nonsense")
     with pytest.raises(InputError, match=r"bad\.npz: not a pixels file"):
         PixelModel.load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("levels", [0, 3])
+def test_some_pixels_are_corrected_as_in_the_whole_image(levels):
+    rng = np.random.default_rng(0)
+    mask, rest = rng.random((12, 16)) > 0.3, rng.uniform(0.08, 0.1, (12, 16))
+    line = RangeLine(rng.uniform(0.9, 1.1, (12, 16)), rest, rest - 4e-3, rest + 6e-3, levels)
+    model = PixelModel(
+        mask, 1e-3 * rng.standard_normal((12, 16)), np.ones((12, 16)), 4.0, line if levels else None
+    )
+    image = rest + rng.uniform(-8e-3, 8e-3, (12, 16))
+    pixels = rng.permutation(192)[:50]
+    some, whole = model.at(pixels).corrected(image.ravel()[pixels]), model.corrected(image)
+    np.testing.assert_allclose(some, whole.ravel()[pixels], atol=1e-7)
+    np.testing.assert_array_equal(np.isnan(whole), ~mask)
+    error = whole + model.bias_m - image  # at rest none but the bias, beyond the levels a constant
+    expected = (line.slope - 1.0) * np.clip(image - rest, -4e-3, 6e-3) if levels else 0.0 * image
+    np.testing.assert_allclose(error[mask], expected[mask], atol=1e-12)

@@ -116,6 +116,16 @@ def test_a_frame_like_the_last_one_costs_a_pivot_or_two(sphere):
     assert warm.iterations <= 4 < cold.iterations
 
 
+@pytest.mark.parametrize(("nodes", "most"), [(300, 17), (1000, 24)])
+def test_frames_of_a_held_press_take_few_pivots(sphere, nodes, most):
+    """14 and 20 here, noise and all."""
+    solver, start, pivots = estimator(nodes), None, 0
+    for seed in range(4):
+        estimate, start = solver.estimate(sphere.depth(0.01, seed), None, start)
+        pivots += estimate.iterations
+    assert 4 <= pivots <= most
+
+
 def test_a_seek_ends_where_playing_does():
     """The shape after a press does not depend on how one came to it."""
     played, deepest = estimator(), press("two_legged_toy", 0.012)

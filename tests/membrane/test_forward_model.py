@@ -321,6 +321,18 @@ def test_last_wrong_node_rule_ends_where_the_active_set_cycles(seed):
     assert np.abs(state.reaction * (state.displacement - bound)).max() < 1e-9
 
 
+def test_a_press_takes_few_factorisations(mesh):
+    """Starting guess, exchanges and secant of the gas at work: 28 here for all of them."""
+    count, model = 0, ForwardModel(mesh, TENSION, gas_of(mesh))
+    for name in ("sphere", "torus", "hex_nut", "two_legged_toy", "frustum"):
+        for depth in (0.003, 0.01):
+            model.forget()
+            contact = model.press(load_object(name), at(0.005, 0.0, H - depth))
+            assert_equilibrium(contact)
+            count += contact.iterations
+    assert count < 34
+
+
 def test_warm_start_changes_iterations_not_the_answer(mesh):
     obj = load_object("two_legged_toy")
     warm = ForwardModel(mesh, TENSION, gas_of(mesh))

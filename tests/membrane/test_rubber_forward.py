@@ -272,6 +272,12 @@ def test_a_press_takes_few_factorisations():
     assert count < 75
 
 
+def test_where_the_linear_model_leads_astray_the_object_moves_in_from_outside():
+    """A ring deep in at the side: no Newton from the linear equilibrium gets there."""
+    model = dome(200, 1.5)
+    assert_equilibrium(model.press(load_object("torus"), at(0.02, 0.0, H - 0.012)))
+
+
 def test_no_object_no_change():
     contact = dome(300, 1.2).press(load_object("sphere"), at(z=0.03))
     assert_equilibrium(contact)
