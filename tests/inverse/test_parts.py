@@ -41,6 +41,20 @@ def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
     assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
 
 
+def test_pivoting_ends_where_full_exchanges_go_round_in_circles():
+    """Nearly singular and badly scaled: what decides is Murty's rule, last index first."""
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        A, scale = rng.standard_normal((6, 12)), 10.0 ** rng.uniform(-1.0, 1.0, 12)
+        H = (A.T @ A + 1e-6 * np.eye(12)) * np.outer(scale, scale)
+        f, start = rng.standard_normal(12), rng.random(12) < 0.5
+        x, pivots, converged = nonnegative_qp(DenseQuadratic(H), f, start, limit=1000)
+        assert converged and pivots < 1000 and x.min() >= 0.0
+        slope = H @ x + f
+        assert slope.min() > -1e-6 * np.abs(f).max()
+        assert np.abs(slope[x > 0.0]).max(initial=0.0) < 1e-6 * np.abs(f).max()
+
+
 def test_a_deconvolution_takes_few_pivots():
     """All violated indices at a time, as long as that helps: one at a time takes hundreds."""
     place = np.arange(300)
