@@ -111,6 +111,8 @@ def test_a_face_lies_at_the_mean_of_its_points_weighted_by_their_pressure_first(
         (registration.stage_two(contact, start, prior, iterations=40), height.mean()),
     ):
         assert fit.T_B_O[2, 3] == pytest.approx(expected, abs=1e-6)
+        rmse = np.sqrt(np.mean((height - fit.T_B_O[2, 3]) ** 2))
+        assert fit.rmse_m == pytest.approx(rmse, rel=1e-3) and fit.fitness == pytest.approx(1.0)
     strong = Prior(start, np.diag([1.0, 1.0, 1e8, 1.0, 1.0, 1.0]))
     harder = replace(contact, pressure_pa=7.0 * contact.pressure_pa)
     one, two = (registration.stage_one(each, start, strong) for each in (contact, harder))
