@@ -238,6 +238,25 @@ def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
     assert differences.min(axis=0).max() < 1e-9  # faces that are alike come in any order
 
 
+def test_starts_turn_the_object_all_the_way_round():
+    """An oblong slab on its large face: one of them is within half a step of 30° of the truth."""
+    slab = plate(half=0.01)
+    model = ObjectModel(replace(slab, vertices=slab.vertices * [1.0, 0.5, 1.0]))
+    x, y = (
+        axis.ravel()
+        for axis in np.meshgrid(np.linspace(-9e-3, 9e-3, 13), np.linspace(-4e-3, 4e-3, 7))
+    )
+    points, normals = np.column_stack([x, y, 0.0 * x]), np.tile([0.0, 0.0, -1.0], (len(x), 1))
+    for turn in np.radians([0.0, 40.0, 100.0, 160.0]):
+        T = pose(turn=(0.1, -0.2, 0.0)) @ pose(turn=(0.0, 0.0, turn))
+        R = T[:3, :3]
+        starts = StartFinder(model).starts(contact_of(points @ R.T + T[:3, 3], normals @ R.T))
+        cosine = 0.5 * (np.einsum("ij,kij->k", R, starts[:, :3, :3]) - 1.0)
+        near = np.argmax(cosine)
+        assert cosine[near] > np.cos(np.radians(16.0))
+        assert np.linalg.norm(starts[near, :3, 3] - T[:3, 3]) < 1e-3
+
+
 def test_motions_undo_each_other():
     T, center = pose(), np.array([0.01, 0.02, 0.03])
     motion = np.array([1e-3, 2e-3, -3e-3, 0.1, -0.2, 0.3])
