@@ -139,6 +139,7 @@ def test_press_tells_gauge_pressure_and_rubber(truth, told):
 def test_report_says_what_was_pressed(told):
     numbers = summary(told, Origin("press", None, "given", ""))
     assert numbers["rubber"]["from"] == "press"
+    assert numbers["gauge_pressure_measured"] is True
     assert set(numbers["rubber"]["gauge_by_part_pa"]) == set(told.rubber.fit.gauge_by_part_pa)
 
 

@@ -40,7 +40,7 @@ def test_another_centre_is_another_name_for_the_same_motion():
     rotation = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
     T = np.eye(4)
     T[:3, :3] = rotation
-    rate = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.5])
+    rate = np.array([0.0, 0.01, 0.0, 0.3, -0.2, 0.5])
     here = Motion(T, rate, np.diag(np.arange(1.0, 13.0)), CENTER)
     there = here.about(np.array([0.05, 0.01, 0.02]))
     short = 1e-5
