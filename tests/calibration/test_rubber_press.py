@@ -130,6 +130,7 @@ def test_press_tells_gauge_pressure_and_rubber(truth, told):
     mu_h = told.tension_n_per_m / (1.0 - rubber.prestretch.value**-6)
     assert mu_h == pytest.approx(MU_H, rel=0.05)
     assert len(rubber.fit.gauge_by_part_pa) == 7
+    assert np.diff(sorted([rubber.gauge.value, *rubber.fit.gauge_by_part_pa.values()])).min() > 0.1
     for part, gauge in rubber.fit.gauge_by_part_pa.items():
         assert rubber.gauge.low < gauge < rubber.gauge.high, part
     air = told.sensor.pneumatics.atmospheric_pressure_pa
