@@ -117,6 +117,8 @@ def test_written_sensor_reads_back(found, tmp_path):
 
 def test_a_gas_volume_below_the_caps_is_not_believed(found, tmp_path):
     assert found.chamber is not None
+    whole = found.chamber.gas_volume_m3
+    assert found.chamber.chamber_volume_m3(0.75 * whole) == pytest.approx(0.25 * whole)
     small = replace(found, chamber=replace(found.chamber, gas_volume_m3=1e-5))
     assert small.chamber.chamber_volume_m3(found.mesh.cap_volume()) is None
     write_sensor(small, tmp_path / "small.toml")

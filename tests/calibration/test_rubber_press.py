@@ -11,11 +11,14 @@ from bubbleviz.calibration.rubber.force_sensitivity import force_sensitivity, me
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.sensor_writer import Origin
 from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.rubber_model.inflation import Inflation
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.inflated_sensor import InflatedSensor
@@ -127,6 +130,7 @@ def test_press_tells_gauge_pressure_and_rubber(truth, told):
     mu_h = told.tension_n_per_m / (1.0 - rubber.prestretch.value**-6)
     assert mu_h == pytest.approx(MU_H, rel=0.05)
     assert len(rubber.fit.gauge_by_part_pa) == 7
+    assert np.diff(sorted([rubber.gauge.value, *rubber.fit.gauge_by_part_pa.values()])).min() > 0.1
     for part, gauge in rubber.fit.gauge_by_part_pa.items():
         assert rubber.gauge.low < gauge < rubber.gauge.high, part
     air = told.sensor.pneumatics.atmospheric_pressure_pa
@@ -136,7 +140,18 @@ def test_press_tells_gauge_pressure_and_rubber(truth, told):
 def test_report_says_what_was_pressed(told):
     numbers = summary(told, Origin("press", None, "given", ""))
     assert numbers["rubber"]["from"] == "press"
+    assert numbers["gauge_pressure_measured"] is True
     assert set(numbers["rubber"]["gauge_by_part_pa"]) == set(told.rubber.fit.gauge_by_part_pa)
+
+
+def force_at(found, held, prestretch=None):
+    """|F| of the mean of the held frames, N, by default at the λ that was found."""
+    known = found.sensor.membrane
+    membrane = known.model_copy(update={"prestretch": prestretch or known.prestretch})
+    sensor = found.sensor.model_copy(update={"membrane": membrane, "calibration": None})
+    pipeline = Pipeline(replace(found.model, sensor=sensor), EstimatorOptions(solver=RUBBER))
+    result = pipeline.process(mean_frame(held), frozenset({"estimate"}))
+    return float(np.linalg.norm(result.estimate.force_n))
 
 
 def test_what_moves_the_force(pressed, told):
@@ -145,6 +160,10 @@ def test_what_moves_the_force(pressed, told):
     share = moved.per_gauge_n_per_pa * told.sensor.pneumatics.gauge_pressure_pa / moved.force_n
     assert 0.5 < share < 1.5
     assert moved.per_prestretch_n < 0.0
+    assert moved.force_n == pytest.approx(force_at(told, pressed[1]), rel=1e-6)
+    stretch, step = told.sensor.membrane.prestretch, 0.1 * (told.sensor.membrane.prestretch - 1.0)
+    rise = np.ptp([force_at(told, pressed[1], stretch + s) for s in (-step, step)])
+    assert moved.per_prestretch_n == pytest.approx(-rise / (2.0 * step), rel=0.2)
     slack = told.sensor.membrane.model_copy(update={"prestretch": None})
     unknown = replace(told, sensor=told.sensor.model_copy(update={"membrane": slack}))
     assert force_sensitivity(unknown.model, mean_frame(pressed[1])) is None

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.calibration.rest.depth_statistics import measure_depth
-from bubbleviz.calibration.rest.noise_correlation import mean_inflation
+from bubbleviz.calibration.rest.depth_statistics import DepthStatistics, measure_depth
+from bubbleviz.calibration.rest.noise_correlation import mean_inflation, spatial_correlation
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights, upper_fence
 from bubbleviz.calibration.surface.rim_height import rim_height
-from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.camera.pixel_model import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 
 
@@ -56,6 +56,27 @@ def test_a_filter_of_the_camera_gives_the_correlation_and_its_length():
     np.testing.assert_allclose(found.spatial_correlation[:12], expected[:12], atol=0.05)
     assert np.abs(found.spatial_correlation[20:]).max() < 0.1  # known to its end
     assert found.correlation_length_px == pytest.approx(4.0, abs=0.2)
+
+
+def test_correlation_does_not_depend_on_the_unit_of_the_spread():
+    noise = gaussian_filter(np.random.default_rng(0).standard_normal((8, 40, 50)), (0.0, 1.0, 1.0))
+    sigma = np.full((40, 50), noise.std())
+    one, other = (spatial_correlation(noise, scale * sigma) for scale in (1.0, 3.0))
+    np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-5)
+    assert one[0] == 1.0 and 0.5 < one[1] < 0.95
+    assert not spatial_correlation(0.0 * noise, sigma)[1:].any()
+
+
+@pytest.mark.parametrize(
+    ("frames", "usual", "limit"),
+    [(100, 0.9, 0.72), (4, 0.9, 0.45), (100, 1.0, 0.9), (100, 0.2, 0.9)],
+)
+def test_a_pixel_is_regular_by_what_is_usual_and_by_chance(frames, usual, limit):
+    """Nine tenths of the usual share less 3 √(p (1 − p) / F), at least half of it."""
+    validity = np.where(np.arange(100) < 45, 0.1, usual).reshape(10, 10)
+    flat, rho = np.zeros((10, 10)), np.ones(1)
+    found = DepthStatistics(frames, validity, flat, flat, 0.0, rho, rho)
+    assert found.regular_validity == pytest.approx(limit)
 
 
 def test_a_pixel_seen_once_has_that_value():
@@ -144,3 +165,21 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nonsense")
     with pytest.raises(InputError, match=r"bad\.npz: not a pixels file"):
         PixelModel.load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("levels", [0, 3])
+def test_some_pixels_are_corrected_as_in_the_whole_image(levels):
+    rng = np.random.default_rng(0)
+    mask, rest = rng.random((12, 16)) > 0.3, rng.uniform(0.08, 0.1, (12, 16))
+    line = RangeLine(rng.uniform(0.9, 1.1, (12, 16)), rest, rest - 4e-3, rest + 6e-3, levels)
+    model = PixelModel(
+        mask, 1e-3 * rng.standard_normal((12, 16)), np.ones((12, 16)), 4.0, line if levels else None
+    )
+    image = rest + rng.uniform(-8e-3, 8e-3, (12, 16))
+    pixels = rng.permutation(192)[:50]
+    some, whole = model.at(pixels).corrected(image.ravel()[pixels]), model.corrected(image)
+    np.testing.assert_allclose(some, whole.ravel()[pixels], atol=1e-7)
+    np.testing.assert_array_equal(np.isnan(whole), ~mask)
+    error = whole + model.bias_m - image  # at rest none but the bias, beyond the levels a constant
+    expected = (line.slope - 1.0) * np.clip(image - rest, -4e-3, 6e-3) if levels else 0.0 * image
+    np.testing.assert_allclose(error[mask], expected[mask], atol=1e-12)

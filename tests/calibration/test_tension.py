@@ -149,7 +149,9 @@ def test_curvature_of_an_ellipsoid_is_the_divergence_of_its_normals():
     for k, step in enumerate(1e-6 * np.eye(3)):
         normals = surface.normals(points + step), surface.normals(points - step)
         divergence += (normals[0] - normals[1])[:, k] / 2e-6
-    np.testing.assert_allclose(ellipsoid_curvature(surface, points), divergence, rtol=1e-6)
+    beside = surface.centre_m + rng.uniform(0.7, 1.3, (20, 1)) * (points - surface.centre_m)
+    for places in (points, beside):  # below or above the surface it is that of the surface
+        np.testing.assert_allclose(ellipsoid_curvature(surface, places), divergence, rtol=1e-6)
     ball = Ellipsoid(np.zeros(3), np.full(3, 0.08), np.eye(3))
     assert cap_tension(ball, 0.08 * unit, np.ones(20), 1000.0) == pytest.approx(40.0)
 
@@ -174,6 +176,22 @@ def test_bootstrap_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
         was.append(error.sum())
     assert np.mean(np.square(said)) == pytest.approx(fixed**2 + drift**2 + noise**2, rel=0.3)
     assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
+
+
+def test_intervals_cover_where_many_numbers_are_fitted_to_few_tiles():
+    """Least squares of eight numbers from sixteen tiles of one pixel: one of them, 300 times."""
+    rng = np.random.default_rng(0)
+    tiles, fitted, still = 16, 8, np.zeros((1, 16, 1))
+    covered = []
+    for seed in range(300):
+        design = rng.standard_normal((tiles, fitted))
+        influence = np.linalg.pinv(design)
+        noise = rng.standard_normal(tiles)
+        residual = noise - design @ (influence @ noise)
+        table = ScoreTable((influence[0] * residual)[:, None], still, fitted)
+        low, high = np.percentile(draw_errors(table, 1, seed, draws=300).total, [2.5, 97.5])
+        covered.append(low < influence[0] @ noise < high)
+    assert 0.88 < np.mean(covered) < 0.98
 
 
 def test_scores_are_sums_of_influence_times_error_over_the_samples_that_count():

@@ -96,6 +96,9 @@ def test_wrench_finds_the_tension_it_was_not_told(model, press):
     assert not found.at_limit
     assert found.tested_rms_n < found.given_rms_n
     assert found.tested_rms_n < 0.1 * found.measured_n.mean()
+    truth = [np.linalg.norm(press.truth(k).force_n) for k in (6, 8, 10)]
+    np.testing.assert_allclose(found.measured_n, truth, rtol=1e-6)
+    np.testing.assert_allclose(found.predicted_n, truth, rtol=0.15)
 
 
 def test_wrench_needs_a_wrench_and_two_parts(model, press):

@@ -1,7 +1,15 @@
 """The verdict weighs all ways to γ0 that the report lists."""
 
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
 from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.reports.verdict import judge
+from bubbleviz.calibration.reports.verdict import judge, validation_advice, wrench_advice
+from bubbleviz.calibration.tension.tension_estimate import Quantity
+from bubbleviz.calibration.tension.wrench_tension import WrenchTension
+from bubbleviz.calibration.validation import Validation
 from bubbleviz.simulation.depth_noise import DepthNoise
 
 from .domes import Dome, sphere
@@ -26,3 +34,108 @@ def test_balance_and_least_squares_that_disagree_are_a_reason_against_good():
 def test_on_a_sphere_they_agree():
     _, verdict = verdict_on(sphere(0, NOISE, frames=20, scale=0.35))
     assert not any("apart" in sentence for sentence in verdict.advice)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """Of 20 frames with gas pressure, all in view: nothing against it but their number."""
+    dome = sphere(0, NOISE, frames=20, scale=0.35)
+    found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
+    gas = np.full(20, 1e5 + found.tension.gauge_pressure_pa)
+    samples = replace(found.samples, gas_pressure_pa=gas)
+    return with_tension(replace(found, samples=samples, seen=1.0), 0.01)
+
+
+def with_tension(found, relative, **changes):
+    """The same with another relative half-width of γ0, and other fields of its estimate."""
+    value = found.tension.tension.value
+    interval = Quantity(value, (1.0 - relative) * value, (1.0 + relative) * value)
+    estimate = {"tension": interval, "least_squares_n_per_m": value} | changes
+    return replace(found, tension=replace(found.tension, **estimate))
+
+
+def in_frames(found, frames):
+    statistics = replace(found.samples.statistics, frames=frames)
+    return replace(found, samples=replace(found.samples, statistics=statistics))
+
+
+def gauged(found, share):
+    given = found.given.pneumatics.gauge_pressure_pa
+    return with_tension(found, 0.01, gauge_pressure_pa=share * given)
+
+
+def without_gas(found):
+    return replace(found, samples=replace(found.samples, gas_pressure_pa=None))
+
+
+def rim_at(found, height_m, sigma_m):
+    fits = replace(found.fits, rim_height_m=height_m, rim_height_sigma_m=sigma_m)
+    return replace(found, surfaces=replace(found.surfaces, fits=fits))
+
+
+@pytest.mark.parametrize(
+    ("relative", "frames", "grade"),
+    [
+        (0.019, 30, "good"),
+        (0.021, 30, "usable"),
+        (0.049, 30, "usable"),
+        (0.051, 30, "doubtful"),
+        (0.019, 29, "usable"),
+    ],
+)
+def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relative, frames, grade):
+    verdict = judge(with_tension(in_frames(ball, frames), relative))
+    assert verdict.grade == grade
+    assert verdict.summary.startswith(f"{grade}: γ0 = {ball.tension.tension.value:.2f} N/m")
+    assert f"({100 * relative:.2g} % either way)" in verdict.summary
+    assert any(f"Only {frames} frames" in line for line in verdict.advice) is (frames < 30)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda found: gauged(found, 1.04), ""),
+        (lambda found: gauged(found, 0.96), ""),
+        (lambda found: gauged(found, 1.06), "The gauge pressure is 6 % above"),
+        (lambda found: gauged(found, 0.94), "The gauge pressure is 6 % below"),
+        (without_gas, "The recording has no gas pressure"),
+        (lambda found: replace(found, seen=0.81), ""),
+        (lambda found: replace(found, seen=0.79), "21 % of the dome is not seen"),
+        (lambda found: rim_at(found, 5e-4, 1e-5), ""),  # of 45 mm: 2 % are 0.9 mm
+        (lambda found: rim_at(found, -2e-3, 1e-3), ""),
+        (lambda found: rim_at(found, -2e-3, 5e-4), "The edge of the cloud lies -2.0 mm from"),
+    ],
+)
+def test_a_warning_comes_where_its_limit_is_passed(ball, change, said):
+    verdict = judge(in_frames(change(ball), 30))
+    assert verdict.grade == ("usable" if said else "good")
+    if said:
+        assert said in verdict.advice[1]
+
+
+@pytest.mark.parametrize(("relative", "apart"), [(0.01, 0.021), (0.03, 0.025)])
+def test_least_squares_count_as_apart_beyond_the_interval_and_two_percent(ball, relative, apart):
+    value = ball.tension.tension.value
+    for sign in (-1.0, 1.0):
+        far = with_tension(ball, relative, least_squares_n_per_m=(1.0 + sign * apart) * value)
+        warned = any(f"{100 * apart:.2g} % apart" in line for line in judge(far).advice)
+        assert warned is (apart > relative)
+
+
+@pytest.mark.parametrize(("left", "check"), [(1.9e-3, False), (2.1e-3, True)])
+def test_a_known_press_that_is_less_than_half_predicted_is_to_be_checked(left, check):
+    nothing, none = np.zeros(0), np.zeros((2, 2), bool)
+    force = np.zeros(3)
+    press = Validation(nothing, nothing, nothing, left, left, 4e-3, none, none, 1.0, force, force)
+    (line,) = validation_advice(press)
+    assert "4.00 mm rms from the untouched" in line and f"{1e3 * left:.2f} mm rms are not" in line
+    assert ("check the pose" in line) is check
+
+
+@pytest.mark.parametrize("at_limit", [False, True])
+def test_gamma_by_force_is_told_unless_no_tension_explains_the_force(at_limit):
+    measured = np.array([2.0, 4.0])
+    (line,) = wrench_advice(WrenchTension(90.0, at_limit, 0.1, 0.2, 0.3, measured, measured), 80.0)
+    assert "γ0 = 80.0 N/m predicts" in line and "force of 3.00 N with an error of 0.30 N" in line
+    assert ("check the scale" in line) is at_limit
+    assert ("γ0 by force is 90.0 N/m, with 0.20 N rms" in line) is not at_limit

@@ -1,9 +1,8 @@
-"""Which frames of a press a wrench is compared in, and the zero of the gas pressure."""
+"""Which frames of a press a wrench is compared in."""
 
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.pressure_zero import ENOUGH, PASSED, PressureZero
 from bubbleviz.calibration.tension.wrench_tension import press_halves
 from bubbleviz.frames.frame import Frame
 
@@ -28,7 +27,9 @@ class Wrenches:
         return len(self.forces)
 
     def __getitem__(self, k):
-        wrench = None if k in self.missing else np.append(self.forces[k], [0.0, 0.0, 0.0])
+        wrench = (
+            None if k in self.missing else np.append(self.forces[k], [9.0 * (-1.0) ** k, 5.0, 0.0])
+        )
         return Frame(k, self.times_s[k], np.zeros((2, 2), np.float32), wrench=wrench)
 
 
@@ -51,25 +52,3 @@ def test_a_press_that_noise_hides_or_no_wrench_saw_has_none(source):
 
 def test_contact_free_all_along_has_none():
     assert press_halves(Wrenches(), range(len(Wrenches()))) is None
-
-
-def test_a_zero_is_the_median_of_one_rest():
-    zero, rng = PressureZero(1e5), np.random.default_rng(0)
-    pressures = 1e5 + 300.0 + 10.0 * rng.standard_normal(ENOUGH)
-    for pressure in pressures[: ENOUGH - 1]:
-        zero.learn(pressure, contact_free=True)
-    zero.learn(2e5, contact_free=False)  # the rest was too short, and counts for nothing
-    assert zero.waiting and zero.offset_pa is None
-    asked = [zero.wants_next() for _ in range(PASSED)]
-    assert asked == [False] * (PASSED - 1) + [True]
-    for k, pressure in enumerate(pressures):
-        assert zero.waiting and len(pressures) - k > 0
-        zero.learn(pressure, contact_free=True)
-    assert not zero.waiting and not zero.wants_next()
-    assert zero.offset_pa == pytest.approx(np.median(pressures) - 1e5)
-    frame = Frame(0, 0.0, np.zeros((2, 2), np.float32), gas_pressure_pa=1e5 + 400.0)
-    assert zero.applied(frame).gas_pressure_pa == pytest.approx(1e5 + 400.0 - zero.offset_pa)
-    zero.learn(5e5, contact_free=True)  # nobody asked
-    assert zero.offset_pa < 400.0
-    zero.zero_now()
-    assert zero.waiting and zero.offset_pa is not None

@@ -54,6 +54,16 @@ def test_projecting_a_deprojected_pixel_returns_it(model, k, depth):
     assert back[..., 1] == pytest.approx(v, abs=1e-4)
 
 
+@pytest.mark.parametrize("model", ["plumb_bob", "inverse_brown_conrady"])
+def test_a_strong_lens_is_undone_to_rounding(model):
+    """Newton's method, not an iteration that creeps there."""
+    lens = camera(model, (-0.12, 0.05, 0.02, -0.025, 0.01))
+    back = lens.project(lens.rays())
+    v, u = np.mgrid[0 : lens.height, 0 : lens.width]
+    np.testing.assert_allclose(back[..., 0], u, atol=1e-9)
+    np.testing.assert_allclose(back[..., 1], v, atol=1e-9)
+
+
 @pytest.mark.parametrize("model", ["none", "plumb_bob", "inverse_brown_conrady"])
 def test_the_derivative_of_the_projection_is_its_slope(model):
     lens, step = camera(model, D405), 1e-7

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.camera.block_squares import BlockSquares
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.camera.observer import Misfit, RangeObserver, facet_error
@@ -202,6 +203,21 @@ def test_noise_that_was_foreseen_is_one_deviation_and_white():
     assert found.rms_m == pytest.approx(0.01 * 0.15 / 2, rel=0.1)  # of four pixels' mean
     assert found.deviations == pytest.approx(1.0, rel=0.05)
     assert found.clumping == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_noise_left_is_that_of_squares_that_are_mostly_seen():
+    """The factor of white noise; what neighbours share counts more, a sparse half not at all."""
+    rows, columns = 60, 80
+    squares, rng = BlockSquares(np.arange(rows * columns), columns), np.random.default_rng(0)
+    block, white = np.arange(rows * columns), rng.standard_normal((rows, columns))
+    assert squares.noise_left(block, 3.0 * white.ravel()) == pytest.approx(3.0, rel=0.15)
+    assert squares.noise_left(block, 0.3 * white.ravel()) == 1.0
+    shared = np.repeat(np.repeat(rng.standard_normal((15, 20)), 4, axis=0), 4, axis=1)
+    assert squares.noise_left(block, shared.ravel()) > 2.0
+    sparse = white.copy()
+    sparse[:40] = np.where(rng.random((40, columns)) < 0.1, 50.0, 0.0)
+    assert squares.noise_left(block, sparse.ravel()) == pytest.approx(1.0, abs=0.2)
+    assert squares.noise_left(block, 0.0 * white.ravel()) == 1.0
 
 
 def test_noise_that_neighbours_share_clumps():

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.estimator import MAX_NODES, Estimator, EstimatorOptions
+from bubbleviz.inverse.plausibility import GAS_NOISE
 from bubbleviz.inverse.solvers import active_set
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.reference_mesh import build_mesh
@@ -115,6 +116,16 @@ def test_a_frame_like_the_last_one_costs_a_pivot_or_two(sphere):
     assert warm.iterations <= 4 < cold.iterations
 
 
+@pytest.mark.parametrize(("nodes", "most"), [(300, 17), (1000, 24)])
+def test_frames_of_a_held_press_take_few_pivots(sphere, nodes, most):
+    """14 and 20 here, noise and all."""
+    solver, start, pivots = estimator(nodes), None, 0
+    for seed in range(4):
+        estimate, start = solver.estimate(sphere.depth(0.01, seed), None, start)
+        pivots += estimate.iterations
+    assert 4 <= pivots <= most
+
+
 def test_a_seek_ends_where_playing_does():
     """The shape after a press does not depend on how one came to it."""
     played, deepest = estimator(), press("two_legged_toy", 0.012)
@@ -137,6 +148,14 @@ def test_noise_alone_is_no_contact_and_costs_no_solve(untouched):
     assert {r.status for r in results} == {"no_contact"}
     assert all(r.iterations == 0 for r in results)
     assert all(not r.contact_pressure_pa.any() for r in results)
+
+
+@pytest.mark.parametrize("deviations", [-2.0, 2.0])
+def test_noise_of_the_gas_sensor_is_no_contact(untouched, deviations):
+    rest = SENSOR.pneumatics.reference_pressure_pa
+    for seed in range(5):
+        measured = (1.0 + deviations * GAS_NOISE) * rest
+        assert first(estimator(), untouched.depth(0.01, seed), measured).status == "no_contact"
 
 
 def test_missing_pixels_are_left_out(sphere):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from scipy.spatial.distance import cdist
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.problem import Equilibrium
+from bubbleviz.inverse.problem import Equilibrium, natural_residual
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian, farthest_points
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
@@ -38,6 +39,20 @@ def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
     x, _, converged = nonnegative_qp(DenseQuadratic(B.T @ B), -B.T @ b, start)
     assert converged
     assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
+
+
+def test_pivoting_ends_where_full_exchanges_go_round_in_circles():
+    """Nearly singular and badly scaled: what decides is Murty's rule, last index first."""
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        A, scale = rng.standard_normal((6, 12)), 10.0 ** rng.uniform(-1.0, 1.0, 12)
+        H = (A.T @ A + 1e-6 * np.eye(12)) * np.outer(scale, scale)
+        f, start = rng.standard_normal(12), rng.random(12) < 0.5
+        x, pivots, converged = nonnegative_qp(DenseQuadratic(H), f, start, limit=1000)
+        assert converged and pivots < 1000 and x.min() >= 0.0
+        slope = H @ x + f
+        assert slope.min() > -1e-6 * np.abs(f).max()
+        assert np.abs(slope[x > 0.0]).max(initial=0.0) < 1e-6 * np.abs(f).max()
 
 
 def test_a_deconvolution_takes_few_pivots():
@@ -154,3 +169,25 @@ def test_landmarks_are_near_everything_and_apart(count, within):
     assert np.min(apart, axis=0).max() <= within
     between = apart[:, chosen][np.triu_indices(len(chosen), 1)]
     assert np.all(between > within)
+
+
+def test_the_residual_is_what_the_conditions_of_optimality_miss_by():
+    """min(p_c, ∇) where contact is allowed, both in units of their largest."""
+    areas = np.array([1.0, 2.0, 0.5, 1.0])
+    allowed = np.array([True, True, True, False])
+    problem = SimpleNamespace(allowed=allowed, gradient_scale=lambda areas: 4.0)
+    for unit in (1e-3, 1.0, 1e3):
+        pressure = unit * np.array([2.0, 0.5, 0.0, 9.0])
+        for gradient, missed in (
+            ([0.0, 0.0, 0.0, -9.0], 0.0),
+            ([0.0, 0.0, 7.0, 0.0], 0.0),
+            ([0.4, 0.0, 0.0, 0.0], 0.1),
+            ([0.0, 8.0, 0.0, 0.0], 0.5 / 9.0),
+            ([0.0, 0.0, -0.4, 0.0], 0.2),
+        ):
+            found = natural_residual(areas, problem, pressure, np.array(gradient))
+            assert found == pytest.approx(missed)
+    nothing = natural_residual(areas, problem, np.zeros(4), np.array([0.0, -0.8, 9.0, -9.0]))
+    assert nothing == pytest.approx(0.1)
+    still = SimpleNamespace(allowed=allowed, gradient_scale=lambda areas: 0.0)
+    assert natural_residual(areas, still, np.zeros(4), np.ones(4)) == 0.0

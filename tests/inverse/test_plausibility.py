@@ -7,8 +7,9 @@ import pytest
 from scipy import sparse
 
 from bubbleviz.camera.observer import Misfit, RangeObserver
-from bubbleviz.inverse.plausibility import contradicts_gas, reason_against_fit
-from tests.inverse.conftest import CAMERA, estimator, first
+from bubbleviz.inverse.plausibility import contradicts_gas, reason_against_fit, reason_against_gas
+from bubbleviz.membrane.gas import Gas
+from tests.inverse.conftest import CAMERA, SENSOR, estimator, first
 
 
 @pytest.mark.parametrize(
@@ -71,3 +72,18 @@ def test_a_bulge_that_no_contact_explains_contradicts_the_gas_sensor(
     problem = SimpleNamespace(Q=Q, g=Q @ (seen * bulge), measured_gas=measured)
     found = contradicts_gas(problem, bulge, 0.3 * bulge, gas_noise * deviation)
     assert found is contradicted
+
+
+def test_a_gas_pressure_is_believed_from_no_gauge_pressure_to_the_cap_pressed_flat():
+    mesh, pneumatics = estimator().mesh, SENSOR.pneumatics
+    gas = Gas.of(pneumatics, mesh)
+    lowest = -pneumatics.gauge_pressure_pa
+    highest = gas.P0 * mesh.cap_volume() / pneumatics.chamber_volume_m3
+    for change, believed in (
+        (1.01 * lowest, False), (0.99 * lowest, True), (0.0, True),
+        (0.99 * highest, True), (1.01 * highest, False), (np.inf, False),
+    ):  # fmt: skip
+        assert (reason_against_gas(change, gas) == "") is believed
+    without_limits = Gas(gas.P0, gas.V0, gas.dV_du)
+    assert reason_against_gas(1.01 * lowest, without_limits) == ""
+    assert reason_against_gas(1.01 * highest, without_limits) == ""

@@ -83,6 +83,15 @@ def test_gap_takes_the_lowest_part_of_a_thin_object(mesh):
         assert finder.gaps(obj, at(z=H - 0.01))[top] == pytest.approx(-0.01, rel=1e-4)
 
 
+@pytest.mark.parametrize("name", ["hex_nut", "torus"])
+def test_an_object_whose_normals_point_inward_bounds_the_same(mesh, name):
+    obj, finder = load_object(name), GapFinder(mesh)
+    turned = RigidObject(name, obj.vertices, obj.triangles[:, ::-1])
+    same = finder.gaps(turned, at(z=H - 0.004))
+    assert np.isfinite(same).any()
+    np.testing.assert_allclose(same, finder.gaps(obj, at(z=H - 0.004)), atol=1e-12)
+
+
 def test_object_at_the_far_side_of_a_tall_dome_is_left_to_that_side():
     tall = mesh_cap(spherical_cap(A, 1.6 * A), 800)
     radius = (1 + 1.6**2) / 3.2 * A
@@ -310,6 +319,18 @@ def test_last_wrong_node_rule_ends_where_the_active_set_cycles(seed):
     assert state.reaction.min() > -1e-9
     np.testing.assert_allclose(K @ state.displacement + state.reaction, areas * p, atol=1e-8)
     assert np.abs(state.reaction * (state.displacement - bound)).max() < 1e-9
+
+
+def test_a_press_takes_few_factorisations(mesh):
+    """Starting guess, exchanges and secant of the gas at work: 28 here for all of them."""
+    count, model = 0, ForwardModel(mesh, TENSION, gas_of(mesh))
+    for name in ("sphere", "torus", "hex_nut", "two_legged_toy", "frustum"):
+        for depth in (0.003, 0.01):
+            model.forget()
+            contact = model.press(load_object(name), at(0.005, 0.0, H - depth))
+            assert_equilibrium(contact)
+            count += contact.iterations
+    assert count < 34
 
 
 def test_warm_start_changes_iterations_not_the_answer(mesh):

@@ -215,11 +215,67 @@ def test_a_sharp_edge_is_rounded_by_the_radius_asked_for():
     np.testing.assert_allclose(turn, 1.0 / (r + away), rtol=0.02)
 
 
+@pytest.mark.parametrize("rounding_m", [0.0, 5e-4])
+def test_an_object_whose_normals_point_inward_is_the_same(rounding_m):
+    obj = load_object("hex_nut")
+    turned = replace(obj, triangles=obj.triangles[:, ::-1])
+    rng = np.random.default_rng(0)
+    low, high = obj.vertices.min(axis=0) - 2e-3, obj.vertices.max(axis=0) + 2e-3
+    points = rng.uniform(low, high, (300, 3))
+    out = np.tile([0.0, 0.0, 1.0], (300, 1))
+    one, other = (
+        ObjectSurface(each, rounding_m).planes(points, out, np.eye(4), 0.01)
+        for each in (obj, turned)
+    )
+    assert (one.gap < 0.0).any() and (one.gap > 1e-3).any()
+    clear = np.isfinite(one.gap) & (np.abs(one.gap) > 1e-5)
+    np.testing.assert_allclose(other.gap[clear], one.gap[clear], atol=1e-8)
+
+
+def test_a_sheet_is_met_from_either_side_and_not_beside_its_edge():
+    """It has no inside: the side of the membrane is outside; its plane ends at its edge."""
+    square = plate(half=0.01)
+    for order in ([0, 1, 2], [0, 2, 1]):
+        sheet = replace(square, vertices=square.vertices[:4], triangles=square.triangles[:2, order])
+        points = np.array([[2e-3, 1e-3, -5e-4], [-3e-3, 4e-3, 7e-4], [0.013, 0.0, -5e-4]])
+        out = np.tile([0.0, 0.0, 1.0], (3, 1))
+        found = ObjectSurface(sheet).planes(points, out, np.eye(4), 0.01)
+        np.testing.assert_allclose(found.gap, [5e-4, -7e-4, np.inf], atol=1e-9)
+        np.testing.assert_allclose(found.normal[:2], -out[:2], atol=1e-9)
+
+
+def test_a_point_past_the_middle_of_a_thin_plate_goes_back_the_way_it_came():
+    """Nearer to the far side: that one's normal looks along the membrane's, not against it."""
+    slab = plate(half=0.02, thickness=2e-3)
+    points = np.array([[1e-3, 2e-3, 0.4e-3], [3e-3, -2e-3, 1.7e-3]])
+    out = np.tile([0.0, 0.0, 1.0], (2, 1))
+    found = ObjectSurface(slab).planes(points, out, np.eye(4), 0.01)
+    np.testing.assert_allclose(found.gap, -points[:, 2], rtol=1e-6)
+    np.testing.assert_allclose(found.normal, -out, atol=1e-9)
+
+
 def test_newton_converges_quadratically_on_a_curved_object():
     """Where a ball carries much, its loads turn as the membrane slides along it."""
     contact = dome(600, None).press(load_object("sphere"), at(0.010, 0.0, H - 0.013))
     assert_equilibrium(contact)
     assert contact.iterations < 30
+
+
+def test_a_press_takes_few_factorisations():
+    """Line search, second-order correction and stopping rule at work: 66 here for all of them."""
+    model, count = dome(300, 1.2), 0
+    for name in ("sphere", "cylinder", "hex_nut", "torus", "frustum"):
+        for x, depth in ((0.004, 0.004), (0.010, 0.009)):
+            contact = model.press(load_object(name), at(x, 0.0, H - depth))
+            assert_equilibrium(contact)
+            count += contact.iterations
+    assert count < 75
+
+
+def test_where_the_linear_model_leads_astray_the_object_moves_in_from_outside():
+    """A ring deep in at the side: no Newton from the linear equilibrium gets there."""
+    model = dome(200, 1.5)
+    assert_equilibrium(model.press(load_object("torus"), at(0.02, 0.0, H - 0.012)))
 
 
 def test_no_object_no_change():

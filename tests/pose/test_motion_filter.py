@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
-from bubbleviz.pose.rigid_motion import motion_between, moved
+from bubbleviz.pose.rigid_motion import motion_between, moved, way_at
 
 CENTER = np.array([0.01, 0.0, 0.04])
 
@@ -40,12 +40,22 @@ def test_another_centre_is_another_name_for_the_same_motion():
     rotation = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
     T = np.eye(4)
     T[:3, :3] = rotation
-    rate = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.5])
+    rate = np.array([0.0, 0.01, 0.0, 0.3, -0.2, 0.5])
     here = Motion(T, rate, np.diag(np.arange(1.0, 13.0)), CENTER)
     there = here.about(np.array([0.05, 0.01, 0.02]))
     short = 1e-5
     assert np.allclose(here.after(short).T_B_O, there.after(short).T_B_O, atol=1e-9)
     assert np.allclose(there.about(CENTER).covariance, here.covariance)
+
+
+def test_the_way_of_a_motion_is_the_longest_of_the_places_around():
+    rng, radius = np.random.default_rng(0), 0.02
+    around = rng.standard_normal((2000, 3))
+    around *= radius / np.linalg.norm(around, axis=1, keepdims=True)
+    for motion in ([1e-5, 0, 0, 0, 0, 1e-3], [0, 2e-5, 0, 5e-4, 0, 0], [1e-5, 0, 0, 0, 0, 0]):
+        T = moved(np.eye(4), np.array(motion, float), np.zeros(3))
+        way = np.linalg.norm(around @ T[:3, :3].T + T[:3, 3] - around, axis=1).max()
+        assert way == pytest.approx(way_at(radius, np.array(motion, float)), rel=0.01)
 
 
 def test_coasting_ends():

@@ -150,6 +150,18 @@ def test_a_brick_lies_on_its_largest_faces_first():
     assert np.allclose(chosen[:6:2], -chosen[1:6:2], atol=1e-3)
 
 
+@pytest.mark.parametrize(("slope_deg", "both"), [(12.0, True), (6.0, False)])
+def test_a_roof_lies_on_both_slopes_unless_registration_turns_one_into_the_other(slope_deg, both):
+    slope = np.radians(slope_deg)
+    gable = np.array([[-0.01, 0.0], [0.01, 0.0], [0.0, 0.01 * np.tan(slope)]])
+    corners = np.array([[x, y, z] for y in (-0.02, 0.02) for x, z in gable])
+    roof = RigidObject("roof", corners, ConvexHull(corners).simplices)
+    chosen = touching_directions(ObjectModel(roof))
+    up = chosen[chosen[:, 2] > np.cos(np.radians(20.0))]
+    assert len(up) == (2 if both else 1)
+    np.testing.assert_allclose(np.abs(up[:, 0]), np.sin(slope), atol=1e-3)
+
+
 def test_stable_faces_come_first():
     chosen = touching_directions(ObjectModel(made("hex_nut")))
     assert np.allclose(np.abs(chosen[:2, 2]), 1.0, atol=1e-2)

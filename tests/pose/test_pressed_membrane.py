@@ -1,19 +1,22 @@
-"""The membrane under an object against the exact forward model, and its derivatives."""
+"""The membrane under an object, its derivatives and its image against the exact forward model."""
 
 from dataclasses import replace
 
 import numpy as np
+import open3d
 import pytest
 
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.contact_points import contact_points
+from bubbleviz.pose.depth_image.image_fit import ImageFit
 from bubbleviz.pose.depth_image.object_contact import ObjectContact
 from bubbleviz.pose.depth_image.pressed_membrane import PressedMembrane
 from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.pose_options import PressOptions
-from bubbleviz.pose.rigid_motion import moved
+from bubbleviz.pose.observability import Directions
+from bubbleviz.pose.pose_options import ImageOptions, PressOptions
+from bubbleviz.pose.rigid_motion import moved, way_at
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.synthetic_source import SyntheticSource
@@ -144,3 +147,70 @@ def test_what_cannot_be_is_none(pipeline, rubber, contact):
     assert far_in is not None  # not measured
     lost = replace(contact, membrane=np.full_like(contact.membrane, np.nan))
     assert pressed(pipeline, rubber, "cylinder").press(pose(), lost) is None
+
+
+def ranges(pipeline, pixels, nodes, triangles):
+    """Range of some of the observer's pixels, m; inf where a ray meets no triangle."""
+    observer = pipeline.estimator.observer
+    rays = observer.camera.directions[observer.pixel[pixels]]
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(nodes.astype("f4"), triangles.astype("u4"))
+    starts = np.broadcast_to(observer.camera.center, rays.shape)
+    return scene.cast_rays(np.hstack([starts, rays]).astype("f4"))["t_hit"].numpy()
+
+
+@pytest.fixture(scope="module")
+def image(pipeline, rubber, contact):
+    fit = ImageFit(
+        pipeline.estimator.observer, pressed(pipeline, rubber, "cylinder"), ImageOptions()
+    )
+    return fit, fit.predicted(pose(), contact)
+
+
+def test_the_image_of_the_press_is_the_change_of_range(pipeline, rubber, contact, image):
+    found = image[1]
+    press, mesh = pressed(pipeline, rubber, "cylinder").press(pose(), contact), pipeline.mesh
+    triangles = press.window.mesh.triangles
+    now = ranges(pipeline, found.pixel, press.nodes, triangles)
+    at_rest = ranges(pipeline, found.pixel, mesh.nodes, mesh.triangles)
+    np.testing.assert_allclose(found.expected_m, now - at_rest, atol=2e-6)
+    assert found.expected_m.min() < -5e-3
+    step = 1e-4
+    for k, slope in enumerate([*press.slopes, press.rounding]):
+        ends = [
+            ranges(pipeline, found.pixel, press.nodes + s * slope, triangles) for s in (step, -step)
+        ]
+        derivative = found.jacobian[:, k] if k < 6 else found.rounding
+        error = np.abs((ends[0] - ends[1]) / (2.0 * step) - derivative)
+        assert np.quantile(error, 0.95) < 0.03 * np.abs(derivative).max() + 3e-4  # single precision
+
+
+def test_a_step_is_least_squares_with_the_noise_that_the_image_has(contact, image):
+    """Edges that may lie further back are left out of it; a motion too long is cut short."""
+    fit, found = image
+    options, rng, sigma = ImageOptions(), np.random.default_rng(0), 1e-3
+    way = np.array([2e-4, -1e-4, 1e-4, 3e-3, 2e-3, -4e-3])
+    noise = sigma * rng.standard_normal(len(found.pixel))
+    change = np.full(int(found.pixel.max()) + 1, np.nan)
+    change[found.pixel] = found.expected_m + found.jacobian @ way + noise
+    every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
+    none, weak = np.zeros(6), 1e-6 * np.eye(6)
+    step = fit.step(change, contact, pose(), every, weak, none, valid_m=1e-3)
+    weight = found.every * options.trust / (sigma * (1.0 + (noise / (4.0 * sigma)) ** 2)) ** 2
+    J = np.column_stack([found.jacobian, found.rounding])
+    H = (J.T * weight) @ J
+    H[6, 6] += 1.0 / options.rounding_m**2
+    expected = H[:6, :6] - np.outer(H[:6, 6], H[6, :6]) / H[6, 6]
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(step.information / scale, expected / scale, atol=0.05)
+    lever = contact.center - found.center  # `way` is about the image's centre, a step the patch's
+    here = np.concatenate([way[:3] + np.cross(way[3:], lever), way[3:]])
+    change[found.pixel] += options.rounding_m * found.rounding
+    further_back = fit.step(change, contact, pose(), every, weak, none, valid_m=1e-3)
+    for each in (step, further_back):
+        off = each.motion - here
+        assert off @ each.information @ off < 4.0  # χ² of 6, of which the image is trusted with 0.3
+    change[found.pixel] = found.expected_m + 10.0 * found.jacobian @ way
+    far = fit.step(change, contact, pose(), every, weak, none, valid_m=1e-3)
+    assert far.way_m > options.step_m
+    assert way_at(contact.radius_m, far.motion) == pytest.approx(options.step_m)

@@ -14,6 +14,7 @@ from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.study.presses import made
+from tests.membrane.plate import plate
 
 PRECISION = Precision(1e12, 3e-3)
 WEAK = 1e-3 * np.eye(6)
@@ -93,6 +94,30 @@ def test_contact_with_the_wrong_side_does_not_count(frustum):
     registration = Registration(frustum, PRECISION)
     assert registration.stage_one(right, T, Prior(T, WEAK), iterations=1).fitness > 0.99
     assert registration.stage_one(wrong, T, Prior(T, WEAK), iterations=1).fitness == 0.0
+
+
+def test_a_face_lies_at_the_mean_of_its_points_weighted_by_their_pressure_first():
+    """Stage one by force, stage two by area; how much the whole pressure is decides nothing."""
+    slab = ObjectModel(plate(half=0.02))
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-4e-3, 4e-3, 9)] * 2))
+    height = np.where(x * y > 0.0, 4e-5, -2e-5)  # a saddle: no plane but a level one is nearer
+    contact = contact_of(np.column_stack([x, y, height]), np.tile([0.0, 0.0, -1.0], (81, 1)))
+    contact = replace(contact, pressure_pa=np.where(height > 0.0, 3e3, 1e3))
+    start = moved(np.eye(4), np.array([0.0, 0.0, 3e-4, 0.0, 0.0, 0.0]), contact.center)
+    registration, prior = Registration(slab, PRECISION), Prior(start, WEAK)
+    by_force = np.average(height, weights=contact.pressure_pa)
+    for fit, expected in (
+        (registration.stage_one(contact, start, prior, iterations=40), by_force),
+        (registration.stage_two(contact, start, prior, iterations=40), height.mean()),
+    ):
+        assert fit.T_B_O[2, 3] == pytest.approx(expected, abs=1e-6)
+        rmse = np.sqrt(np.mean((height - fit.T_B_O[2, 3]) ** 2))
+        assert fit.rmse_m == pytest.approx(rmse, rel=1e-3) and fit.fitness == pytest.approx(1.0)
+    strong = Prior(start, np.diag([1.0, 1.0, 1e8, 1.0, 1.0, 1.0]))
+    harder = replace(contact, pressure_pa=7.0 * contact.pressure_pa)
+    one, two = (registration.stage_one(each, start, strong) for each in (contact, harder))
+    assert by_force + 2e-5 < one.T_B_O[2, 3] < start[2, 3] - 2e-5
+    np.testing.assert_allclose(two.T_B_O, one.T_B_O, atol=1e-9)
 
 
 def test_free_membrane_pushes_the_object_out(frustum):
@@ -211,6 +236,25 @@ def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
     others[:, :3, 3] += others[:, :3, :3] @ shift
     differences = np.abs(others[:, None] - starts).max(axis=(2, 3))
     assert differences.min(axis=0).max() < 1e-9  # faces that are alike come in any order
+
+
+def test_starts_turn_the_object_all_the_way_round():
+    """An oblong slab on its large face: one of them is within half a step of 30° of the truth."""
+    slab = plate(half=0.01)
+    model = ObjectModel(replace(slab, vertices=slab.vertices * [1.0, 0.5, 1.0]))
+    x, y = (
+        axis.ravel()
+        for axis in np.meshgrid(np.linspace(-9e-3, 9e-3, 13), np.linspace(-4e-3, 4e-3, 7))
+    )
+    points, normals = np.column_stack([x, y, 0.0 * x]), np.tile([0.0, 0.0, -1.0], (len(x), 1))
+    for turn in np.radians([0.0, 40.0, 100.0, 160.0]):
+        T = pose(turn=(0.1, -0.2, 0.0)) @ pose(turn=(0.0, 0.0, turn))
+        R = T[:3, :3]
+        starts = StartFinder(model).starts(contact_of(points @ R.T + T[:3, 3], normals @ R.T))
+        cosine = 0.5 * (np.einsum("ij,kij->k", R, starts[:, :3, :3]) - 1.0)
+        near = np.argmax(cosine)
+        assert cosine[near] > np.cos(np.radians(16.0))
+        assert np.linalg.norm(starts[near, :3, 3] - T[:3, 3]) < 1e-3
 
 
 def test_motions_undo_each_other():

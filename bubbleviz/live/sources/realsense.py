@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -152,14 +153,18 @@ class RealSenseLive:
             opened[0][1].append(colour.profile)
         elif colour is not None:
             opened.append((colour.sensor, [colour.profile]))
+        enough = threading.Event()
         # without the SDK's pipeline, which leaves out frames of a recording that come late
         with ExitStack() as stack:
+            if self._file is not None:
+                stack.callback(_finish_reading, device)
             for each, profiles in opened:
                 each.open(profiles)
                 stack.callback(each.close)
             for each, _ in opened:
-                each.start(self._receiver(pictures, pace))
+                each.start(self._receiver(pictures, enough))
                 stack.callback(each.stop)
+            stack.callback(enough.set)  # a sensor stops only once its callback has returned
             return self._send(pace, device, pictures, sender)
 
     def _send(
@@ -184,7 +189,7 @@ class RealSenseLive:
             self._link, self._problem = "up", ""
         return False
 
-    def _receiver(self, pictures: queue.Queue[_Picture], pace: PacedThread) -> Any:
+    def _receiver(self, pictures: queue.Queue[_Picture], enough: threading.Event) -> Any:
         """Callback for the SDK's thread; playback of a recording is paced by it."""
 
         def receive(frame: Any) -> None:
@@ -198,7 +203,7 @@ class RealSenseLive:
                 time.time_ns(),
                 seen.get_profile().stream_type() == self._sdk.stream.color,
             )
-            while not pace.stopping:
+            while not enough.is_set():
                 try:
                     pictures.put(picture, timeout=_PATIENCE_S)
                     break
@@ -248,6 +253,17 @@ class RealSenseLive:
         if self._file is None:
             return self._serial not in (None, *serials(self._sdk)) or not serials(self._sdk)
         return bool(device.current_status() == self._sdk.playback_status.stopped)
+
+
+def _finish_reading(device: Any) -> None:
+    """Wait until the SDK's reading thread is done with a recording that is closed.
+
+    The SDK (2.59) may destroy its reader while that thread begins its next step, which then
+    crashes. `pause` returns when all that was queued before it is done; the second one is for
+    what the last step before the first queued.
+    """
+    for _ in range(2):
+        device.pause()
 
 
 class _Picture(NamedTuple):

@@ -1,0 +1,75 @@
+"""The contact-free frames at the start of a recording: what ends them, and when."""
+
+import numpy as np
+import pytest
+from scipy.stats import trim_mean
+
+from bubbleviz.calibration.rest.contact_free import find_contact_free, tile_depths
+from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
+
+FRAMES = 80
+
+
+class Plane:
+    """A plane 0.1 m away with 0.5 mm of noise; a corner of it and the gas pressure move."""
+
+    name = "plane"
+
+    def __init__(self, depth_from=FRAMES, pressure_from=FRAMES, gas=True, blip=None):
+        rng = np.random.default_rng(0)
+        self.depth = 0.1 + 5e-4 * rng.standard_normal((FRAMES, 48, 64))
+        self.depth[depth_from:, :16, :16] -= 3e-3
+        self.gas = 1e5 + 4.0 * rng.standard_normal(FRAMES) if gas else [None] * FRAMES
+        if gas:
+            self.gas[pressure_from:] += 100.0
+        if blip is not None:
+            self.depth[blip : blip + 2, :16, :16] -= 3e-3
+        self.times_s = np.arange(FRAMES) / 30.0
+
+    def __len__(self):
+        return FRAMES
+
+    def __getitem__(self, k):
+        return Frame(k, self.times_s[k], self.depth[k], gas_pressure_pa=self.gas[k])
+
+
+@pytest.mark.parametrize(
+    ("source", "end", "ended_by"),
+    [
+        (Plane(), FRAMES, "recording"),
+        (Plane(depth_from=40), 40, "depth"),
+        (Plane(pressure_from=30), 30, "pressure"),
+        (Plane(depth_from=40, pressure_from=30), 30, "pressure"),
+        (Plane(depth_from=30, pressure_from=40), 30, "depth"),
+        (Plane(depth_from=30, gas=False), 30, "depth"),
+        (Plane(depth_from=50, blip=20), 50, "depth"),  # a glitch is no contact
+        (Plane(depth_from=6), 6, "depth"),
+    ],
+)
+def test_whatever_leaves_rest_first_ends_it(source, end, ended_by):
+    found = find_contact_free(source)
+    assert found.frames.start == 0
+    assert end - 1 <= found.frames.stop <= end  # a frame that noise makes the beginning of it
+    assert found.ended_by == ended_by
+    assert (found.pressure_score is None) is (source.gas[0] is None)
+    assert found.depth_score[:5].max() < 6.0
+
+
+def test_a_recording_that_begins_with_a_contact_is_refused():
+    with pytest.raises(InputError, match="only 4 contact-free frames"):
+        find_contact_free(Plane(pressure_from=4))
+
+
+def test_the_depth_of_a_tile_is_the_mean_of_its_middle_half():
+    depth = np.random.default_rng(0).exponential(0.01, (20, 30)) + 0.1  # the rest is cut off
+    depth[:8, :4] = np.nan
+    depth[8:12, 8:16], depth[12, 8] = np.nan, np.nan
+    found = tile_depths(depth)
+    assert found.shape == (6,)
+    for k, (row, column) in enumerate((r, c) for r in (0, 8) for c in (0, 8, 16)):
+        tile = depth[row : row + 8, column : column + 8]
+        known = tile[np.isfinite(tile)]
+        middle = trim_mean(known, 0.25) if len(known) >= 32 else np.nan
+        assert found[k] == pytest.approx(middle, nan_ok=True)
+    assert np.isfinite(found[0]) and np.isnan(found[4])

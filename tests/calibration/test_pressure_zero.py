@@ -1,0 +1,70 @@
+"""The zero of the gas pressure: learned in one rest, moved with the sensor file, given back."""
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.pressure_zero import ENOUGH, PASSED, PressureZero
+from bubbleviz.frames.frame import Frame
+
+REFERENCE = 103_910.5
+
+
+def learned(pressures: np.ndarray) -> PressureZero:
+    zero = PressureZero(REFERENCE)
+    for pressure in pressures:
+        zero.learn(pressure, contact_free=True)
+    return zero
+
+
+def frame(pressure: float | None) -> Frame:
+    return Frame(0, 0.0, np.zeros((2, 2), np.float32), gas_pressure_pa=pressure)
+
+
+def test_the_median_of_a_rest_is_taken_from_every_pressure() -> None:
+    pressures = REFERENCE + 250.0 + np.arange(ENOUGH) ** 2
+    assert learned(pressures[:-1]).applied(frame(REFERENCE)).gas_pressure_pa == REFERENCE
+    zero = learned(pressures)
+    assert not zero.waiting
+    assert zero.rest_pa == np.median(pressures)
+    shifted = zero.applied(frame(np.median(pressures) + 30.0)).gas_pressure_pa
+    assert shifted == pytest.approx(REFERENCE + 30.0)
+    assert zero.applied(frame(None)).gas_pressure_pa is None
+    zero.learn(0.0, contact_free=True)  # nothing is learned that was not asked for
+    assert zero.rest_pa == np.median(pressures)
+
+
+def test_a_rest_that_is_interrupted_begins_anew() -> None:
+    zero = learned(np.full(ENOUGH - 1, REFERENCE + 900.0))
+    zero.learn(None, contact_free=False)  # without a pressure there is nothing to tell
+    assert zero.wants_next()
+    zero.learn(REFERENCE + 900.0, contact_free=False)
+    assert [zero.wants_next() for _ in range(PASSED)] == [False] * (PASSED - 1) + [True]
+    for k in range(ENOUGH):
+        assert zero.offset_pa is None
+        zero.learn(REFERENCE - 70.0, contact_free=True)
+        assert zero.waiting is (k < ENOUGH - 1)
+    assert zero.offset_pa == pytest.approx(-70.0)
+    assert not zero.wants_next()
+    zero.zero_now()
+    assert zero.waiting and zero.offset_pa == pytest.approx(-70.0)  # till there is another
+
+
+def test_another_sensor_file_keeps_what_was_measured_and_asks_anew() -> None:
+    zero = learned(np.full(ENOUGH, REFERENCE + 250.0))
+    zero.refer_to(REFERENCE)
+    assert not zero.waiting
+    zero.refer_to(REFERENCE + 1000.0)
+    assert zero.waiting
+    assert zero.rest_pa == REFERENCE + 250.0
+    assert zero.applied(frame(REFERENCE + 250.0)).gas_pressure_pa == REFERENCE + 1000.0
+    fresh = PressureZero(REFERENCE)
+    fresh.refer_to(REFERENCE + 1000.0)
+    assert fresh.rest_pa is None and fresh.offset_pa is None
+
+
+def test_a_zero_is_given_back() -> None:
+    zero = PressureZero(REFERENCE)
+    zero.restore(REFERENCE - 40.0, waiting=False)
+    assert zero.offset_pa == -40.0 and zero.rest_pa == REFERENCE - 40.0 and not zero.waiting
+    zero.restore(None, waiting=True)
+    assert zero.offset_pa is None and zero.waiting
