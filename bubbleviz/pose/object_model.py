@@ -101,13 +101,6 @@ class ObjectModel:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return Closest(place, normal)
 
-    def on_crease(self, places: np.ndarray) -> np.ndarray:
-        """Which places (k, 3) on the surface, in O, are on one of its convex edges, (k,) bool."""
-        if self.creases is None:
-            return np.zeros(len(places), bool)
-        on_crease: np.ndarray = self.creases.tree.query(places)[0] <= 0.5 * _STEP * self.size_m
-        return on_crease
-
     def sample(self, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Points (count, 3) spread evenly over the surface, and their normals, in O."""
         random = np.random.default_rng(seed)

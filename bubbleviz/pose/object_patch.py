@@ -91,15 +91,18 @@ class ObjectPatchFinder:
 
     def _before_edges(self, press: Press) -> np.ndarray:
         """Signed distance (k,) to where the membrane leaves the object over one of its edges, m."""
-        found = object_distance(self._object, press.nodes, press.T_B_O)
-        away = np.linalg.norm(press.nodes - found.place, axis=1)
-        T = press.T_B_O
-        on_edge = self._object.on_crease((found.place - T[:3, 3]) @ T[:3, :3])
-        beyond = on_edge & (away > _LIFTED_M)
+        creases, T = self._object.creases, press.T_B_O
+        if creases is None:
+            return np.full(len(press.nodes), np.inf)
+        found = object_distance(self._object, press.nodes, T)
+        to_edge, nearest = creases.tree.query((found.place - T[:3, 3]) @ T[:3, :3])
+        beyond = found.signed_m > np.maximum(_LIFTED_M, to_edge)
         if not beyond.any():
-            return np.full(len(away), np.inf)
-        before = np.asarray(cKDTree(found.place[beyond]).query(press.nodes)[0])
-        return np.where(beyond, -away, before)
+            return np.full(len(press.nodes), np.inf)
+        edge = creases.tree.data[nearest[beyond]] @ T[:3, :3].T + T[:3, 3]
+        before = np.asarray(cKDTree(edge).query(press.nodes)[0])
+        before[beyond] = -np.linalg.norm(press.nodes[beyond] - edge, axis=1)
+        return before
 
 
 class _FinePress:
