@@ -62,6 +62,12 @@ def test_the_patch_of_a_flat_face_ends_at_the_edge_of_the_face(model, seen):
     assert found.area_m2 == pytest.approx(np.pi * RADIUS_M**2, rel=0.1)
 
 
+def test_a_face_ends_at_its_edge_where_the_sides_lean_outward_too(model, seen):
+    finder = ObjectPatchFinder(model, ObjectModel(made("frustum")))
+    found = finder.find(seen.estimate, seen.patch, Pose("ok", upright(z=0.044)))
+    assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
+
+
 def test_the_outline_moves_with_the_object_though_the_depth_image_stays(model, seen):
     _, here, _ = outline(model, seen, upright())
     _, there, _ = outline(model, seen, upright(x=0.0045))
