@@ -31,6 +31,7 @@ from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
     from bubbleviz.colour.optical_flow import FlowField
+    from bubbleviz.pose.object_patch import ObjectPatchFinder
     from bubbleviz.pose.tracker import PoseTracker
     from bubbleviz.shear.slip import SlipFinder, SlipStart
     from bubbleviz.shear.traction_estimator import TractionEstimator, TractionOptions
@@ -41,12 +42,14 @@ _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
 """Shift of a lattice from row to row over its period: no small multiple is near a whole."""
 
 Product = Literal[
-    "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "flow", "traction", "slip",
-    "texture",
+    "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch", "flow",
+    "traction", "slip", "texture",
 ]  # fmt: skip
 
 SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
 """What depth and optical flow tell together."""
+OF_OBJECT: frozenset[Product] = frozenset({"pose", "object_patch"})
+"""What is made where there is an object to look for."""
 OF_COLOUR: frozenset[Product] = frozenset({"flow", "traction", "slip", "texture"})
 """Products that the colour image of a frame is decoded for."""
 
@@ -161,7 +164,7 @@ class Pipeline:
             for name in _STAGES:
                 if name == "flow" and flow is not None:
                     result = replace(result, flow=flow.result().flow)
-                elif name in needed and (name != "pose" or self.tracker is not None):
+                elif name in needed and (name not in OF_OBJECT or self.tracker is not None):
                     result = run(name, result)
         return replace(result, times_ms=times)
 
@@ -229,6 +232,7 @@ class Pipeline:
         InputError
             The object has no area, or is in other units than the bubble.
         """
+        self.__dict__.pop("_object_patch_finder", None)
         if obj is None:
             self.tracker = None
             return
@@ -320,6 +324,18 @@ class Pipeline:
         pose = tracker.update(result.frame, _made(result.estimate), _made(result.patch))
         return replace(result, pose=pose)
 
+    @cached_property
+    def _object_patch_finder(self) -> ObjectPatchFinder:
+        from bubbleviz.pose.object_patch import ObjectPatchFinder  # as the tracker
+
+        return ObjectPatchFinder(self.model, _made(self.tracker).model)
+
+    def _object_patch_stage(self, result: Result, options: FrameOptions) -> Result:
+        pose, gas_pa = _made(result.pose), result.frame.gas_pressure_pa
+        finder = self._object_patch_finder
+        found = finder.find(_made(result.estimate), _made(result.patch), pose, gas_pa)
+        return replace(result, object_patch=found)
+
     def _flow_stage(self, result: Result, options: FrameOptions) -> Result:
         return replace(result, flow=None if self.flow_of is None else self.flow_of(result.frame))
 
@@ -397,6 +413,7 @@ _STAGES: dict[Product, _Stage] = {
     "patch": _Stage(("estimate",), Pipeline._patch_stage),
     "pixel_mask": _Stage(("patch",), Pipeline._pixel_mask_stage),
     "pose": _Stage(("patch",), Pipeline._pose_stage),
+    "object_patch": _Stage(("pose",), Pipeline._object_patch_stage),
     "flow": _Stage((), Pipeline._flow_stage),
     "traction": _Stage(("estimate", "flow"), Pipeline._traction_stage),
     "slip": _Stage(("traction", "flow"), Pipeline._slip_stage),

@@ -352,6 +352,23 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class ObjectPatch:
+    """The contact patch by the object: what it presses at its pose, whatever noise p_c has.
+
+    Attributes
+    ----------
+    level : (n,) array
+        Signed distance to the edge, m, positive inside; its zero line, interpolated linearly, is
+        the edge.
+    area_m2 : float
+        On the reference surface, m².
+    """
+
+    level: np.ndarray
+    area_m2: float
+
+
+@dataclass(frozen=True)
 class Result:
     """The products of one frame; those not requested are None.
 
@@ -369,6 +386,8 @@ class Result:
         Measured minus modelled range of each point, m (NaN where the model has no surface).
     pose : Pose or None
         None also where there is no object to look for.
+    object_patch : ObjectPatch or None
+        None also where the pose is lost.
     flow : FlowField or None
         None also where the frame has no colour image, or no contact-free one is known.
     traction : Traction or None
@@ -388,6 +407,7 @@ class Result:
     cloud_pixels: np.ndarray | None = None
     cloud_residual_m: np.ndarray | None = None
     pose: Pose | None = None
+    object_patch: ObjectPatch | None = None
     flow: FlowField | None = None
     traction: Traction | None = None
     slip: Slip | None = None

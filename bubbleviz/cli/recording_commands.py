@@ -155,6 +155,9 @@ def estimate(
 @click.option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
 @solver_option
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
+@click.option(
+    "--object-patch", is_flag=True, help="The contact patch by the object's surface, too: its area."
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="POSES.csv.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def pose(
@@ -165,6 +168,7 @@ def pose(
     init: str | None,
     solver: str | None,
     frames: str | None,
+    object_patch: bool,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -172,6 +176,14 @@ def pose(
     from bubbleviz.commands.pose import pose_recording
 
     summary = pose_recording(
-        recording, sensor, object_name, out, init=init, unit=unit, solver=solver, frames=frames
+        recording,
+        sensor,
+        object_name,
+        out,
+        init=init,
+        unit=unit,
+        solver=solver,
+        frames=frames,
+        object_patch=object_patch,
     )
     report(summary, summary.warning, as_json=as_json)

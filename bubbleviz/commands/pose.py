@@ -21,7 +21,7 @@ from bubbleviz.frames.frame_source import FrameSource, shown_name
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import OF_OBJECT, Pipeline, Product
 from bubbleviz.result import PoseStatus, Result
 from bubbleviz.rigid_object import load_object
 
@@ -42,6 +42,8 @@ class PoseSummary(Summary):
         Over the frames with a pose.
     median_total_ms, p95_total_ms : float or None
         Depth image in → pose out over the frames after the first with a pose, ms.
+    median_patch_area_m2, median_object_patch_area_m2 : float or None
+        By the contact pressure and by the object, over the frames that have both.
     warning : str or None
         What is missing of the recording.
     """
@@ -56,6 +58,8 @@ class PoseSummary(Summary):
     median_rmse_m: float | None
     median_total_ms: float | None
     p95_total_ms: float | None
+    median_patch_area_m2: float | None
+    median_object_patch_area_m2: float | None
     warning: str | None
 
     def to_text(self) -> str:
@@ -72,6 +76,11 @@ class PoseSummary(Summary):
                 f"time    depth image in → pose out while tracking: {self.median_total_ms:.1f} ms "
                 f"median, {self.p95_total_ms:.1f} ms p95"
             )
+        if self.median_patch_area_m2 is not None and self.median_object_patch_area_m2 is not None:
+            lines.append(
+                f"patch   {1e6 * self.median_patch_area_m2:.0f} mm² by the contact pressure, "
+                f"{1e6 * self.median_object_patch_area_m2:.0f} mm² by the object (medians)"
+            )
         return "\n".join(lines)
 
 
@@ -85,6 +94,7 @@ def pose_recording(
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
     frames: str | None = None,
+    object_patch: bool = False,
 ) -> PoseSummary:
     """Follow an object through the frames of a recording and write POSES.csv.
 
@@ -101,6 +111,8 @@ def pose_recording(
         Of the inverse problem.
     frames : str, optional
         As in `parse_frames`.
+    object_patch : bool, optional
+        Find the patch by the object, too; its area and that of the patch become columns.
 
     Raises
     ------
@@ -115,7 +127,7 @@ def pose_recording(
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         pipeline.follow(obj, start)
-        rows = _follow(source, chosen, pipeline, out)
+        rows = _follow(source, chosen, pipeline, out, object_patch=object_patch)
         warning = source.bag.note or None
     return PoseSummary(
         recording=str(recording),
@@ -129,18 +141,25 @@ def pose_recording(
     )
 
 
-def _follow(source: Recording, chosen: range, pipeline: Pipeline, out: Path) -> list[PoseRow]:
-    rows = []
-    with whole_file(out) as temporary, PoseCsvWriter(temporary) as writer:
+def _follow(
+    source: Recording, chosen: range, pipeline: Pipeline, out: Path, *, object_patch: bool
+) -> list[PoseRow]:
+    rows, products = [], OF_OBJECT if object_patch else PRODUCTS
+    with whole_file(out) as temporary, PoseCsvWriter(temporary, areas=object_patch) as writer:
         shown = tqdm(chosen, unit="frame", disable=None)  # only on a terminal
-        for result in followed(source, shown, pipeline):
+        for result in followed(source, shown, pipeline, products):
             row = PoseRow.of(result)
             writer.add(row)
             rows.append(row)
     return rows
 
 
-def followed(source: FrameSource, chosen: Iterable[int], pipeline: Pipeline) -> Iterator[Result]:
+def followed(
+    source: FrameSource,
+    chosen: Iterable[int],
+    pipeline: Pipeline,
+    products: frozenset[Product] = PRODUCTS,
+) -> Iterator[Result]:
     """Results of frames with the pose of the object that a pipeline follows.
 
     Raises
@@ -150,7 +169,7 @@ def followed(source: FrameSource, chosen: Iterable[int], pipeline: Pipeline) -> 
     """
     statuses: Counter[PoseStatus] = Counter()
     for index in chosen:
-        result = pipeline.process(source[index], PRODUCTS)
+        result = pipeline.process(source[index], products)
         if result.pose is not None:
             statuses[result.pose.status] += 1
         yield result
@@ -170,9 +189,14 @@ _REASONS: dict[PoseStatus, str] = {
 def _statistics(good: list[PoseRow]) -> dict[str, float | None]:
     """Medians over the frames with a pose."""
     times = [row.total_ms for row in good[1:]]
+    areas = [(row.patch_area_m2, row.object_patch_area_m2) for row in good]
+    both = [pair for pair in areas if np.isfinite(pair).all()]
+    patch, by_object = np.median(both, axis=0).tolist() if both else (None, None)
     return {
         "median_fitness": float(np.median([row.fitness for row in good])),
         "median_rmse_m": float(np.median([row.rmse_m for row in good])),
         "median_total_ms": float(np.median(times)) if times else None,
         "p95_total_ms": float(np.percentile(times, 95.0)) if times else None,
+        "median_patch_area_m2": patch,
+        "median_object_patch_area_m2": by_object,
     }

@@ -9,7 +9,7 @@ from typing import Any
 from bubbleviz.errors import InputError
 from bubbleviz.files.pose_reader import COLUMNS, read_rows
 
-_QUALITY = ("fitness", "rmse_m")
+_QUALITY = ("fitness", "rmse_m", "object_patch_area_m2")
 
 
 def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:

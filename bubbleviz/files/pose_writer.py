@@ -19,7 +19,8 @@ from bubbleviz.result import Pose, Result
 class PoseRow:
     """One line of POSES.csv; NaN where there is no number.
 
-    A `lost` frame has the last good pose.
+    A `lost` frame has the last good pose. The last two are columns only where the patch by the
+    object was asked for.
     """
 
     frame: int
@@ -36,13 +37,15 @@ class PoseRow:
     rmse_m: float
     stage1_rmse_m: float
     total_ms: float
+    patch_area_m2: float = np.nan
+    object_patch_area_m2: float = np.nan
 
     @classmethod
     def of(cls, result: Result) -> PoseRow:
         """Line of a frame whose pose was asked for."""
         if result.pose is None:
             raise ValueError("the product pose was not asked for")
-        pose = result.pose
+        pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
         one, two = pose.stage_one, pose.stage_two
         x, y, z, qx, qy, qz, qw = _numbers(pose)
         return cls(
@@ -60,7 +63,12 @@ class PoseRow:
             rmse_m=two.rmse_m if two else np.nan,
             stage1_rmse_m=one.rmse_m if one else np.nan,
             total_ms=result.times_ms["total"],
+            patch_area_m2=patch.area_m2 if patch else np.nan,
+            object_patch_area_m2=by_object.area_m2 if by_object else np.nan,
         )
+
+
+_AREAS = ("patch_area_m2", "object_patch_area_m2")
 
 
 def _numbers(pose: Pose) -> list[float]:
@@ -79,11 +87,14 @@ class PoseCsvWriter:
     ----------
     path : Path
         Give the temporary path of `whole_file`.
+    areas : bool, optional
+        With the areas of both patches.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, areas: bool = False) -> None:
         self._file = path.open("w", newline="", encoding="utf-8")
-        self._writer = csv.DictWriter(self._file, [field.name for field in fields(PoseRow)])
+        names = [field.name for field in fields(PoseRow) if areas or field.name not in _AREAS]
+        self._writer = csv.DictWriter(self._file, names, extrasaction="ignore")
         self._writer.writeheader()
 
     def __enter__(self) -> PoseCsvWriter:
@@ -100,20 +111,22 @@ class PoseCsvWriter:
 def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]) -> int:
     """Write POSES.csv, or a TUM trajectory of the frames that are `ok`; count of lines.
 
-    A TUM line is `time x y z qx qy qz qw`, s and m.
+    The areas of both patches are columns where any frame has that by the object. A TUM line is
+    `time x y z qx qy qz qw`, s and m.
 
     Raises
     ------
     InputError
         The file exists or cannot be written.
     """
-    count = 0
+    rows = list(rows)
     with whole_file(path) as temporary:
         if form == "csv":
-            with PoseCsvWriter(temporary) as writer:
-                for count, row in enumerate(rows, 1):  # noqa: B007
+            areas = any(np.isfinite(row.object_patch_area_m2) for row in rows)
+            with PoseCsvWriter(temporary, areas=areas) as writer:
+                for row in rows:
                     writer.add(row)
-            return count
+            return len(rows)
         lines = [_tum(row) for row in rows if row.status == "ok"]
         temporary.write_text("".join(lines), encoding="utf-8")
         return len(lines)

@@ -24,12 +24,12 @@ from bubbleviz.membrane.refine import refine
 from bubbleviz.membrane.rubber_model.friction_forward import FrictionContact, FrictionForward
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
-from bubbleviz.simulation.touching_share import touching_share
 
 Model = Literal["rubber", "linear"]
 """The exact membrane, or the paper's linear one."""

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
-from bubbleviz.simulation.touching_share import touching_share
 
 if TYPE_CHECKING:
     from bubbleviz.study.truth_bank import Sighting  # the window compares masks without it

@@ -21,11 +21,11 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.patch.patch_finder import PatchFinder
+from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
 from bubbleviz.simulation.refined_press import refined_press
-from bubbleviz.simulation.touching_share import touching_share
 from bubbleviz.study.rubber_oracle import AxialRubber
 
 EVERY = 1 if "TEST_ALL" in os.environ else 2

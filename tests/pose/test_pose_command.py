@@ -2,12 +2,15 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
+from bubbleviz.commands.pose import PoseSummary
+from bubbleviz.export.pose_columns import read_poses
 from bubbleviz.files.pose_reader import read_path
 from bubbleviz.files.pose_writer import PoseRow, write_poses
 from bubbleviz.frames.frame import Frame
@@ -63,6 +66,26 @@ def test_poses_are_those_of_the_simulation(folder):
     assert summary["median_fitness"] > 0.8
 
 
+def test_the_area_of_the_patch_by_the_object_is_a_column_when_asked_for(folder):
+    more = ("--init", "0.004 0.002 0.038 0 0 0 1", "--object-patch", "--json")
+    done = command(folder, "areas.csv", *more)
+    assert done.exit_code == 0, done.output
+    text = (folder / "areas.csv").read_text()
+    assert text.splitlines()[0] == HEADER + ",patch_area_m2,object_patch_area_m2"
+    free, *pressed = csv.DictReader(text.splitlines())
+    assert free["status"] == "no_contact" and np.isnan(float(free["object_patch_area_m2"]))
+    for row in pressed:
+        assert float(row["object_patch_area_m2"]) == pytest.approx(0.025**2, rel=0.35)
+        assert float(row["patch_area_m2"]) > 0.0
+    summary = json.loads(done.stdout)
+    median = np.median([float(row["object_patch_area_m2"]) for row in pressed])
+    assert summary["median_object_patch_area_m2"] == pytest.approx(median)
+    columns = read_poses(folder / "areas.csv")
+    assert columns[3]["pose_object_patch_area_m2"] == float(pressed[-1]["object_patch_area_m2"])
+    shown = PoseSummary(**summary).to_text()
+    assert f"{1e6 * median:.0f} mm² by the object" in shown
+
+
 def test_bad_input_is_one_line(folder, tmp_path):
     (folder / "there.csv").write_text("")
     flat = tmp_path / "flat.obj"
@@ -109,6 +132,15 @@ def test_tum_has_the_good_poses_only(tmp_path):
     assert write_poses(tmp_path / "a.csv", rows[:1], "csv") == 1
     poses, _ = read_path(tmp_path / "a.csv")
     assert np.allclose(poses[0], T)
+    assert (tmp_path / "a.csv").read_text().splitlines()[0] == HEADER
+    known = [
+        replace(row, object_patch_area_m2=area)
+        for row, area in zip(rows, (6e-4, np.nan), strict=True)
+    ]
+    assert write_poses(tmp_path / "b.csv", known, "csv") == 2
+    assert [row.split(",")[-1] for row in (tmp_path / "b.csv").read_text().splitlines()] == [
+        "object_patch_area_m2", "0.0006", "nan"
+    ]  # fmt: skip
 
 
 def test_a_pose_that_nobody_asked_for_is_no_row():

@@ -10,8 +10,8 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.touching_share import touching_share
 from bubbleviz.study.rubber_oracle import AxialRubber
 
 A, H, GAUGE, DEPTH, BALL = 0.045, 0.020, 2500.0, 0.006, 0.015

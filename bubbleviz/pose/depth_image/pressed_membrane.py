@@ -42,8 +42,8 @@ class Press:
         Their derivatives by small motions of the object in B about the centre.
     rounding : (k, 3) array
         Their derivative by the radius of the object's edges.
-    force_n : (3,) array
-        Of the object on the membrane.
+    push_n : (k, 3) array
+        Force of the object on each node.
     held : (m,) bool array
         Triangles that lie on a face of the object.
     """
@@ -54,8 +54,14 @@ class Press:
     nodes: np.ndarray
     slopes: np.ndarray
     rounding: np.ndarray
-    force_n: np.ndarray
+    push_n: np.ndarray
     held: np.ndarray
+
+    @property
+    def force_n(self) -> np.ndarray:
+        """Of the object on the membrane, (3,)."""
+        total: np.ndarray = self.push_n.sum(axis=0)
+        return total
 
 
 class PressedMembrane:
@@ -169,9 +175,9 @@ def _pressed(
     loaded[touching.corners[touching.weights > 0.0]] = True
     held = loaded[triangles].all(axis=1)
     held[touching.triangle[touching.edge]] = False
-    force = touching.force_n @ touching.normals
+    push = touching.on_nodes(touching.force_n[:, None] * touching.normals, n)
     slopes = tangent.moved(pulls)
-    return Press(T_B_O, center, window, x, slopes[:6], slopes[6], force, held)
+    return Press(T_B_O, center, window, x, slopes[:6], slopes[6], push, held)
 
 
 def _followed(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:

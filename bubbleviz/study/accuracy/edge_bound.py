@@ -20,7 +20,7 @@ from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.simulation.touching_share import touching_share
+from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.study.error_metrics import at_nodes
 from bubbleviz.study.truth_bank import Sighting
 

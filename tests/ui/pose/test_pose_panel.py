@@ -13,7 +13,7 @@ from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QApplication, QWidget
 from scipy.spatial.transform import Rotation
-from window_driver import Driver, axes_corner, idle, in_view
+from window_driver import Driver, axes_corner, idle, in_view, texts
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import load_object
@@ -26,7 +26,8 @@ from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.pose import pose_panel
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_panel import PosePanel
-from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN
+from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, OBJECT_PATCH
+from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 
 LEFT = Qt.MouseButton.LeftButton
@@ -255,6 +256,43 @@ def test_tracking_runs_only_when_asked_and_exports(
     bench.driver.state.choose(layers=frozenset({"membrane"}))
     bench.driver.seek(0)
     assert counts["pose"] == ran
+
+
+def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(bench: Bench) -> None:
+    """Both outlines in their colours and both areas in words; neither work nor outline before."""
+    driver, window = bench.driver, bench.window
+    driver.state.choose(layers=frozenset({"membrane", "contour", "readout"}))
+    bench.choose("frustum")
+    bench.click(bench.panel.track)
+    driver.seek(1)
+    driver.settle()
+    assert outlined(driver) == (True, False) and not driver.pipeline.counts["object_patch"]
+    assert not window.kappa.by_object.text() and "by object" not in " ".join(texts(driver))
+
+    bench.click(bench.panel.patch)
+    driver.wait(lambda: window.controller.result.object_patch is not None)
+    driver.settle()
+    result = window.controller.result
+    assert result.patch is not None and outlined(driver) == (True, True)
+    assert result.object_patch.area_m2 != result.patch.area_m2
+    words = " ".join(texts(driver))
+    assert f"patch (white) {1e6 * result.patch.area_m2:.0f} (" in words
+    assert f"by object (green) {1e6 * result.object_patch.area_m2:.0f} mm²" in words
+    assert window.kappa.by_object.text() == f"{1e6 * result.object_patch.area_m2:.0f} mm²"
+
+    driver.pipeline.tracker.reset(np.diag([1.0, -1.0, -1.0, 1.0]))  # far off: no fit from there
+    driver.seek(2)
+    lost = window.controller.result
+    assert lost.frame.index == 2 and lost.pose.status == "lost"
+    assert lost.object_patch is None and outlined(driver) == (True, False)
+    assert not window.kappa.by_object.text() and "by object" not in " ".join(texts(driver))
+
+
+def outlined(driver: Driver) -> tuple[bool, bool]:
+    """Whether the outlines of the patch and of that by the object are seen."""
+    pixels = driver.window.view.pixels()[:, 60:]
+    white, green = (np.all(pixels == rgb(colour), axis=2).sum() for colour in (LINE, OBJECT_PATCH))
+    return bool(white > 40), bool(green > 40)
 
 
 def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench: Bench) -> None:

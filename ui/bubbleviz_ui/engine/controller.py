@@ -9,7 +9,6 @@ import numpy as np
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.diagnostics.inspector import Inspection
-from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.analysis import Analysis
@@ -35,13 +34,13 @@ from bubbleviz_ui.engine.requests import (
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.model.choices import PATCH_CHOICES, solver_title
-from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.model.demand import Demand, of_object
+from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.playback.player import Player
 
 STANDS_MS = 150
 """How long one has to stay at a frame before it is settled: not while scrubbing."""
-POSE: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 
 
 class Controller(QObject):
@@ -138,7 +137,7 @@ class Controller(QObject):
         if self.state.facts is None:
             return
         client, demand = self.client, Demand.of(self.state.choices)
-        demand = replace(demand, products=demand.products | POSE)
+        demand = replace(demand, products=demand.products | PATCH | of_object(self.state.choices))
         frame = client.frame_request(self.state.frame, demand) if fit else None
         self._ask(FollowRequest(client.session, demand, object_name, unit, start, frame))
 

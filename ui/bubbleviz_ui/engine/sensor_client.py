@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import Gap
-from bubbleviz.pipeline import Product
+from bubbleviz.pipeline import OF_OBJECT, Product
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.request_slots import RequestDelay
 from bubbleviz_ui.engine.requests import (
@@ -118,7 +118,7 @@ class SensorClient(QObject):
     def ask_settled(self) -> None:
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
-            products = self._shown_as.products - {"pose"}
+            products = self._shown_as.products - OF_OBJECT
             demand = replace(self._due(self.demand), products=products)
             self.worker.ask(SettleRequest(self.session, demand, self.result.frame.index))
 
@@ -229,11 +229,12 @@ class SensorClient(QObject):
             return  # another frame is looked at by now
         asked = answer.request.demand
         if not (
-            self._shown_as.products <= asked.products | {"pose"}
+            self._shown_as.products <= asked.products | OF_OBJECT
             and self.demand.looks <= asked.looks
         ):
             return  # more is looked at by now
-        self.result = replace(new, frame=shown.frame, pose=shown.pose)
+        pose, by_object = shown.pose, shown.object_patch
+        self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
         self._shown_as = replace(self._shown_as, options=asked.options)
         self.inspection = answer.inspection
         self._settled = self._looked_at = shown.frame

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from bubbleviz.diagnostics.inspector import NEEDS
-from bubbleviz.pipeline import OF_COLOUR, FrameOptions
+from bubbleviz.pipeline import OF_COLOUR, OF_OBJECT, FrameOptions
 from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, Products
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bubbleviz.diagnostics.inspector import Look
     from bubbleviz_ui.model.choices import Choices, Rule
 
-POSE_CONSUMERS = frozenset({"object", "fit", "pose"})
+POSE_CONSUMERS = frozenset({"object", "fit", "pose", "object_patch"})
 """Who wants the pose of the object while it is tracked."""
 
 PLOTS: Mapping[str, Products] = MappingProxyType(
@@ -112,10 +112,15 @@ def products(choices: Choices) -> Products:
     if "images" in choices.panels and "patch" in choices.images:
         needed |= PATCH | {"pixel_mask"}
     if choices.pose_track and (choices.layers | choices.panels) & POSE_CONSUMERS:
-        needed |= PATCH | {"pose"}
+        needed |= PATCH | of_object(choices)
     for look in looks(choices):
         needed |= NEEDS[look]
     return needed
+
+
+def of_object(choices: Choices) -> Products:
+    """What is asked of a frame in which an object is looked for."""
+    return OF_OBJECT if "object_patch" in choices.layers else frozenset({"pose"})
 
 
 def plotted(choices: Choices) -> Products:

@@ -50,6 +50,12 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "contour": LayerKind(
             "Patch contour", "Where the contact pressure crosses the κ threshold", PATCH
         ),
+        "object_patch": LayerKind(
+            "Patch by object",
+            "Green: where the object that is tracked presses at its pose, by its surface;\n"
+            "white, the patch contour: by the contact pressure alone",
+            at_first=False,
+        ),
         "compared": LayerKind(
             "Compared outlines", "Patch of settings A and B, while the Compare panel is open"
         ),

@@ -62,7 +62,8 @@ class KappaPanel(QWidget):
             {name: solver_title(name) for name in (None, *SOLVER_NAMES, *SETTINGS)},
         )
         self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
-        self.threshold, self.area, self.force = (_value() for _ in range(3))
+        self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
+        self.by_object.setToolTip("Patch by the object at its pose: the green outline")
         self.doubt = QLabel(wordWrap=True)
         self.doubt.setObjectName("doubt")
         self._lay_out()
@@ -76,10 +77,11 @@ class KappaPanel(QWidget):
 
     def _lay_out(self) -> None:
         fill(QHBoxLayout(self.by_kappa), (self.slider, 1), self.box, margins=(0, 0, 0, 0))
-        form = QFormLayout()
+        self._form = form = QFormLayout()
         form.setHorizontalSpacing(16)
         form.addRow("Threshold", self.threshold)
         form.addRow("Patch area", self.area)
+        form.addRow("By the object", self.by_object)
         form.addRow("Force", self.force)
         form.addRow("Solver", self.solver)
         fill(
@@ -120,6 +122,9 @@ class KappaPanel(QWidget):
         self.threshold.setText("automatic" if automatic else units.pressure.text(threshold_pa))
         area = (patch.area_m2, *patch.area_interval_m2) if patch else (math.nan,) * 3
         self.area.setText(units.area.with_range(*area))
+        found = None if result is None else result.object_patch
+        self.by_object.setText("" if found is None else units.area.text(found.area_m2))
+        self._form.setRowVisible(self.by_object, found is not None)
         self.force.setText(units.force.text(None) if result is None else force_text(result, units))
         self.doubt.setText("" if result is None else doubt_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))

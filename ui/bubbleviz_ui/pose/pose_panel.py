@@ -25,9 +25,10 @@ from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.wording import count_of
 from bubbleviz_ui.model.choices import POSE_CHOICES
 from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
-from bubbleviz_ui.panels.binding import bind, options
+from bubbleviz_ui.panels.binding import bind, bind_member, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import NUMBERS, copied_pose, known_pose, pose_words
@@ -76,6 +77,7 @@ class PosePanel(QWidget):
         )
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")
+        self.patch = QCheckBox(LAYERS["object_patch"].title)
         self.stage = QComboBox()
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("T_B_O as text: position in m, quaternion x y z w, 4×4 matrix")
@@ -129,6 +131,7 @@ class PosePanel(QWidget):
         self.track.setToolTip("Follow the object from frame to frame")
         self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
         options(self.stage, {2: "both stages", 1: "stage one"})
+        self.patch.setToolTip(LAYERS["object_patch"].tip)
         self.stage.setToolTip("Which result the object is drawn at")
 
     def _lay_out(self) -> None:
@@ -148,6 +151,7 @@ class PosePanel(QWidget):
             form.addRow(title, self.values[name])
         form.insertRow(3, "T_B_O", self.copy)
         form.addRow("Shown", self.stage)
+        form.addRow("Outline", self.patch)
         column.addLayout(form)
         self._room = QVBoxLayout()
         fill(column, self._room, _row(QLabel("Export"), self.csv, self.tum), 1)
@@ -163,6 +167,7 @@ class PosePanel(QWidget):
         self.object.activated.connect(lambda _: self._on_object())
         bind(self.unit, state, "pose_unit")
         bind(self.stage, state, "pose_stage")
+        bind_member(self.patch, state, "layers", "object_patch")
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)
         self.move_it.toggled.connect(self.gizmo)

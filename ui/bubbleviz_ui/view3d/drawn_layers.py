@@ -14,7 +14,11 @@ from bubbleviz_ui.shear.texture_layer import TextureLayer
 from bubbleviz_ui.shear.traction_layer import TractionLayer
 from bubbleviz_ui.view3d.layers.axes_layer import AxesLayer
 from bubbleviz_ui.view3d.layers.cloud_layer import CloudLayer
-from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer, ContourLayer
+from bubbleviz_ui.view3d.layers.contour_layer import (
+    ComparedLayer,
+    ContourLayer,
+    ObjectPatchLayer,
+)
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 from bubbleviz_ui.view3d.layers.force_layer import ForceLayer
@@ -33,6 +37,7 @@ CLASSES: tuple[type[Layer], ...] = (
     TextureLayer,
     WireframeLayer,
     ContourLayer,
+    ObjectPatchLayer,
     ComparedLayer,
     CloudLayer,
     ForceLayer,

@@ -42,6 +42,24 @@ class ContourLayer(Layer):
         self._has(patch is not None and patch.area_m2 > 0)
 
 
+class ObjectPatchLayer(Layer):
+    """The edge of the patch by the object; nothing where its pose is lost."""
+
+    name, cut = "object_patch", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._edge = _Line(self, theme.OBJECT_PATCH, -250.0, line_width=3)
+        self._has(False)
+
+    def draw(self, picture: Picture) -> None:
+        """Trace the edge, where there is one."""
+        patch = picture.result.object_patch
+        if patch is not None:
+            self._edge.draw(self.canvas.surface.line(patch.level))
+        self._has(patch is not None)
+
+
 class ComparedLayer(Layer):
     """Outlines of settings that are compared, in pictures of the frame that they were tried on."""
 

@@ -89,7 +89,11 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
         return "no contact", ""
     peak = units.pressure.text(float(estimate.contact_pressure_pa.max()))
     area = units.area.with_range(patch.area_m2, *patch.area_interval_m2)
-    return f"contact  {force_text(result, units)}", f"peak {peak}{APART}patch {area}"
+    patches = f"patch {area}"
+    if result.object_patch is not None:
+        by_object = units.area.text(result.object_patch.area_m2)
+        patches = f"patch (white) {area}{APART}by object (green) {by_object}"
+    return f"contact  {force_text(result, units)}", f"peak {peak}{APART}{patches}"
 
 
 def _put(text: Any, size: float, top: float) -> None:

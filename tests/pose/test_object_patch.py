@@ -1,0 +1,108 @@
+"""The patch by the object: it ends where the object does, and there is none without its pose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.membrane.level_line import level_line
+from bubbleviz.pipeline import OF_OBJECT, Pipeline
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.object_patch import ObjectPatchFinder
+from bubbleviz.result import Pose
+from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.study.presses import made
+
+RADIUS_M = 0.012  # of the cylinder's flat face
+
+
+def upright(x=0.003, y=-0.002, z=0.042):
+    T = np.eye(4)
+    T[:3, 3] = [x, y, z]
+    return T
+
+
+@pytest.fixture(scope="module")
+def model():
+    sensor = load_sensor("pico_flexx_75mm")
+    membrane = sensor.membrane.model_copy(update={"nodes": 1_200, "prestretch": 1.2})
+    return SensorModel.of(sensor.model_copy(update={"membrane": membrane}))
+
+
+@pytest.fixture(scope="module")
+def source(model):
+    noise = DepthNoise(relative=0.005)
+    poses = np.repeat(upright()[None], 3, axis=0)
+    return SyntheticSource(model.sensor, made("cylinder"), poses, noise, model="linear")
+
+
+@pytest.fixture(scope="module")
+def seen(model, source):
+    return Pipeline(model).process(source[0], frozenset({"patch"}))
+
+
+def outline(model, seen, T):
+    """The patch by a cylinder at a pose, the middle (2,) of its outline, and radii about T."""
+    finder = ObjectPatchFinder(model, ObjectModel(made("cylinder")))
+    found = finder.find(seen.estimate, seen.patch, Pose("ok", T))
+    nodes = model.mesh.deformed(seen.estimate.motion_m)
+    pieces = level_line(nodes, model.mesh.corners, found.level)[:, :, :2]
+    middles = pieces.mean(axis=1)
+    lengths = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
+    return found, lengths @ middles / lengths.sum(), np.linalg.norm(middles - T[:2, 3], axis=1)
+
+
+def test_the_patch_of_a_flat_face_ends_at_the_edge_of_the_face(model, seen):
+    found, _, radius = outline(model, seen, upright())
+    assert radius.mean() == pytest.approx(RADIUS_M, abs=4e-4)
+    assert np.abs(radius - RADIUS_M).mean() < 0.15 * model.mesh.edge_length
+    assert found.area_m2 == pytest.approx(np.pi * RADIUS_M**2, rel=0.1)
+
+
+def test_a_face_ends_at_its_edge_where_the_sides_lean_outward_too(model, seen):
+    finder = ObjectPatchFinder(model, ObjectModel(made("frustum")))
+    found = finder.find(seen.estimate, seen.patch, Pose("ok", upright(z=0.044)))
+    assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
+
+
+def test_the_outline_moves_with_the_object_though_the_depth_image_stays(model, seen):
+    _, here, _ = outline(model, seen, upright())
+    _, there, _ = outline(model, seen, upright(x=0.0045))
+    assert there - here == pytest.approx([1.5e-3, 0.0], abs=4e-4)
+
+
+@pytest.mark.parametrize("status", ["lost", "no_contact", "few_points", "no_data"])
+def test_without_a_pose_of_the_frame_there_is_none(model, seen, status):
+    finder = ObjectPatchFinder(model, ObjectModel(made("cylinder")))
+    assert finder.find(seen.estimate, seen.patch, Pose(status, upright())) is None
+
+
+def test_it_is_found_when_asked_for_and_changes_no_pose(model, source):
+    poses = []
+    for products in (frozenset({"pose"}), OF_OBJECT):
+        pipeline = Pipeline(model)
+        pipeline.follow(source.obj, upright(x=0.004))
+        results = [pipeline.process(source[k], products) for k in range(2)]
+        assert [r.object_patch is not None for r in results] == ["object_patch" in products] * 2
+        assert pipeline.counts["object_patch"] == 2 * ("object_patch" in products)
+        poses.append([r.pose.T_B_O for r in results])
+    np.testing.assert_array_equal(*poses)
+
+
+def test_a_lost_frame_has_none_and_the_next_object_its_own(model, source):
+    pipeline = Pipeline(model)
+    pipeline.follow(source.obj, upright())
+    cylinder = pipeline.process(source[0], OF_OBJECT)
+    assert cylinder.object_patch is not None
+    gone = replace(source[1], depth_m=np.full_like(source[1].depth_m, np.nan))
+    lost = pipeline.process(gone, OF_OBJECT)
+    assert lost.pose.status == "lost" and lost.object_patch is None
+    pipeline.follow(made("sphere"), upright())
+    ball = pipeline.process(source[2], OF_OBJECT)
+    if ball.object_patch is not None:
+        assert ball.object_patch.area_m2 < 0.8 * cylinder.object_patch.area_m2
+    pipeline.follow(None)
+    assert pipeline.process(source[2], OF_OBJECT).object_patch is None
