@@ -34,6 +34,8 @@ _LIFTED_M = 1e-4
 _AROUND_M, _MARGIN_M = 4e-3, 8e-3
 """Way around the patch in which the mesh is finer, and by how much more at first, so that the
 contact may move that far before another part is."""
+_NEWTON_STEPS = 40
+"""Most of them: from the estimate, which is blurred over edges of the coarse mesh, some eleven."""
 
 
 class ObjectPatchFinder:
@@ -116,7 +118,8 @@ class _FinePress:
         rubber = build_rubber(sensor.sensor, self._finer.mesh, sensor.tension_n_per_m)
         gas, usual = Gas.of(sensor.sensor.pneumatics, rubber.mesh), PressOptions()
         spacing = 0.5 * usual.spacing_edges * coarse.edge_length / rubber.mesh.edge_length
-        self._pressed = PressedMembrane(rubber, gas, obj, replace(usual, spacing_edges=spacing))
+        options = replace(usual, spacing_edges=spacing, newton_steps=_NEWTON_STEPS)
+        self._pressed = PressedMembrane(rubber, gas, obj, options)
         self.mesh = rubber.mesh
 
     def covers(self, contact: ContactPoints) -> bool:

@@ -278,7 +278,9 @@ def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(benc
     words = " ".join(texts(driver))
     assert f"patch (white) {1e6 * result.patch.area_m2:.0f} (" in words
     assert f"by object (green) {1e6 * result.object_patch.area_m2:.0f} mm²" in words
-    assert window.kappa.by_object.text() == f"{1e6 * result.object_patch.area_m2:.0f} mm²"
+    area = f"{1e6 * result.object_patch.area_m2:.0f} mm²"
+    assert window.kappa.by_object.text() == area
+    driver.wait(lambda: bench.panel.patch.text() == f"Patch by object: {area}")
 
     driver.pipeline.tracker.reset(np.diag([1.0, -1.0, -1.0, 1.0]))  # far off: no fit from there
     driver.seek(2)
@@ -286,6 +288,7 @@ def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(benc
     assert lost.frame.index == 2 and lost.pose.status == "lost"
     assert lost.object_patch is None and outlined(driver) == (True, False)
     assert not window.kappa.by_object.text() and "by object" not in " ".join(texts(driver))
+    driver.wait(lambda: bench.panel.patch.text() == "Patch by object")
 
 
 def outlined(driver: Driver) -> tuple[bool, bool]:

@@ -267,6 +267,9 @@ class PosePanel(QWidget):
         self._show_object()
         for name, text in pose_words(self.session, self._state.units).items():
             self.values[name].setText(text)
+        title, by_object = LAYERS["object_patch"].title, self.session.object_patch
+        area = "" if by_object is None else self._state.units.area.text(by_object.area_m2)
+        self.patch.setText(f"{title}: {area}" if area else title)
         pose = self.session.pose
         if pose is None and self._curves is None:
             return

@@ -13,7 +13,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.errors import InputError
 from bubbleviz.files.pose_reader import pose_matrix, pose_numbers
 from bubbleviz.files.pose_writer import PoseRow, write_poses
-from bubbleviz.result import Pose, Result
+from bubbleviz.result import ObjectPatch, Pose, Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Failed, Followed, FollowRequest, Opened
@@ -102,6 +102,12 @@ class PoseSession(QObject):
             self._follow(fit=False)
         self._state.choose(pose_track=on)
         self.changed.emit()
+
+    @property
+    def object_patch(self) -> ObjectPatch | None:
+        """Of the frame that is shown, where it was asked for."""
+        result = self._controller.result
+        return None if result is None else result.object_patch
 
     def reset(self) -> None:
         """Forget every pose and stop tracking, as a step for undo; object and start stay."""
