@@ -359,9 +359,11 @@ class Pipeline:
     def _cloud_stage(self, result: Result, options: FrameOptions) -> Result:
         """Points of the pixels with a return, evenly fewer where there are too many."""
         depth_m, most = result.frame.depth_m, options.cloud_points
-        pixels = np.flatnonzero(np.isfinite(depth_m))
-        if most is not None and len(pixels) > most:
-            pixels = _evenly(pixels, depth_m.shape[1], most)
+        returned = np.isfinite(depth_m)
+        if most is not None and np.count_nonzero(returned) > most:
+            pixels = _evenly(returned, most)
+        else:
+            pixels = np.flatnonzero(returned)
         return replace(result, cloud_m=self.camera.points(depth_m, pixels), cloud_pixels=pixels)
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
@@ -430,14 +432,17 @@ def stages(products: frozenset[Product]) -> frozenset[Product]:
     return products.union(*required)
 
 
-def _evenly(pixels: np.ndarray, width: int, most: int) -> np.ndarray:
-    """At most so many of some pixels, ascending flat indices, on a lattice over the image.
+def _evenly(chosen: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of some pixels (H, W) bool, ascending flat indices, on a lattice.
 
     Every n-th of them in reading order would be in stripes.
     """
-    step = -(-len(pixels) // most)
-    rows, columns = np.divmod(pixels, width)
-    return pixels[(columns + round(_GOLDEN * step) * rows) % step == 0][:most]
+    height, width = chosen.shape
+    step = -(-np.count_nonzero(chosen) // most)
+    rows = np.arange(height)[:, None]
+    columns = -round(_GOLDEN * step) * rows % step + step * np.arange(-(-width // step))
+    pixels = (rows * width + columns)[columns < width]
+    return pixels[chosen.ravel()[pixels]][:most]
 
 
 def _made(product: _T | None) -> _T:

@@ -206,6 +206,7 @@ class ContactProblem:
         self._at_before = self._pull(left)
         """Gradient of the misfit at p₀, (n,), 1/Pa."""
         self._work = self._known = np.empty(0, int)
+        self._hessian = np.empty((0, 0))
         self._place = np.full(len(pressure), -1)
         self._by_gas, self._among_known = np.empty(0), np.empty((0, 0))
         self._weighed = np.empty((len(ranges.weight), 0))
@@ -283,8 +284,9 @@ class ContactProblem:
         touches : TouchRule
         """
         support, pivots = selection.support, selection.pivots
-        missing = support & ~np.isin(np.arange(len(support)), self._work)
-        if missing.any() or not len(self._work):
+        missing = support.copy()
+        missing[self._work] = False
+        if missing.any():
             self._set(np.flatnonzero(support))
         while True:
             pressure, count, solved = self._on(np.flatnonzero(support))

@@ -374,7 +374,7 @@ class RubberEstimator:
     ) -> ContactPressure:
         tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
         prior = Prior(self.smoothness, tau, self.mesh.rings)
-        relaxing = rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
+        relaxing = self._relaxing(rubber, state, gas)
         problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
@@ -388,6 +388,12 @@ class RubberEstimator:
         if rounds and selection.support.any():
             selection = problem.likeliest(selection)
         return problem.refine(selection, touches)
+
+    def _relaxing(self, rubber: LinearisedRubber, state: State, gas: float | None) -> np.ndarray:
+        """Motion (n, 3) to equilibrium under a state's pressure, to first order."""
+        if state is self._rest:  # in equilibrium but for a gas pressure that was measured
+            return np.zeros_like(state.x) if gas is None else gas * rubber.bulge
+        return rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
 
     def _parts_with(self, some: np.ndarray, support: np.ndarray) -> np.ndarray:
         """Connected parts of a support that have one of `some` nodes (n,) bool."""
@@ -414,8 +420,8 @@ class RubberEstimator:
         ahead, inside = state.x + share * contact.motion, gas
         if gas is not None:
             inside = state.gas + share * (gas + contact.gas_error_pa - state.gas)
-        x, balanced = ahead, False
-        if share == 1.0:
+        x, balanced = ahead, state is self._rest and not contact.motion.any()
+        if share == 1.0 and not balanced:
             x, balanced, _ = self.equilibrium.settled(rubber, ahead, pressure, inside)
             balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
@@ -476,7 +482,9 @@ class RubberEstimator:
         state = answer.state
         touching = bool(state.pressure.any())
         moved = state.x - self.mesh.nodes
-        vectors = self.membrane.volume_gradient(state.x)
+        force = np.zeros(3)
+        if touching:
+            force = -state.pressure @ self.membrane.volume_gradient(state.x)
         return Estimate(
             status="ok" if touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
@@ -487,7 +495,7 @@ class RubberEstimator:
             iterations=answer.contact.pivots,
             solve_ms=answer.solve_ms,
             displacement_3d_m=moved,
-            force_n=-state.pressure @ vectors,
+            force_n=force,
             force_sigma_n=answer.sigma_n,
             gas_law_pa=self.equilibrium.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
