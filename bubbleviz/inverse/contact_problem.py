@@ -355,7 +355,7 @@ class ContactProblem:
 
     def _strongest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
         """As many of the nodes that pull most as the start has; the others come later."""
-        most = min(max(_LEAST, int(np.count_nonzero(start))), len(gradient) - 1)
+        most = min(int(np.count_nonzero(start)) or _LEAST, len(gradient) - 1)
         return gradient < min(0.0, np.partition(gradient, most)[most])
 
     def _gradient(self, pressure: np.ndarray) -> np.ndarray:
