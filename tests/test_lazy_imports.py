@@ -38,6 +38,11 @@ print({heavy!r} in sys.modules)
             "from matplotlib import pyplot; assert callable(pyplot.subplots);"
             "import matplotlib.pyplot as plt; plt.figure()",
         ),
+        (
+            "numpy", "f2py", "numpy.f2py.crackfortran",
+            "from numpy import *; import numpy; numpy.f2py",
+            "import numpy; assert callable(numpy.f2py.run_main)",
+        ),
     ],
 )  # fmt: skip
 def test_a_part_is_loaded_when_it_is_used(
