@@ -14,6 +14,14 @@ from bubbleviz.lazy_imports import (
 )
 
 
+def import_the_backend() -> None:
+    """Import what looks at a recording, before there is a window."""
+    for part in ("f2py", "testing"):  # SciPy asks for all of NumPy
+        import_without("numpy", part)
+    with everything_stays():
+        import bubbleviz.frames.sensor_matching  # noqa: F401
+
+
 def import_the_window() -> None:
     """Import it once, without what it never shows."""
     if "bubbleviz_ui.main_window" in sys.modules:
@@ -26,5 +34,6 @@ def import_the_window() -> None:
         # First what knows no Qt: PySide6 reads the source of every module that is imported after it
         import pyvista.plotting  # noqa: F401
 
+        import bubbleviz_ui.engine.solver_server
         import bubbleviz_ui.main_window  # noqa: F401
     linecache.clearcache()  # the sources it read, tens of MB
