@@ -293,7 +293,7 @@ class MainWindow(QMainWindow):
             host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
-        for jobs in (self.importing, self._reading):
+        for jobs in (self.importing, self._reading, self.pose.loading):
             jobs.cancel()
             jobs.close()
         self._memory.close()
