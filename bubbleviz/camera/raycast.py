@@ -127,7 +127,16 @@ class RayCaster:
             Reference node normals, the directions in which nodes move.
         rays : (j,) int array, optional
         """
-        first = self.first(nodes, rays)
+        return self.met(nodes, normals, self.first(nodes, rays), rays)
+
+    def met(
+        self,
+        nodes: np.ndarray,
+        normals: np.ndarray,
+        first: np.ndarray,
+        rays: np.ndarray | None = None,
+    ) -> Hits:
+        """The same where the triangle that each ray meets is known: `first`."""
         hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
