@@ -42,7 +42,7 @@ def import_without(package: str, part: str) -> None:
     except BaseException:
         sys.modules.pop(name, None)
         raise
-    if not hasattr(module, part):
+    if part not in vars(module):  # `hasattr` would have numpy import it
         setattr(module, part, deferred)
 
 

@@ -105,7 +105,9 @@ class SensorModel:
             loses nothing.
         """
         noise = self.sensor.camera.noise_relative
-        return RangeObserver(self.camera, self.mesh, noise, self.pixels, block or self._block())
+        return RangeObserver(
+            self.camera, self.mesh, noise, self.pixels, block or self._block(), self.view.at_rest
+        )
 
     def _block(self) -> int:
         T, own = self.camera.T_B_C, self.camera.intrinsics

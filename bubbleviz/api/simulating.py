@@ -15,7 +15,8 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.printed_speckle import Speckle
-from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation.truth import Truth
 
 
 class Simulation(Frames):

@@ -162,6 +162,8 @@ class RangeObserver:
         Calibration of each pixel.
     block : int
         Side of a block in pixels.
+    seen : (H·W,) int array, optional
+        Triangle that each pixel sees at rest, as of `MembraneView`; found where not given.
     """
 
     def __init__(
@@ -171,13 +173,14 @@ class RangeObserver:
         noise_relative: float,
         pixels: PixelModel | None = None,
         block: int = 1,
+        seen: np.ndarray | None = None,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
         self.columns = -(-camera.intrinsics.width // block)
         """Blocks in a row of the image."""
-        hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
-            mesh.nodes, mesh.normals
-        )
+        caster = RayCaster(camera.center, camera.directions, mesh.triangles)
+        seen = caster.first(mesh.nodes) if seen is None else seen
+        hits = caster.met(mesh.nodes, mesh.normals, seen)
         bias, noise = np.zeros(len(hits.ray)), noise_relative * hits.range_m
         used, correlated = np.ones(len(hits.ray), bool), 1.0
         if pixels is not None:

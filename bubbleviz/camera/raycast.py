@@ -1,4 +1,9 @@
-"""Where the camera's rays meet the membrane, in the reference or any current configuration."""
+"""Where the camera's rays meet the membrane, in the reference or any current configuration.
+
+A membrane that the camera sees all of at once, each point of its image showing one triangle, is
+walked on: neighbouring rays meet neighbouring triangles. Rays are cast by Open3D, which takes a
+fifth of a second to load, only at one that folds over itself.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +21,13 @@ _WALK = 4
 _FAR_WALK = 64
 """The same where it is not cast again: more than there are across a dent."""
 
+_COARSER = 8
+"""Rays for one that is walked before them, and from whose triangle they start."""
+
 _OUTSIDE = 1e-6
 """Barycentric coordinate below which a ray has left its triangle."""
+_STRAIGHT = 1e-9
+"""Sine by which the seen rim may bend inward: rounding."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +127,16 @@ class RayCaster:
             Reference node normals, the directions in which nodes move.
         rays : (j,) int array, optional
         """
-        first = self.first(nodes, rays)
+        return self.met(nodes, normals, self.first(nodes, rays), rays)
+
+    def met(
+        self,
+        nodes: np.ndarray,
+        normals: np.ndarray,
+        first: np.ndarray,
+        rays: np.ndarray | None = None,
+    ) -> Hits:
+        """The same where the triangle that each ray meets is known: `first`."""
         hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
@@ -125,9 +144,38 @@ class RayCaster:
 
     def first(self, nodes: np.ndarray, rays: np.ndarray | None = None) -> np.ndarray:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
-        scene = TriangleScene(nodes - self.origin, self._indices)
-        found = scene.cast(self._rays if rays is None else self._rays[rays])
+        local = nodes - self.origin
+        faces, some = faces_from(local, self.triangles), slice(None) if rays is None else rays
+        if self._seen_at_once(local, faces, some):
+            there, arrived = self._found(faces.astype(np.float32), self._rays[some, 3:])
+            return np.where(arrived, there, -1)
+        found = TriangleScene(local, self._indices).cast(self._rays[some])
         return np.where(np.isfinite(found.distance), found.triangle, -1)
+
+    def _seen_at_once(self, local: np.ndarray, faces: np.ndarray, rays: slice | np.ndarray) -> bool:
+        """Whether no ray meets two triangles, nor leaves the mesh on its walk to the one it meets.
+
+        So it is where all triangles face the rays' origin and the rim is convex as seen from there.
+        """
+        axis = local.mean(axis=0)
+        facing = np.einsum("mj,mj->m", local[self.triangles[:, 0]], faces[:, 0]) > 0.0
+        before = (local @ axis > 0.0).all() and (self.directions[rays] @ axis > 0.0).all()
+        if not (facing.all() and before):
+            return False
+        sides = faces[self._across < 0]
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        beside = sides @ (local / np.linalg.norm(local, axis=1, keepdims=True)).T
+        return bool((beside > -_STRAIGHT).all())
+
+    def _found(self, faces: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle (j,) that each of rays (j, 3) is on, wherever it is, and whether it meets that.
+
+        The mesh is one that is seen at once.
+        """
+        start = np.zeros(len(ray), int)
+        if len(ray) > _COARSER:
+            start = self._found(faces, ray[::_COARSER])[0].repeat(_COARSER)[: len(ray)]
+        return self._walked(faces, ray, start, len(faces))
 
     def ranges(self, nodes: np.ndarray, rays: np.ndarray, triangle: np.ndarray) -> np.ndarray:
         """Ranges (j,) of some rays, each of which walks to its triangle from one close by.
@@ -147,21 +195,24 @@ class RayCaster:
         """
         local = nodes - self.origin
         faces = faces_from(local, self.triangles)
-        there, arrived = self._walked(faces, rays, triangle, _FAR_WALK)
+        single = faces.astype(np.float32)
+        there, arrived = self._walked(single, self._rays[rays, 3:], triangle, _FAR_WALK)
         facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
         offset = np.einsum("mj,mj->m", local[self.triangles[:, 0]], facet)
         along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
         return np.where(arrived, offset[there] / along, np.nan)
 
     def _walked(
-        self, faces: np.ndarray, rays: np.ndarray, triangle: np.ndarray, most: int
+        self, faces: np.ndarray, ray: np.ndarray, triangle: np.ndarray, most: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle (j,) that each ray is on after a walk over some, and whether it meets that."""
-        single, ray = faces.astype(np.float32), self._rays[rays, 3:]
+        """Triangle (j,) that each ray is on after a walk over some, and whether it meets that.
+
+        Faces and rays (j, 3) are in single precision.
+        """
         there, arrived = triangle.copy(), triangle >= 0
         walking = np.flatnonzero(arrived)
         for _ in range(most):
-            seen = single.take(there[walking], axis=0)
+            seen = faces.take(there[walking], axis=0)
             volumes = np.einsum("rkj,rj->kr", seen, ray[walking])
             lowest = np.minimum(np.minimum(volumes[0], volumes[1]), volumes[2])
             leaving = np.flatnonzero(lowest < -_OUTSIDE * volumes.sum(axis=0))
@@ -185,7 +236,8 @@ class RayCaster:
         A ray whose triangle is several further away ends on the plane of one close by.
         """
         facets = self._facets(nodes, normals)
-        there, _ = self._walked(facets.faces, hits.ray, hits.triangle, _WALK)
+        single = facets.faces.astype(np.float32)
+        there, _ = self._walked(single, self._rays[hits.ray, 3:], hits.triangle, _WALK)
         return self._meet(facets, hits.ray, there)
 
     def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:

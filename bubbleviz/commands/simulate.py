@@ -21,7 +21,8 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.press_path import press_path
 from bubbleviz.simulation.printed_speckle import Speckle
-from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
+from bubbleviz.simulation.synthetic_source import Model, SyntheticSource
+from bubbleviz.simulation.truth import Truth
 
 
 def simulated_press(

@@ -15,7 +15,7 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.synthetic_source import Truth
+from bubbleviz.simulation.truth import Truth
 from bubbleviz.study.error_metrics import iou
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})

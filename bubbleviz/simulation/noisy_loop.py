@@ -10,7 +10,7 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import Truth, truth_of
+from bubbleviz.simulation.truth import Truth, truth_of
 
 
 class NoisyLoop:

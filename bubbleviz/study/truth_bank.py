@@ -21,7 +21,8 @@ from bubbleviz.processes.worker_process import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.sensor import Pneumatics
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import Truth, simulation_mesh
+from bubbleviz.simulation.synthetic_source import simulation_mesh
+from bubbleviz.simulation.truth import Truth
 from bubbleviz.study.pose.rubber_truth import RubberTruth
 from bubbleviz.study.presses import Press, made
 

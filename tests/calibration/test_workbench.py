@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.calibration.draft import Settings, Step
 from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.rest.collected_frames import CollectedFrames
 from bubbleviz.calibration.rest.frame_ranges import as_ranges, in_words, numbers, tidy, without
@@ -15,7 +16,7 @@ from bubbleviz.calibration.save_identification import save
 from bubbleviz.calibration.sensor_comparison import compare
 from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.calibration.workbench import Settings, Step, Workbench
+from bubbleviz.calibration.workbench import Workbench
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 

@@ -15,7 +15,8 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.press_path import press_path, touching_height
-from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation.truth import Truth
 from bubbleviz.simulation.truth_file import KnownRecording, read_truth
 
 HEIGHT, FRAMES = 0.020, 16

@@ -15,7 +15,8 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import KnowsTruth, SyntheticSource, Truth, truth_of
+from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation.truth import KnowsTruth, Truth, truth_of
 from bubbleviz.simulation.truth_file import KnownRecording, known_beside, read_truth
 
 FRAMES = 3

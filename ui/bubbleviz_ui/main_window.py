@@ -32,7 +32,6 @@ from bubbleviz_ui.engine.memory_release import MemoryRelease
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
-from bubbleviz_ui.live.connect_dialog import ConnectDialog
 from bubbleviz_ui.live.live_bar import LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.picture_age import PictureAge
@@ -222,6 +221,9 @@ class MainWindow(QMainWindow):
 
     def show_connect(self) -> None:
         """Choose a live source."""
+        # every kind of source: the window starts without
+        from bubbleviz_ui.live.connect_dialog import ConnectDialog
+
         sensor = self.controller.sensor
         ConnectDialog(
             self, self.live_controller, None if sensor is None else name_of(sensor)
@@ -291,7 +293,7 @@ class MainWindow(QMainWindow):
             host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
-        for jobs in (self.importing, self._reading):
+        for jobs in (self.importing, self._reading, self.pose.loading):
             jobs.cancel()
             jobs.close()
         self._memory.close()

@@ -60,6 +60,9 @@ def open_recording(
         if any(given is not None for given in (sensor, truth, frame, screenshot)):
             raise click.UsageError("--sensor, --truth, --frame and --screenshot are for recordings")
         return _open_saved(recording, scene, fresh=fresh)
+    from bubbleviz_ui.startup_imports import import_the_backend
+
+    import_the_backend()
     from bubbleviz.frames.sensor_matching import AUTO, checked_sensor
     from bubbleviz_ui.model.scene_presets import load_scene
 

@@ -9,11 +9,8 @@ from bubbleviz.frames.message_encoding import FrameMessages
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sources.live_source import LiveSource
-from bubbleviz.live.sources.realsense import open_realsense
 from bubbleviz.live.sources.replay import Replay
 from bubbleviz.live.sources.source_uri import SourceUri, SyntheticOptions, parse_uri
-from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.sensor import Sensor
 
@@ -91,10 +88,16 @@ def _replay(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 
 
 def _zenoh(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    # the window starts without the network's library
+    from bubbleviz.live.sources.zenoh_session import SessionOptions
+    from bubbleviz.live.sources.zenoh_source import ZenohSource
+
     return ZenohSource(SessionOptions.of(uri), names, uri.options.domain)
 
 
 def _realsense(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    from bubbleviz.live.sources.realsense import open_realsense  # the window starts without
+
     size = (sensor.camera.width, sensor.camera.height)
     return open_realsense(uri, size, names.prefix or DEFAULT_PREFIX)
 

@@ -13,7 +13,7 @@ from bubbleviz.membrane.forward_model import Contact
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
-from bubbleviz.simulation.synthetic_source import Truth
+from bubbleviz.simulation.truth import Truth
 
 BALANCE = 1e-3
 """Largest residual of membrane balance and gas law, relative to their largest term."""

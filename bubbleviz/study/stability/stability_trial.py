@@ -21,7 +21,8 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.press_path import touching_height
-from bubbleviz.simulation.synthetic_source import Model, SyntheticSource, Truth
+from bubbleviz.simulation.synthetic_source import Model, SyntheticSource
+from bubbleviz.simulation.truth import Truth
 from bubbleviz.study.presses import made
 from bubbleviz.study.stability.case import FailedError, RefusedError
 from bubbleviz.study.stability.certificates import Band, forward_faults, inverse_faults

@@ -12,8 +12,8 @@ from fakes import small_sensor
 from PySide6.QtCore import QPoint, Qt
 from resting import REST, TENSION, RestingSource
 
+from bubbleviz.calibration.draft import Step
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.workbench import Step
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor

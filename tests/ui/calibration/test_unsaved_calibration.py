@@ -10,8 +10,9 @@ from calibration_bench import CTRL, Bench, Drive, answered, cancelling, record
 from PySide6.QtCore import Qt
 from resting import RestingSource, never_written
 
+from bubbleviz.calibration import save_identification
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.calibration import calibration_panel, report_page
+from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.engine.source_openers import recording
 
 
@@ -82,7 +83,7 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     assert title() == "rest.mcap" and panel.calibration.answer is answer
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
     with monkeypatch.context() as slowly, cancelling(bench):
-        slowly.setattr(calibration_panel, "save", never_written)
+        slowly.setattr(save_identification, "save", never_written)
         answered(bench, other, "Save…")
     bench.driver.settle()
     assert title() == "rest.mcap" and panel.calibration.answer is answer and not out.exists()

@@ -18,7 +18,7 @@ from bubbleviz.patch.components import components, without_small
 from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.synthetic_source import truth_of
+from bubbleviz.simulation.truth import truth_of
 from bubbleviz.study.error_metrics import iou
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.threshold_panel import ThresholdPanel

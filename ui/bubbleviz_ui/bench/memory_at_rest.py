@@ -11,7 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bubbleviz.calibration.workbench import Step
+from bubbleviz.calibration.draft import Step
 from bubbleviz_ui.bench.replay_rate import run_for
 from bubbleviz_ui.engine.memory_release import release_memory
 from bubbleviz_ui.shell.dock import Dock

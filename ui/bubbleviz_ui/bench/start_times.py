@@ -14,15 +14,14 @@ import numpy as np
 from PySide6.QtCore import QEventLoop
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.sensor_matching import checked_sensor
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.bench.first_picture import FIRST
 from bubbleviz_ui.engine.requests import Failed
 from bubbleviz_ui.window_session import WindowSession, window_session
 
-FIRST = "first picture at"
 CHILD = (
-    "from bubbleviz_ui.bench.start_times import first_picture; "
+    "from bubbleviz_ui.bench.first_picture import first_picture; "
     "first_picture({recording!r}, {sensor!r})"
 )
 
@@ -67,19 +66,6 @@ def _start(code: str) -> float:
             f"no picture appeared: {(done.stderr.splitlines() or ['nothing said'])[-1]}"
         )
     return float(said[0].removeprefix(FIRST)) - start
-
-
-def first_picture(recording: str, sensor: str | None) -> None:
-    """Open a recording as the command does, say when its first picture is drawn, and leave."""
-    import bubbleviz.cli.command_line  # noqa: F401  as the command's process has it
-
-    _, chosen = checked_sensor(Path(recording), sensor)
-    with window_session(chosen, Path(recording), None) as session:
-        seen: list[float] = []
-        session.window.view.rendered.connect(lambda: seen.append(time.time()))
-        session.window.show()
-        session.wait_for(lambda: bool(seen), "drawing")
-        print(f"{FIRST} {seen[0]}", flush=True)
 
 
 def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) -> dict[str, float]:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bubbleviz.calibration.reports.pixel_images import (
-    BeforeAfter,
-    before_after,
-    local_tension_image,
-)
-from bubbleviz.calibration.reports.verdict import Verdict, judge
+from bubbleviz.calibration.draft import Draft, Settings
 from bubbleviz.calibration.rest.collected_frames import CollectedFrames
-from bubbleviz.calibration.sensor_comparison import Comparison, compare
-from bubbleviz.calibration.workbench import Draft, Settings, Workbench
 from bubbleviz.frames.gaps import TimeAxis
 from bubbleviz.progress import Progress, part_of
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.units import Units
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.reports.pixel_images import BeforeAfter
+    from bubbleviz.calibration.reports.verdict import Verdict
+    from bubbleviz.calibration.sensor_comparison import Comparison
+    from bubbleviz.calibration.workbench import Workbench
 
 PICTURES = 0.95
 """Share of the work that is done before the pictures of it are made."""
@@ -72,8 +72,11 @@ class Answer:
 
     def verdict(self, units: Units) -> Verdict | None:
         """What the identification is worth, in the operator's units; None before there is one."""
-        found = self.draft.found
-        return None if found is None else judge(found, units.gas_pressure.text)
+        if self.draft.found is None:
+            return None
+        from bubbleviz.calibration.reports.verdict import judge  # the window starts without
+
+        return judge(self.draft.found, units.gas_pressure.text)
 
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
@@ -83,6 +86,10 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
     if draft.found is None:
         return Answer(work, draft, axis)
     progress("pictures", PICTURES)
+    # the window starts without
+    from bubbleviz.calibration.reports.pixel_images import before_after, local_tension_image
+    from bubbleviz.calibration.sensor_comparison import compare
+
     return Answer(
         work,
         draft,

@@ -21,9 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration.save_identification import save
-from bubbleviz.calibration.sensor_writer import write_sensor
-from bubbleviz.calibration.workbench import Step
+from bubbleviz.calibration.draft import Step
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_answer import Work
@@ -126,6 +124,8 @@ class Gamma0Panel(QWidget):
         named = replace(found, sensor=found.sensor.model_copy(update={"name": path.stem}))
 
         def job(progress: Progress) -> None:
+            from bubbleviz.calibration.save_identification import save  # the window starts without
+
             save(named, benches.source(work), given.name, path, report, progress, validation)
 
         saved = f"Saved {path} and {report.name}"
@@ -153,6 +153,8 @@ class Gamma0Panel(QWidget):
         folder = TemporaryDirectory(prefix="bubbleviz-")
         self._folders.append(folder)  # the sensor reads its files when it is opened again
         path = Path(folder.name) / "sensor.toml"
+        from bubbleviz.calibration.sensor_writer import write_sensor  # the window starts without
+
         write_sensor(found, path)
         name = f"{found.sensor.name}, identified"
         # the user knows of no file

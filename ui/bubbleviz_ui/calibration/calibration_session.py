@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, Signal
 from PySide6.QtGui import QUndoStack
 
+from bubbleviz.calibration.draft import Draft, Settings, Step
 from bubbleviz.calibration.rest.collected_frames import CollectedFrames
-from bubbleviz.calibration.workbench import Draft, Settings, Step, Workbench
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor
@@ -24,6 +24,9 @@ from bubbleviz_ui.engine.requests import Opened, OpenRequest
 from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.workbench import Workbench
 
 TOPIC = "calibration"
 """Of messages."""
@@ -251,6 +254,8 @@ class Benches:
 
     def of(self, work: Work, opener: Callable[[Sensor], FrameSource], given: Sensor) -> Workbench:
         """Workbench of a work, made where it is not there yet."""
+        from bubbleviz.calibration.workbench import Workbench  # the window starts without
+
         if work.collected is not None:
             if self._collected is None or self._collected[0] is not work.collected:
                 self._collected = (work.collected, Workbench(work.collected, given))

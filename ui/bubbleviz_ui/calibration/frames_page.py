@@ -15,9 +15,9 @@ from PySide6.QtWidgets import (
     QVBoxLayout,
 )
 
+from bubbleviz.calibration.draft import Step
 from bubbleviz.calibration.rest.collected_frames import CollectedFrames
 from bubbleviz.calibration.rest.frame_ranges import Ranges, in_words, numbers, tidy, without
-from bubbleviz.calibration.workbench import Step
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Page

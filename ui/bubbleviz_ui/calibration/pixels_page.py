@@ -8,7 +8,7 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout, QHBoxLayout, QSlider
 
-from bubbleviz.calibration.workbench import Step
+from bubbleviz.calibration.draft import Step
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page

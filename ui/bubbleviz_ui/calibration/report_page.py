@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
@@ -16,7 +17,6 @@ from PySide6.QtWidgets import (
     QTableWidgetItem,
 )
 
-from bubbleviz.calibration.sensor_comparison import Comparison, Kind
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Calibration
@@ -24,6 +24,9 @@ from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell.file_dialogs import new_file
 from bubbleviz_ui.shell.layouts import fill
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.sensor_comparison import Comparison, Kind
 
 
 class ReportPage(Page):

@@ -6,8 +6,8 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import QComboBox, QFormLayout, QPushButton, QSpinBox
 
+from bubbleviz.calibration.draft import Draft, Step
 from bubbleviz.calibration.surface.reference_surface import NAMES, Surfaces, mean_points
-from bubbleviz.calibration.workbench import Draft, Step
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bubbleviz.calibration.workbench import Step
+from bubbleviz.calibration.draft import Step
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Calibration

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import (
@@ -14,8 +16,7 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from bubbleviz.calibration.validation import KnownPress, Validation
-from bubbleviz.calibration.workbench import Step
+from bubbleviz.calibration.draft import Step
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_page import Numbers, Page
@@ -23,6 +24,9 @@ from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.image_view import ImageView
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell.layouts import fill
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.validation import Validation
 
 
 class ValidationPage(Page):
@@ -105,6 +109,8 @@ class ValidationPage(Page):
         say("force estimated", force.text(float(np.linalg.norm(found.measured_force_n))))
 
     def _on_predict(self) -> None:
+        from bubbleviz.calibration.validation import KnownPress  # the window starts without
+
         press = KnownPress(
             self.obj.currentText().strip(),
             self.pose.text().strip(),

@@ -19,7 +19,7 @@ from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.processes.pipeline_process import PipelineProcess
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.synthetic_source import truth_of
+from bubbleviz.simulation.truth import truth_of
 from bubbleviz_ui.engine.kept_estimates import KeptEstimates
 from bubbleviz_ui.engine.requests import (
     Analysed,

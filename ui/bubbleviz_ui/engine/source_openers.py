@@ -15,7 +15,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import check_fits, preset_for
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.noisy_loop import NoisyLoop
-from bubbleviz.simulation.synthetic_source import SyntheticSource, Truth, default_press, truth_of
+from bubbleviz.simulation.truth import Truth, truth_of
 from bubbleviz.simulation.truth_file import KnownRecording, known_beside
 from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
@@ -70,6 +70,9 @@ def synthetic(sensor: Sensor) -> FrameSource:
     All its frames are made now, within seconds: a live sensor does not stutter in its first round.
     Only the noise is new in every round.
     """
+    # a recording is opened without the simulator
+    from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
+
     press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
     source = CachedSource(
         SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)

@@ -11,8 +11,6 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.frames.message_encoding import Message
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.live.result_sender import ResultSender
@@ -124,4 +122,8 @@ def _raw(message: Message) -> RawMessage:
 
 
 def _publisher(endpoint: str) -> ZenohPublisher:
+    # the window starts without the network's library
+    from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+    from bubbleviz.live.sources.zenoh_session import SessionOptions
+
     return ZenohPublisher(SessionOptions(f"publish at {endpoint}", None, endpoint))

@@ -17,6 +17,11 @@ class Part(Protocol):
         """Take the theme's colours of text."""
 
 
+def import_plots() -> None:
+    """Import pyqtgraph, which makes nothing of Qt by that: in a thread before the first plot."""
+    import pyqtgraph  # noqa: F401  the window starts without
+
+
 class PlotHost(QWidget):
     """A canvas of pyqtgraph, made when it is seen first.
 

@@ -23,6 +23,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import SUFFIXES
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.wording import count_of
+from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.model.choices import POSE_CHOICES
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
@@ -30,6 +31,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, bind_member, options
 from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.plot_host import import_plots
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import NUMBERS, copied_pose, known_pose, pose_words
 from bubbleviz_ui.pose.start_boxes import StartBoxes
@@ -55,6 +57,8 @@ class PosePanel(QWidget):
         A `UserMessage`.
     gizmo : Signal
         Whether the object is to be moved in the view.
+    loading : Jobs
+        Where what draws its curves is loaded.
     """
 
     said = Signal(object)
@@ -65,6 +69,7 @@ class PosePanel(QWidget):
         self.setAcceptDrops(True)
         self._state, self.session = state, session
         self._curves: Curves | None = None
+        self.loading = Jobs("plots")
         self.object = QComboBox()
         self.unit = QComboBox()
         self.start = StartBoxes(state.units)
@@ -109,7 +114,12 @@ class PosePanel(QWidget):
 
     def use_file(self, path: Path) -> None:
         """Look for the object of a mesh file, in the unit that is chosen."""
-        self.session.choose(str(path.absolute()))
+        self._choose(str(path.absolute()))
+
+    def _choose(self, name: str | None) -> None:
+        """Look for an object, or for none; what draws its curves is loaded meanwhile."""
+        self.loading.run(lambda _: import_plots())
+        self.session.choose(name)
 
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
@@ -198,7 +208,7 @@ class PosePanel(QWidget):
     def _on_object(self) -> None:
         name = self.object.currentData()
         if name != FROM_FILE:
-            self.session.choose(name)
+            self._choose(name)
             return
         path = file_to_open(self, "Object", MESHES, of="object")
         if path is not None:

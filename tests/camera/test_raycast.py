@@ -1,0 +1,49 @@
+"""First triangles of rays, against every triangle tried by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+
+
+def nearest(nodes, triangles, origin, rays):
+    """Triangle that each ray meets first, −1 for none, and how far its edges are from the ray."""
+    a, b, c = (nodes[triangles[:, k]] - origin for k in range(3))
+    volumes = np.stack([rays @ np.cross(p, q).T for p, q in ((b, c), (c, a), (a, b))])
+    total = volumes.sum(axis=0)
+    inside = (volumes / total).min(axis=0)
+    distance = np.einsum("mj,mj->m", a, np.cross(b, c)) / total
+    distance[(inside < 0.0) | (distance < 0.0)] = np.inf
+    first = distance.argmin(axis=1)
+    met = np.isfinite(distance.min(axis=1))
+    return np.where(met, first, -1), np.abs(inside).min(axis=1)
+
+
+@pytest.mark.parametrize("shape", ["dome", "dented", "folded", "cut", "around", "beside"])
+def test_each_ray_finds_the_first_triangle_it_meets(shape: str) -> None:
+    mesh = mesh_cap(spherical_cap(0.04, 0.03), 300)
+    nodes, triangles, rng = mesh.nodes.copy(), mesh.triangles, np.random.default_rng(0)
+    origin = np.array([0.002, 0.001, -0.09])
+    high = nodes[:, 2] / nodes[:, 2].max()
+    if shape == "dented":
+        nodes[:, 2] *= 1.0 - 0.5 * high**4
+    elif shape == "folded":
+        nodes[:, 0] += 0.035 * high**12
+    elif shape == "cut":
+        centre = nodes[triangles].mean(axis=1)
+        triangles = triangles[np.hypot(centre[:, 0] - 0.04, centre[:, 1]) > 0.03]
+    elif shape == "around":
+        origin = np.array([0.0, 0.0, 0.01])
+    elif shape == "beside":
+        origin = np.array([0.09, 0.0, 0.0])
+    rays = nodes.mean(axis=0) - origin + rng.normal(0.0, [0.04, 0.04, 0.01], (1000, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    expected, from_edge = nearest(nodes, triangles, origin, rays)
+    clear = from_edge > 1e-4  # single precision may take either side of an edge
+    found = RayCaster(origin, rays, triangles).first(nodes)
+    assert clear.sum() > 800
+    assert (expected[clear] >= 0).any() and (expected[clear] < 0).any()
+    np.testing.assert_array_equal(found[clear], expected[clear])

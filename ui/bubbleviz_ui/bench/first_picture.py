@@ -1,0 +1,26 @@
+"""A process that opens a recording as the command does, and imports nothing before it does."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bubbleviz.cli.command_line  # noqa: F401
+from bubbleviz_ui.startup_imports import import_the_backend
+from bubbleviz_ui.window_session import window_session
+
+FIRST = "first picture at"
+
+
+def first_picture(recording: str, sensor: str | None) -> None:
+    """Open a recording, say when its first picture is drawn, and leave."""
+    import_the_backend()
+    from bubbleviz.frames.sensor_matching import checked_sensor  # by what was imported just now
+
+    _, chosen = checked_sensor(Path(recording), sensor)
+    with window_session(chosen, Path(recording), None) as session:
+        seen: list[float] = []
+        session.window.view.rendered.connect(lambda: seen.append(time.time()))
+        session.window.show()
+        session.wait_for(lambda: bool(seen), "drawing")
+        print(f"{FIRST} {seen[0]}", flush=True)
