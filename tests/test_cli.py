@@ -240,6 +240,12 @@ def test_open_chooses_the_preset_that_fits_and_says_so(
     assert windows == [("window", ("soft-bubble pico flexx", pico_recording, None, None))]
 
 
+def test_fresh_may_stand_before_open(windows: Asked, pico_recording: Path) -> None:
+    assert CliRunner().invoke(main, ["--fresh", "open", str(pico_recording)]).exit_code == 0
+    assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 0
+    assert [words[-1] for _, words in windows] == ["fresh", None]
+
+
 def test_open_at_a_frame_and_screenshot(
     windows: Asked, pico_recording: Path, tmp_path: Path
 ) -> None:

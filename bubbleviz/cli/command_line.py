@@ -119,6 +119,7 @@ def main(context: click.Context, fresh: bool) -> Any:
     Without a command: the window as it was left, at first on a live synthetic sensor.
     """
     if context.invoked_subcommand is not None:
+        context.default_map = {"open": {"fresh": fresh}}
         return 0
     window = main.get_command(context, "window")
     assert window is not None  # else an InputError

@@ -29,12 +29,13 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     refuse_existing(path)
-    temporary = path.parent / f".{path.stem}.{secrets.token_hex(4)}{path.suffix}"
+    beginning = path.stem[:50]  # a name as long as the disk takes leaves no room for more
+    temporary = path.parent / f".{beginning}.{secrets.token_hex(4)}{path.suffix}"
     try:
         yield temporary
         _publish(temporary, path)
     except OSError as error:
-        if error.errno in _CANNOT_WRITE:
+        if error.errno in _CANNOT_WRITE or error.filename == str(temporary):
             raise cannot_write(path, error) from error
         raise
     finally:

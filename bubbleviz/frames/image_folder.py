@@ -186,6 +186,8 @@ class ImageFolder:
             )
         usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
         depth = (pixels * (self._scale or usual)).astype(np.float32)
+        if (depth < 0).sum() > (depth > 0).sum():
+            raise InputError(f"{path}: most depths are negative; turn their sign, z points forward")
         depth[~((depth > 0) & (depth < np.inf))] = np.nan
         return depth
 

@@ -250,6 +250,7 @@ def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
         (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "cannot be read as an image"),
         (lambda p: np.save(p / "9.npy", np.ones((4, 5))), "5×4 pixels, the first image has 32×24"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give the metres per unit"),
+        (lambda p: np.save(p / "0.npy", np.full((24, 32), -0.1)), "most depths are negative"),
         (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "by the camera's intrinsics"),
         (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: Field required"),
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),

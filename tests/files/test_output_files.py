@@ -85,3 +85,21 @@ def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path: Path) -> No
     with pytest.raises(InputError, match="No space left"), whole_file(tmp_path / "out"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_as_long_as_the_disk_takes(tmp_path: Path) -> None:
+    path = tmp_path / f"{'a' * 251}.csv"
+    with whole_file(path) as temporary:
+        temporary.write_text("new")
+    assert path.read_text() == "new"
+
+
+def test_a_folder_that_takes_no_file_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be written"), whole_file(tmp_path / "out") as new:
+        tmp_path.rmdir()  # as a share that is gone
+        new.write_text("new")
+
+
+def test_a_missing_input_is_not_taken_for_the_output(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), whole_file(tmp_path / "out"):
+        (tmp_path / "input").read_text()
