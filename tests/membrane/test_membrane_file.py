@@ -178,3 +178,16 @@ def test_unreadable_files_are_refused(tmp_path, cap, capfd):
             load_membrane(tmp_path / name)
         assert "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")  # the readers print nothing of their own
+
+
+def test_a_sliver_is_refused_whichever_way_it_points(cap):
+    """Sliver of height 1e-7 of its length, along directions whose components cancel or add up."""
+    nodes, triangles = cap.nodes.copy(), cap.triangles
+    inner = np.flatnonzero(~cap.rim[triangles].any(axis=1))[0]
+    a, b, c = triangles[inner]
+    for direction in ((1.0, -1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0)):
+        along = 5e-3 * np.array(direction) / np.linalg.norm(direction)
+        nodes[b] = nodes[a] + along
+        nodes[c] = nodes[a] + 0.5 * along + [0.0, 0.0, 5e-10]
+        with pytest.raises(InputError, match="no area"):
+            membrane_from_triangles(nodes, triangles)

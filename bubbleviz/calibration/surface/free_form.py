@@ -145,8 +145,8 @@ def fit_free_form(
         hits = caster.cast(nodes, arms, pixels)
         hit = np.searchsorted(pixels, hits.ray)
         D = range_jacobian(hits, start.triangles, len(nodes))
-        target = range_m.ravel()[hits.ray] - hits.range_m + D @ correction
-        residual = target - D @ correction
+        residual = range_m.ravel()[hits.ray] - hits.range_m
+        target = residual + D @ correction
         about = residual - np.median(residual)
         sigma = robust_sigma(residual)
         weights = tukey_weights(about, sigma)
