@@ -145,6 +145,27 @@ def test_curves_and_bands_break_where_frames_are_missing(drive: Drive) -> None:
         np.testing.assert_array_equal(edge.getOriginalDataset()[0], times)
 
 
+class FlickeringSource(DentSource):
+    """Has no depth before and after its eighth frame."""
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = super().__getitem__(index)
+        return replace(frame, depth_m=frame.depth_m * np.nan) if index in (6, 8) else frame
+
+
+def test_a_good_frame_between_two_without_a_number_is_a_dot(drive: Drive) -> None:
+    driver = drive(FlickeringSource)
+    panel = opened(driver, "residual")
+    driver.bot.mouseClick(panel.analyse, LEFT)
+    plot = panel.plots["residual"]
+    driver.wait(lambda: np.count_nonzero(np.isfinite(plot.data["residual_m"][1])) == FRAMES - 2)
+    times, values = plot.data["residual_m"]
+    place = canvas(panel).mapFromScene(plot.box.mapViewToScene(QPointF(times[7], values[7])))
+    colour = canvas(panel).grab().toImage().pixelColor(place)
+    assert colour.blue() > colour.red() + 60, colour.name()
+    np.testing.assert_array_equal(plot.dots["residual_m"].getData()[0], times[[7]])
+
+
 def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp: QApplication) -> None:
     facts = cast(SourceFacts, SimpleNamespace(times_s=np.arange(10.0), gaps=()))
     values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, np.nan, 6.0, 7.0, np.nan, 9.0])

@@ -113,6 +113,8 @@ class TimePlot:
         Can be dragged.
     bands : dict of Band
         By quantity.
+    dots : dict of pyqtgraph.ScatterPlotItem
+        Frames that no line shows, by quantity.
     """
 
     def __init__(self, trace: Trace) -> None:
@@ -126,13 +128,17 @@ class TimePlot:
         self.box.enableAutoRange(y=True)
         self.box.setAutoVisible(y=True)
         self.curves = {
-            name: pg.PlotDataItem(pen=pg.mkPen(colour, width=1), connect="finite", symbolSize=4)
+            name: pg.PlotDataItem(pen=pg.mkPen(colour, width=1), connect="finite")
+            for name, colour in trace.curves.items()
+        }
+        self.dots = {
+            name: pg.ScatterPlotItem(size=4, brush=colour, pen=None)
             for name, colour in trace.curves.items()
         }
         self.bands = {name: Band(self.box, trace.curves[name]) for name in trace.bands}
         self.cursor = pg.InfiniteLine(movable=True)
-        for curve in self.curves.values():
-            self.box.addItem(curve)
+        for item in (*self.curves.values(), *self.dots.values()):
+            self.box.addItem(item)
         self.box.addItem(self.cursor, ignoreBounds=True)
 
     def draw(self, facts: SourceFacts, history: History, units: Units) -> None:
@@ -143,13 +149,9 @@ class TimePlot:
             low, high = self.box.viewRange()[0]
             known = history.of(name)
             times, values = thinned(facts.times_s, known, (low, high), facts.gaps)
-            curve.setData(
-                times,
-                values * scale,
-                symbol="o" if alone(values) else None,
-                symbolBrush=self.trace.curves[name],
-                symbolPen=None,
-            )
+            curve.setData(times, values * scale)
+            lone = alone(values)
+            self.dots[name].setData(times[lone], values[lone] * scale)
             if name in self.bands:
                 half = history.of(self.trace.bands[name])
                 self.bands[name].draw(facts, known * scale, half * scale, (low, high))
@@ -257,8 +259,7 @@ def _polygon(x: np.ndarray, y: np.ndarray) -> QPolygonF:
     return QPolygonF([QPointF(*point) for point in zip(x.tolist(), y.tolist(), strict=True)])
 
 
-def alone(values: np.ndarray) -> bool:
-    """Whether lines would hide frames whose neighbours are not known."""
-    known = np.isfinite(values)
-    count = int(np.count_nonzero(known))
-    return count > 0 and int(np.count_nonzero(known[1:] & known[:-1])) < 0.5 * count
+def alone(values: np.ndarray) -> np.ndarray:
+    """Frames (F,) bool that no line shows: known, with neighbours that are not."""
+    known = np.pad(np.isfinite(values), 1)
+    return known[1:-1] & ~known[:-2] & ~known[2:]
