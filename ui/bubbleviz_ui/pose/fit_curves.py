@@ -91,7 +91,7 @@ class Curve:
 
     def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
         """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
-        symbol = "o" if alone(values) else None
+        symbol = "o" if alone(values).any() else None
         self.line.setData(x, unit.of(1.0) * values, symbol=symbol)
         self.change.setVisible(change is not None)
         if change is not None:
