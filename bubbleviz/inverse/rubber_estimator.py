@@ -50,10 +50,9 @@ from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
 _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
-"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, one of
-a stream also when it has moved by less than the second in all; beyond the last a step is far from
-done. A tangent serves while the shape is nearer than the second to where it was taken: the exact
-residual puts the rest right."""
+"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first; beyond
+the last a step is far from done. A tangent serves while the shape is nearer than the second to
+where it was taken: the exact residual puts the rest right."""
 _STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
 by then the shape stands, or model and data contradict each other."""
@@ -298,8 +297,7 @@ class RubberEstimator:
         do not hang on the frames before.
         """
         state, warm = start.state or self._rest, start.state is not None
-        begin, view = state.x, start.view
-        rubber, solve_ms = start.rubber, 0.0
+        view, rubber, solve_ms = start.view, start.rubber, 0.0
         selecting, chosen = True, 0
         far_steps, noise, steps = 0, start.noise, 0
         noises: list[float] = []  # that the frame was solved with
@@ -333,8 +331,7 @@ class RubberEstimator:
             far = moved > self._far_m
             far_steps += selecting and far and moved < 0.9 * self._longest_m
             left = error - view.jacobian @ (state.x - before.x).ravel()
-            lasting = warm and contact.pressure.any() and self._serves(begin, state.x)
-            stands = balanced and (lasting or moved <= self._near_m)
+            stands = balanced and moved <= self._near_m
             done = stands and ((selecting and contact.complete) or chosen > _SELECTIONS)
             if done or (balanced and not known and not self._contradicts(state.gas, measured_gas)):
                 found = noise
@@ -439,13 +436,13 @@ class RubberEstimator:
         measured = gas is not None
         if state is self._rest:
             return self._rest_rubber[measured]
-        if last is not None and last.with_gas is not measured and self._serves(last.x, state.x):
+        if (
+            last is not None
+            and last.with_gas is not measured
+            and float(np.abs(state.x - last.x).max()) <= self._serves_m
+        ):
             return last
         return self.equilibrium.linearised(state.x, state.pressure, state.gas if measured else None)
-
-    def _serves(self, before: np.ndarray, x: np.ndarray) -> bool:
-        """Whether what was found at a shape still holds at another."""
-        return float(np.abs(x - before).max()) <= self._serves_m
 
     # -- what is to be believed -----------------------------------------------------------------
 

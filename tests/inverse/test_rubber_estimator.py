@@ -219,6 +219,17 @@ def test_how_a_frame_is_reached_does_not_matter(noise_m):
     np.testing.assert_array_equal(again.force_n, cold.force_n)
 
 
+def test_a_frame_that_moved_little_is_solved_until_it_stands():
+    solver = estimator(1000, relative=1e-4 / 0.065)
+    finder = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m)
+    image = image_of(0.007, 0.008, 1e-4)
+    cold, _ = solver.estimate(image)
+    _, start = solver.estimate(image_of(0.0072, 0.008, 1e-4, seed=1))
+    warm, _ = solver.estimate(image, start=start)
+    assert error(warm, cold.force_n) < 0.003
+    assert finder.find(warm).area_m2 == pytest.approx(finder.find(cold).area_m2, rel=0.01)
+
+
 def test_a_start_that_is_further_from_the_image_than_rest_is_left():
     solver = estimator()
     _, far = solver.estimate(image_of(0.011, 0.008, NOISE_M))
