@@ -112,6 +112,23 @@ def test_the_edge_of_a_blurred_disc_is_found_with_and_without_a_ridge(ridge, for
     assert not ridge or ours < 0.7 * plain
 
 
+@pytest.mark.parametrize("changed", ["width", "blur"])
+def test_the_area_of_a_small_contact_does_not_jump(changed):
+    """A hump of some ten nodes whose width or blur changes by 1 %, while the same nodes touch."""
+    r = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
+    finder, areas, touching = PatchFinder(MESH, GAUGE, 0.003), [], []
+    for factor in 1.01 ** np.arange(60):
+        width = 0.003 * (factor if changed == "width" else 1.5)
+        blur = 0.003 if changed == "width" else 0.002 * factor
+        hump = 4.0 * GAUGE * np.exp(-((r / width) ** 2))
+        hump[hump < GAUGE] = 0.0
+        areas.append(finder.find(replace(made_up(hump), resolution_m=blur)).area_m2)
+        touching.append(np.count_nonzero(hump))
+    assert min(touching) > 0
+    same = np.diff(touching) == 0
+    assert np.abs(np.diff(np.log(areas)))[same].max() < 0.1
+
+
 @pytest.mark.parametrize("radius", [0.012, 0.018])
 def test_the_edge_does_not_move_outwards_on_a_mesh_finer_than_the_blur(radius):
     """A disc whose pressure rises over several nodes: the nearest one is not yet inside."""
