@@ -8,6 +8,10 @@ _SQUARES = 40
 """Number of squares, the same for every mesh: what the model gets wrong is alike over much of one,
 and their median needs some tens."""
 
+SURELY = 1.6
+"""Upper limit of a median over `_SQUARES` squares, which is known to a fifth, at two standard
+deviations."""
+
 MAD = 0.6745
 """Median of |z| of a standard normal z."""
 
@@ -34,7 +38,7 @@ class BlockSquares:
         self.of_block = (row // self._side) * columns + column // self._side
 
     def noise_left(self, block: np.ndarray, z: np.ndarray) -> float:
-        """Factor by which errors exceed their noise, at least 1.
+        """Size of errors over that of their noise; 1 where too few are seen to tell.
 
         By the median of their sums over squares, which white noise has at random. What the model
         gets wrong is alike from block to block, and so is correlated noise.
@@ -51,7 +55,7 @@ class BlockSquares:
         full = count >= 0.5 * self._side**2
         if not full.any():
             return 1.0
-        return max(1.0, float(median(np.abs(sums[full]) / np.sqrt(count[full])) / MAD))
+        return float(median(np.abs(sums[full]) / np.sqrt(count[full])) / MAD)
 
 
 def median(values: np.ndarray) -> np.ndarray:

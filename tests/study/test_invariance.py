@@ -62,5 +62,26 @@ def test_how_frames_of_the_real_press_are_reached(punyo_press):
     assert np.abs(force[1:] / force[0] - 1.0).max() < 0.015
 
 
+def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
+    """Contacts of two to nine nodes, whose images fit no shape to the noise."""
+    with Recording(punyo_press) as recording:
+        frames = [recording[k] for k in range(60, 71)]
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[0].intrinsics)
+    played = [pipeline.process(frame, PATCH) for frame in frames][3:]
+    alone = []
+    for frame in frames[3:]:
+        pipeline.restart()
+        alone.append(pipeline.process(frame, PATCH))
+    assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
+    for value, median, most in ((force_of, 0.005, 0.05), (area_of, 0.05, 0.4)):
+        change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]
+        assert np.median(change) < median
+        assert max(change) < most
+
+
+def area_of(result):
+    return result.patch.area_m2
+
+
 def force_of(result):
     return np.linalg.norm(result.patch.force_n)
