@@ -35,7 +35,7 @@ edge. Chosen on presses of four objects into three membranes: 2 takes more from 
 that are too small already. On six others (`presses.EDGE_OBJECTS`) 1.5 is as good and 2 worse."""
 _THIN = 0.5
 """Share of the patch's half width over which the contour is smoothed at most: a small contact would
-be smoothed away. Of presses of nine objects 0.35 to 0.7 have the same IoU to 0.01."""
+be smoothed away. Of presses of ten objects 0.35 to 0.7 have the same IoU to 0.01."""
 _ROUND = 0.16
 """How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
 edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the
