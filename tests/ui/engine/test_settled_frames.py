@@ -78,6 +78,23 @@ def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
     assert found[driver.state.frame] == 1
 
 
+def test_a_frame_is_settled_with_the_patch_that_was_chosen_since(drive: Drive) -> None:
+    driver = drive(frame=FRAME)
+    controller, areas = driver.window.controller, list[float]()
+    driver.settle()
+    driver.state.choose(least_area_m2=0.01)
+    driver.wait(lambda: controller.result.patch.area_m2 == 0.0)
+
+    def note(answer: Answer) -> None:
+        if isinstance(answer, Solved):
+            areas.append(answer.result.patch.area_m2)
+
+    controller.client.answered.connect(note)
+    controller.settle()
+    driver.wait(lambda: bool(areas))
+    assert areas == [0.0]
+
+
 def test_playback_that_pauses_settles_its_frame(drive: Drive) -> None:
     driver = drive(frame=FRAME - 3)
     driver.state.choose(every_frame=True)

@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import Gap
-from bubbleviz.pipeline import OF_OBJECT, Product
+from bubbleviz.pipeline import OF_OBJECT, FrameOptions, Product
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.request_slots import RequestDelay
 from bubbleviz_ui.engine.requests import (
@@ -118,8 +118,8 @@ class SensorClient(QObject):
     def ask_settled(self) -> None:
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
-            products = self._shown_as.products - OF_OBJECT
-            demand = replace(self._due(self.demand), products=products)
+            products, options = self._shown_as.products - OF_OBJECT, self._options
+            demand = replace(self._due(self.demand), products=products, options=options)
             self.worker.ask(SettleRequest(self.session, demand, self.result.frame.index))
 
     def ask_frame(self, index: int, demand: Demand) -> None:
@@ -148,9 +148,13 @@ class SensorClient(QObject):
         result, asked = self.result, self.demand
         if result is None or result.estimate is None or "patch" not in asked.products:
             return
-        options = Demand.of(self._state.choices).options
-        demand = replace(asked, looks=asked.looks & {"components"}, options=options)
+        demand = replace(asked, looks=asked.looks & {"components"}, options=self._options)
         self.worker.ask(PatchRequest(self.session, demand, result))
+
+    @property
+    def _options(self) -> FrameOptions:
+        """As chosen now; the patch's may have changed since a frame was asked for."""
+        return Demand.of(self._state.choices).options
 
     def close(self) -> None:
         """Stop the solver thread."""
