@@ -147,7 +147,7 @@ def test_a_truncated_recording_through_the_real_command(recording: Path) -> None
     assert opened.returncode == 0 and "behind it are lost" in opened.stdout
     refused = told(whole[:200])
     assert refused.returncode == 2 and refused.stdout == ""
-    assert refused.stderr.count("\n") == 1 and "cut off before anything" in refused.stderr
+    assert refused.stderr.count("\n") == 1 and "cut off before its first message" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -337,9 +337,7 @@ def _check_any_data(statuses: set[Status], name: str, seen: bool) -> None:
             "the sensor file's tension and prestretch"
         )
     if not seen:
-        raise InputError(
-            f"{name}: all-zero depth image in every frame asked for; uncover or check the camera"
-        )
+        raise InputError(f"{name}: no depth in any frame asked for; uncover or check the camera")
     raise InputError(
         f"{name}: no measured pixel lies on the membrane in any frame asked for; "
         "choose the sensor file of this recording"

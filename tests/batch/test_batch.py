@@ -95,7 +95,7 @@ def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "1 of 4 recordings have no result" in done.stderr
-    assert "bad.mcap: the recording was cut off before anything" in done.stderr
+    assert "bad.mcap: the recording was cut off before its first message" in done.stderr
     rows = table_of(out)
     assert list(rows) == [*NAMES[:2], "bad.mcap", NAMES[2]]
     assert [row["outcome"] for row in rows.values()] == ["done", "done", "bad_input", "done"]

@@ -150,7 +150,7 @@ def test_bag_without_messages(bench: Bench, command: str, kind: str) -> None:
 def test_an_mcap_cut_off_in_its_first_chunk(bench: Bench, command: str, share: float) -> None:
     record(bench, GOOD)
     os.truncate(bench.recording, int(bench.recording.stat().st_size * share))
-    bench.refused(command, bench.recording.name, "was cut off before anything")
+    bench.refused(command, bench.recording.name, "was cut off before its first message")
 
 
 def test_bag_without_depth(bench: Bench, command: str) -> None:
@@ -314,7 +314,7 @@ def test_all_zero_depth(bench: Bench, value: float, encoding: str) -> None:
     pixels = np.full((24, 32), value)
     image = np.nan_to_num(pixels).astype(np.uint16) if encoding == "16UC1" else pixels
     record(bench, [image.astype(np.float32) if encoding == "32FC1" else image] * 3, encoding)
-    bench.refused("estimate", bench.recording.name, "all-zero depth image")
+    bench.refused("estimate", bench.recording.name, "no depth in any frame")
 
 
 def test_depth_that_never_meets_the_membrane(bench: Bench) -> None:

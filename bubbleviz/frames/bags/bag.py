@@ -110,7 +110,7 @@ class Bag:
             raise
         if not any(topic.count for topic in self.topics):
             self.close()
-            what = "was cut off before anything was on the disk" if self.note else "has no messages"
+            what = "was cut off before its first message" if self.note else "has no messages"
             raise InputError(f"{self.path}: the recording {what}; record it again")
 
     def close(self) -> None:
