@@ -58,7 +58,7 @@ def test_how_frames_of_the_real_press_are_reached(punyo_press):
     force = np.array([[force_of(r) for r in way] for way in (alone, *ways)])
     change = np.abs(area[1:] / area[0] - 1.0)
     assert np.median(change) < 0.003
-    assert np.quantile(change, 0.9) < 0.01
+    assert np.quantile(change, 0.9) < 0.05
     assert np.abs(force[1:] / force[0] - 1.0).max() < 0.015
 
 
