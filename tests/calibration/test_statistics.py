@@ -4,13 +4,22 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.calibration.rest.depth_statistics import DepthStatistics, measure_depth
-from bubbleviz.calibration.rest.noise_correlation import mean_inflation, spatial_correlation
+from bubbleviz.calibration.rest.depth_statistics import (
+    DepthStatistics,
+    measure_depth,
+    stack_depth,
+)
+from bubbleviz.calibration.rest.noise_correlation import (
+    error_of_mean,
+    mean_inflation,
+    spatial_correlation,
+)
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights, upper_fence
 from bubbleviz.calibration.surface.rim_height import rim_height
 from bubbleviz.camera.pixel_model import PixelModel, RangeLine
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 
 
 def noisy(frames=60, shape=(40, 50), rho=0.6, sigma=5e-5, seed=0):
@@ -31,6 +40,19 @@ def test_sigma_is_corrected_for_temporal_correlation():
     assert rms == pytest.approx(5e-5, rel=0.06)
     assert np.sqrt(np.mean(naive**2)) < 0.93 * 5e-5
     assert found.temporal_correlation[1] == pytest.approx(0.8, abs=0.06)
+
+
+def test_images_of_several_sizes_are_refused():
+    frames = [Frame(k, k / 30.0, np.full(shape, 0.1)) for k, shape in enumerate([(8, 9)] * 40)]
+    assert stack_depth(frames).shape == (40, 8, 9)
+    with pytest.raises(InputError, match="sizes differ"):
+        stack_depth([*frames, Frame(40, 2.0, np.full((9, 8), 0.1))])
+
+
+def test_the_error_of_the_mean_of_a_correlated_series():
+    """Of the first order: σ √((1 + ρ) / (1 − ρ) / F)."""
+    series = noisy(frames=20_000, shape=(1, 1), rho=0.6).ravel().astype(float)
+    assert error_of_mean(series) == pytest.approx(5e-5 * np.sqrt(4.0 / 20_000), rel=0.2)
 
 
 def test_correlated_frames_count_for_fewer():

@@ -148,6 +148,14 @@ def test_broken_mesh_is_refused_in_one_line(cap, kind):
     assert "\n" not in str(caught.value)
 
 
+def test_of_hole_and_rim_the_hole_is_named(cap):
+    inner = np.flatnonzero(~cap.rim[cap.triangles].any(axis=1))[0]
+    i, j, k = cap.triangles[inner]
+    named = "|".join(f"{a}–{b}" for a, b in ((i, j), (j, i), (j, k), (k, j), (k, i), (i, k)))
+    with pytest.raises(InputError, match=f"2 boundary loops, the smallest through edge ({named}) "):
+        membrane_from_triangles(cap.nodes, np.delete(cap.triangles, inner, axis=0))
+
+
 @pytest.mark.parametrize(("tilt_deg", "lift", "words"), [
     (25.0, 0.0, None), (35.0, 0.0, "tilted 35°"),
     (0.0, 0.012, None), (0.0, 0.018, "rim lies at z = 0.018 m"), (0.0, -0.018, "z = -0.018 m"),
