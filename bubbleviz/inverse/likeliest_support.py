@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
+from scipy.linalg.blas import dger
 
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
 
@@ -54,44 +55,84 @@ class SupportProblem:
         ----------
         start : (c,) bool array
         """
-        support, pivots = start.copy(), 0
+        support, pivots, solved = self._pressed(start)
+        posterior = _Swept(np.block([[self.hessian, self.linear[:, None]], [self.linear, 0.0]]))
+        prior = _Swept(self.smoothness)
         for _ in range(len(start)):
-            nodes = np.flatnonzero(support)
-            H = DenseQuadratic(part(self.hessian, nodes))
-            p, count, solved = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
-            pivots += count
-            if not solved:
-                return support, pivots, False
-            support[nodes[p <= 0.0]] = False
-            nodes, p = nodes[p > 0.0], p[p > 0.0]
-            if not len(nodes):
+            if not (solved and support.any()):
                 break
-            gain = self._gain(support, nodes, p)
+            posterior.sweep(support)
+            prior.sweep(support)
+            if (posterior.matrix[:-1, -1][support] >= 0.0).any():  # −p: some do not press
+                support, count, solved = self._pressed(support)
+                pivots += count
+                continue
+            gain = self._gain(support, posterior.matrix, prior.matrix)
             best = int(np.argmax(gain))
             if gain[best] <= _GAIN:
                 break
+            support = support.copy()
             support[best] ^= True
-        return support, pivots, True
+            pivots += 1
+        return support, pivots, solved
 
-    def _gain(self, support: np.ndarray, nodes: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def _pressed(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
+        """Nodes of a support (c,) bool under pressure, pivots, and whether it converged."""
+        nodes = np.flatnonzero(support)
+        H = DenseQuadratic(part(self.hessian, nodes))
+        p, pivots, solved = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
+        pressed = np.zeros_like(support)
+        pressed[nodes[p > 0.0]] = True
+        return (pressed if solved else support), pivots, solved
+
+    def _gain(self, support: np.ndarray, posterior: np.ndarray, prior: np.ndarray) -> np.ndarray:
         """By how much the evidence rises where a node (c,) is taken out of the support or in."""
-        others = np.flatnonzero(~support)
-        gradient = self.linear[others] + (self.hessian[:, nodes] @ p)[others]
-        variance, precision = _conditional(self.hessian, nodes, others)
-        prior_variance, prior_precision = _conditional(self.smoothness, nodes, others)
-        gain = np.empty(len(support))
-        gain[nodes] = 0.5 * np.log(prior_variance / variance) - 0.5 * p**2 / variance
-        found = 0.5 * gradient**2 / precision + 0.5 * np.log(prior_precision / precision)
-        gain[others] = np.where(gradient < 0.0, found, -np.inf)
-        added_cuts = self.degree - 2.0 * self.neighbours[:, nodes].sum(axis=1)
+        slope = posterior[:-1, -1]  # −p of the support, the gradient of the others
+        precision, prior_precision = np.diag(posterior)[:-1], np.diag(prior)
+        gain = 0.5 * np.log(prior_precision / precision) + 0.5 * slope**2 / precision
+        gain[~support & (slope >= 0.0)] = -np.inf
+        added_cuts = self.degree - 2.0 * self.neighbours[:, support].sum(axis=1)
         return gain + np.where(support, _CUT, -_CUT) * added_cuts
 
 
-def _conditional(
-    precision: np.ndarray, nodes: np.ndarray, others: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Variances of `nodes`, and the precision of each of `others` once those are given."""
-    covariance = np.linalg.inv(part(precision, nodes))
-    between = precision.take(others, axis=0).take(nodes, axis=1)
-    explained = np.einsum("ij,ij->i", between @ covariance, between)
-    return np.diag(covariance), precision[others, others] - explained
+class _Swept:
+    """A symmetric matrix solved for some of its unknowns, one more or less at a time.
+
+    Swept by a set S (Goodnight 1979), M becomes −M_SS⁻¹ there, the Schur complement among the
+    others, and M_SS⁻¹ M_S· between.
+
+    Parameters
+    ----------
+    matrix : (c, c) array
+    """
+
+    def __init__(self, matrix: np.ndarray) -> None:
+        self.matrix = np.array(matrix, order="F")
+        self._swept = np.zeros(len(matrix), bool)
+
+    def sweep(self, unknowns: np.ndarray) -> None:
+        """Have it swept by these (up to c,) bool, and by no others."""
+        wanted = np.zeros_like(self._swept)
+        wanted[: len(unknowns)] = unknowns
+        if not self._swept.any():
+            self._sweep_all(wanted)
+        for k in np.flatnonzero(wanted ^ self._swept):
+            column = self.matrix[:, k].copy()
+            pivot = column[k]
+            self.matrix = dger(-1.0 / pivot, column, column, a=self.matrix, overwrite_a=True)
+            column /= pivot if wanted[k] else -pivot
+            self.matrix[k] = self.matrix[:, k] = column
+            self.matrix[k, k] = -1.0 / pivot
+        self._swept = wanted
+
+    def _sweep_all(self, wanted: np.ndarray) -> None:
+        """The same at once, for a matrix not swept yet."""
+        S, others = np.flatnonzero(wanted), np.flatnonzero(~wanted)
+        between = self.matrix[np.ix_(S, others)]
+        inverse = np.linalg.inv(part(self.matrix, S))
+        solved = inverse @ between
+        self.matrix[np.ix_(S, S)] = -inverse
+        self.matrix[np.ix_(S, others)] = solved
+        self.matrix[np.ix_(others, S)] = solved.T
+        self.matrix[np.ix_(others, others)] -= between.T @ solved
+        self._swept = wanted
