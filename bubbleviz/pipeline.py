@@ -18,6 +18,7 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.seen_colour import SeenColour, Texture
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.inverse.contact_refiner import ContactRefiner, mesh_limits
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
@@ -42,8 +43,8 @@ _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
 """Shift of a lattice from row to row over its period: no small multiple is near a whole."""
 
 Product = Literal[
-    "estimate", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch", "flow",
-    "traction", "slip", "texture",
+    "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch",
+    "flow", "traction", "slip", "texture",
 ]  # fmt: skip
 
 SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
@@ -164,9 +165,15 @@ class Pipeline:
             for name in _STAGES:
                 if name == "flow" and flow is not None:
                     result = replace(result, flow=flow.result().flow)
-                elif name in needed and (name not in OF_OBJECT or self.tracker is not None):
+                elif name in needed and self._makes(name):
                     result = run(name, result)
         return replace(result, times_ms=times)
+
+    def _makes(self, name: Product) -> bool:
+        """Whether there is what a product is made by."""
+        if name == "fine_contact":
+            return self._refiner is not None
+        return name not in OF_OBJECT or self.tracker is not None
 
     def restart(self) -> None:
         """Forget the warm start: the next frame is solved from rest."""
@@ -305,12 +312,25 @@ class Pipeline:
     def _finder(self) -> PatchFinder:
         return PatchFinder(self.mesh, self.estimator.held_pressure_pa, self.estimator.resolution_m)
 
+    @cached_property
+    def _refiner(self) -> ContactRefiner | None:
+        """None where a finer mesh is not known of, not wanted, or of no use."""
+        estimator = self.estimator
+        if not (self.options.fine_contact and isinstance(estimator, RubberEstimator)):
+            return None
+        return ContactRefiner(self.model, estimator) if mesh_limits(estimator) else None
+
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame
         estimate, self._start = self.estimator.estimate(
             frame.depth_m, frame.gas_pressure_pa, self._start
         )
         return replace(result, estimate=estimate)
+
+    def _fine_contact_stage(self, result: Result, options: FrameOptions) -> Result:
+        estimate = _made(result.estimate)
+        fine = _made(self._refiner).refine(result.frame.depth_m, estimate)
+        return replace(result, estimate=replace(estimate, fine=fine))
 
     def _patch_stage(self, result: Result, options: FrameOptions) -> Result:
         return replace(result, patch=self.patch(_made(result.estimate), options))
@@ -382,8 +402,7 @@ class Pipeline:
         return replace(result, texture=texture)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:
-        mask = self.model.view.above(estimate.motion_m, patch.level, 0.0)
-        return replace(patch, pixel_mask=mask)
+        return replace(patch, pixel_mask=self.model.view.patch_pixels(estimate, patch))
 
     @contextmanager
     def _timed(self, stage: str, times: dict[str, float]) -> Iterator[None]:
@@ -412,7 +431,8 @@ class _Stage:
 
 _STAGES: dict[Product, _Stage] = {
     "estimate": _Stage((), Pipeline._estimate_stage),
-    "patch": _Stage(("estimate",), Pipeline._patch_stage),
+    "fine_contact": _Stage(("estimate",), Pipeline._fine_contact_stage),
+    "patch": _Stage(("fine_contact",), Pipeline._patch_stage),
     "pixel_mask": _Stage(("patch",), Pipeline._pixel_mask_stage),
     "pose": _Stage(("patch",), Pipeline._pose_stage),
     "object_patch": _Stage(("pose",), Pipeline._object_patch_stage),

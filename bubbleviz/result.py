@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from bubbleviz.frames.frame import Frame
 
 if TYPE_CHECKING:
     from bubbleviz.colour.optical_flow import FlowField
+    from bubbleviz.membrane.mesh import MembraneMesh
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 """`implausible`: no membrane of this sensor, with the noise its file or calibration tells of and
@@ -23,6 +24,50 @@ TRUSTED: tuple[Status, ...] = ("ok", "no_contact")
 
 HALF_95 = 1.96
 """Half of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class FineContact:
+    """Contact of an estimate on a mesh that is finer there, see `inverse.contact_refiner`.
+
+    Attributes
+    ----------
+    mesh : MembraneMesh
+        The part of the reference surface around the contact, k nodes.
+    ends : (k, 2) int array
+        Nodes of the whole mesh that each of its nodes lies midway between; twice the same for
+        those of the whole mesh.
+    contact_pressure_pa : (k,) array
+        p_c, Pa.
+    motion_m : (k, 3) array
+        Displacement, m.
+    resolution_m : float
+        As of the estimate.
+    """
+
+    mesh: MembraneMesh
+    ends: np.ndarray
+    contact_pressure_pa: np.ndarray
+    motion_m: np.ndarray
+    resolution_m: float
+
+    def estimate(self, whole: Estimate) -> Estimate:
+        """The estimate that it belongs to, on its mesh."""
+        return replace(
+            whole,
+            displacement_m=np.einsum("ij,ij->i", self.motion_m, self.mesh.normals),
+            contact_pressure_pa=self.contact_pressure_pa,
+            displacement_3d_m=self.motion_m,
+            resolution_m=self.resolution_m,
+            fine=None,
+        )
+
+    def on_whole(self, level: np.ndarray, nodes: int) -> np.ndarray:
+        """A level (k,) at the nodes of the whole mesh, (nodes,); its lowest where it is unknown."""
+        whole = np.full(nodes, level.min())
+        own = self.ends[:, 0] == self.ends[:, 1]
+        whole[self.ends[own, 0]] = level[own]
+        return whole
 
 
 @dataclass(frozen=True)
@@ -61,6 +106,8 @@ class Estimate:
         linear model, whose noise is the camera's.
     reason : str
         Why there is no number to trust, in one clause; empty where there is one.
+    fine : FineContact or None
+        The contact on a finer mesh; None where the mesh resolves what noise leaves of it.
     """
 
     status: Status
@@ -77,6 +124,7 @@ class Estimate:
     gas_law_pa: float | None = None
     resolution_m: float | None = None
     reason: str = ""
+    fine: FineContact | None = None
 
     @property
     def trusted(self) -> bool:
@@ -125,6 +173,9 @@ class Patch:
         Pixels of the patch; None when `pixel_mask` was not requested.
     kappa : float or None
         Threshold over the mean contact pressure; None where the rule is automatic.
+    fine_level : (k,) array or None
+        The level on the mesh of the estimate's `fine` contact; None where there is none, or the
+        rule is the paper's.
     """
 
     threshold_pa: float
@@ -136,6 +187,15 @@ class Patch:
     area_interval_m2: tuple[float, float] = (np.nan, np.nan)
     pixel_mask: np.ndarray | None = None
     kappa: float | None = None
+    fine_level: np.ndarray | None = None
+
+    def finest(
+        self, mesh: MembraneMesh, estimate: Estimate
+    ) -> tuple[MembraneMesh, Estimate, np.ndarray]:
+        """The finest mesh that it is known on, with the estimate and the level there."""
+        if self.fine_level is None or estimate.fine is None:
+            return mesh, estimate, self.level
+        return estimate.fine.mesh, estimate.fine.estimate(estimate), self.fine_level
 
     @property
     def node_mask(self) -> np.ndarray:

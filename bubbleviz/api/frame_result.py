@@ -93,7 +93,7 @@ class FrameResult:
     @property
     def pixel_mask(self) -> np.ndarray:
         """Pixels that see the contact patch, (H, W) bool; found when asked for."""
-        return self.model.view.above(self.estimate.motion_m, self.patch.level, 0.0)
+        return self.model.view.patch_pixels(self.estimate, self.patch)
 
     @property
     def pose(self) -> Pose | None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.raycast import Hits, RayCaster
 from bubbleviz.membrane.mesh import MembraneMesh, faces_from
+
+if TYPE_CHECKING:
+    from bubbleviz.result import Estimate, Patch
 
 
 class MembraneView:
@@ -50,6 +54,12 @@ class MembraneView:
         image = np.full(self.shape, np.nan)
         image.ravel()[hits.ray] = hits.range_m
         return image
+
+    def patch_pixels(self, estimate: Estimate, patch: Patch, level: float = 0.0) -> np.ndarray:
+        """Pixels (H, W) that see where a patch exceeds a level."""
+        mesh, estimate, levels = patch.finest(self.mesh, estimate)
+        view = self if mesh is self.mesh else MembraneView(self.camera, mesh)
+        return view.above(estimate.motion_m, levels, level)
 
     def above(self, displacement_m: np.ndarray, field: np.ndarray, level: float) -> np.ndarray:
         """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level.

@@ -112,9 +112,13 @@ class RayCaster:
         self.directions = np.ascontiguousarray(directions, float)
         self.triangles = triangles
         self._indices = np.ascontiguousarray(triangles, np.uint32)
-        # Nodes are moved by −origin before single precision sees them: all rays start at zero.
-        self._rays = np.zeros((len(directions), 6), np.float32)
-        self._rays[:, 3:] = directions
+
+    @cached_property
+    def _rays(self) -> np.ndarray:
+        """Nodes are moved by −origin before single precision sees them: all rays start at zero."""
+        rays = np.zeros((len(self.directions), 6), np.float32)
+        rays[:, 3:] = self.directions
+        return rays
 
     def cast(self, nodes: np.ndarray, normals: np.ndarray, rays: np.ndarray | None = None) -> Hits:
         """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`.

@@ -20,7 +20,9 @@ from scipy import sparse
 from bubbleviz.inverse.likeliest_support import SupportProblem
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import adjacency, dense_part, grown
+from bubbleviz.membrane.stiffness import cotangent_laplacian
 
 _LEAST = 40
 """Nodes that the problem of a frame without contact before it starts with."""
@@ -53,6 +55,12 @@ class Prior:
     def around(self, nodes: np.ndarray) -> np.ndarray:
         """Nodes (n,) bool and those beside them."""
         return grown(self.rings, nodes)
+
+
+def smoothness(mesh: MembraneMesh, weight: float) -> sparse.csr_array:
+    """λ L of a mesh, with no pressure on its rim, (n, n), for λ in 1/Pa²."""
+    held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
+    return (weight * (held @ cotangent_laplacian(mesh) @ held)).tocsr()
 
 
 @dataclass(frozen=True)

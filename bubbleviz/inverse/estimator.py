@@ -24,7 +24,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solvers.inverse_solver import LINEAR, make_solver
+from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER, RUBBER_COARSE, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status
@@ -73,6 +73,9 @@ class EstimatorOptions:
         Side of the squares of pixels that are averaged; None for half a mesh edge.
     rim_slack_m : float
         How far the rim of the exact membrane gives, see `RIM_SLACK_M`.
+    fine_contact : bool
+        Whether the exact membrane's contact is solved for on a finer mesh where the mesh limits
+        how sharp it is, see `contact_refiner`.
     """
 
     solver: str | None = None
@@ -82,6 +85,7 @@ class EstimatorOptions:
     pressure_scale: float = PRESSURE_SCALE
     block: int | None = None
     rim_slack_m: float = RIM_SLACK_M
+    fine_contact: bool = True
 
     @classmethod
     def named(cls, name: str | None) -> EstimatorOptions:
@@ -89,6 +93,8 @@ class EstimatorOptions:
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
             return cls(LINEAR, relinearisations=1, nodes=400)
+        if name == RUBBER_COARSE:
+            return cls(RUBBER, fine_contact=False)
         return cls(LINEAR if name == "active-set" else name)  # its name up to version 0.1
 
 

@@ -7,6 +7,9 @@ from math import pi, sqrt
 import numpy as np
 from scipy import sparse
 
+MESH_BLUR = 0.5
+"""Width ℓ of what a mesh blurs, in its edges."""
+
 
 def information_density(Q: sparse.csr_array, areas: np.ndarray) -> float:
     """Information w of `resolution_m`, 1/m⁴, from DᵀWD (1/m²) and the areas of the free nodes."""
@@ -38,3 +41,8 @@ def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: f
 def at_noise(resolution_m: float, factor: float) -> float:
     """Width ℓ where the noise is some factor larger, m: w falls with the square of it."""
     return resolution_m * factor ** (1.0 / 3.0)
+
+
+def noise_at(resolution_m: float, usual_m: float) -> float:
+    """The factor of `at_noise` by the widths ℓ with it and without, m."""
+    return (resolution_m / usual_m) ** 3

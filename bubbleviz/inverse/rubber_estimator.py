@@ -26,6 +26,7 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Ranges,
     Selection,
+    smoothness,
 )
 from bubbleviz.inverse.detection import sampled, universal_threshold
 from bubbleviz.inverse.estimator import MAX_NODES, MINIMUM_BLOCKS, EstimatorOptions
@@ -45,12 +46,11 @@ from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
 from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh_graph import connected_parts
+from bubbleviz.membrane.mesh_graph import parts_with
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.result import Estimate, Status
 
-_NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
+_NEAR, SERVES, _FAR = 0.05, 0.2, 0.5
 """Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, or the
 first step from the frame before by less than the second; beyond the last a step is far from done. A
 tangent serves while the shape is nearer than the second to where it was taken: the exact residual
@@ -187,6 +187,8 @@ class RubberEstimator:
     solver_name : str
     held_pressure_pa : float
         Gauge pressure of the reference configuration, which a contact carries that flattens it.
+    prior_weight : float
+        λ of the H1 term, 1/Pa².
     resolution_m : float
         Width of the estimate's response to a point load, m, at the noise of the camera; that of a
         frame is in its estimate.
@@ -212,9 +214,10 @@ class RubberEstimator:
         rest = self.mesh.nodes
         self.scales = Scales.of(self.mesh, membrane.mean_tension)
         self.held_pressure_pa = membrane.gauge_pressure_pa
+        self.prior_weight = (self.options.pressure_scale * self.held_pressure_pa) ** -2.0
         self.equilibrium = RubberEquilibrium(membrane, gas, variants)
         edge = self.mesh.edge_length
-        self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
+        self._near_m, self._serves_m = _NEAR * edge, SERVES * edge
         self._far_m, self._longest_m = _FAR * edge, _LONGEST * edge
         nothing = np.zeros(len(rest))
         self._rest = State(rest, nothing, nothing > 0.0, 0.0)
@@ -227,7 +230,6 @@ class RubberEstimator:
     def _prior_at_rest(self) -> None:
         """λ, τ and resolution by what the camera says of the membrane at rest."""
         mesh, everything = self.mesh, self.observer.observe_everything()
-        smoothness = 1.0 / (self.options.pressure_scale * self.held_pressure_pa) ** 2
         view = self._view_at_rest = self.observer.around(mesh.nodes)
         weight = everything.weight[view.block]
         n = len(mesh.free)
@@ -236,12 +238,9 @@ class RubberEstimator:
         sigma = np.linalg.norm(D @ self._rest_rubber[False].responses(sample), axis=0)
         self._tau = universal_threshold(sigma / mesh.areas[sample], n) * mesh.areas
         self._weight = float(weight.sum())
-        laplacian = cotangent_laplacian(mesh).tocsr()
-        held = sparse.diags_array(np.where(mesh.rim, 0.0, 1.0))
-        self.smoothness = (smoothness * (held @ laplacian @ held)).tocsr()
-        self.resolution_m = resolution_m(
-            smoothness, self.membrane.mean_tension, float(weight.sum() / mesh.facet_areas.sum())
-        )
+        self.smoothness = smoothness(mesh, self.prior_weight)
+        seen = float(weight.sum() / mesh.facet_areas.sum())
+        self.resolution_m = resolution_m(self.prior_weight, self.membrane.mean_tension, seen)
 
     def estimate(
         self,
@@ -404,7 +403,7 @@ class RubberEstimator:
         least = self.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-            return self._parts_with(pressure >= least, support)
+            return parts_with(self.mesh.rings, pressure >= least, support)
 
         if rounds and selection.support.any():
             selection = problem.likeliest(selection)
@@ -415,14 +414,6 @@ class RubberEstimator:
         if state is self._rest:  # in equilibrium but for a gas pressure that was measured
             return np.zeros_like(state.x) if gas is None else gas * rubber.bulge
         return rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
-
-    def _parts_with(self, some: np.ndarray, support: np.ndarray) -> np.ndarray:
-        """Connected parts of a support that have one of `some` nodes (n,) bool."""
-        count, part = connected_parts(self.mesh.rings, support)
-        chosen = np.bincount(part, some[support], minlength=count) > 0.0
-        kept = support.copy()
-        kept[support] = chosen[part]
-        return kept
 
     def _step(
         self,

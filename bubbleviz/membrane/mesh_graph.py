@@ -28,6 +28,15 @@ def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarra
     return len(first), np.searchsorted(first, lower)
 
 
+def parts_with(rings: np.ndarray, some: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Connected parts of a set of nodes (n,) bool that have one of `some` of them (n,) bool."""
+    count, part = connected_parts(rings, mask)
+    chosen = np.bincount(part, some[mask], minlength=count) > 0.0
+    kept = mask.copy()
+    kept[mask] = chosen[part]
+    return kept
+
+
 def adjacency(rings: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Which of some nodes (k,) share an edge, (k, k) bool."""
     number = np.full(rings.shape[1], -1)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 
 
 class Refined(NamedTuple):
@@ -16,16 +16,44 @@ class Refined(NamedTuple):
     ----------
     mesh : MembraneMesh
         The coarser one's nodes come first.
-    cut : (c, 2) int array
-        Ends of the edges of the coarser mesh whose middles are the other nodes.
+    ends : (k, 2) int array
+        Nodes of the coarser mesh that each node lies midway between; twice the same for its own.
+    parent : (m,) int array
+        Triangle of the coarser mesh that each triangle is part of.
     """
 
     mesh: MembraneMesh
-    cut: np.ndarray
+    ends: np.ndarray
+    parent: np.ndarray
 
     def values(self, coarse: np.ndarray) -> np.ndarray:
         """Values on the coarser nodes (n, …), interpolated linearly to the finer ones."""
-        return np.concatenate([coarse, coarse[self.cut].mean(axis=1)])
+        return midway(coarse, self.ends)
+
+
+def midway(coarse: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Means of the values (n, …) of pairs of nodes (k, 2), (k, …)."""
+    values: np.ndarray = 0.5 * (coarse[ends[:, 0]] + coarse[ends[:, 1]])
+    return values
+
+
+def refined_part(mesh: MembraneMesh, inside: np.ndarray, chosen: np.ndarray) -> Refined:
+    """Part of a mesh with some of its triangles cut into four.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    inside, chosen : (m,) bool array
+        Triangles of the part, and those to cut. Where the part ends its nodes are held.
+    """
+    triangles = np.flatnonzero(inside)
+    nodes, corners = np.unique(mesh.triangles[triangles], return_inverse=True)
+    part = MembraneMesh(mesh.nodes[nodes], corners.reshape(-1, 3), mesh.rim[nodes])
+    triangle, corner = np.nonzero(triangles_across(part.triangles) < 0)
+    part.rim[part.triangles[triangle, (corner + 1) % 3]] = True
+    part.rim[part.triangles[triangle, (corner + 2) % 3]] = True
+    finer = refinement(part, chosen[triangles])
+    return Refined(finer.mesh, nodes[finer.ends], triangles[finer.parent])
 
 
 def refine(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> MembraneMesh:
@@ -56,14 +84,18 @@ def refinement(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> Refined:
     ways = cut[which].sum(axis=1)
     (a, b, c), (ab, bc, ca) = corners[ways == 3].T, middle[which[ways == 3]].T
     parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+    parents = [np.flatnonzero(ways == 0), *4 * [np.flatnonzero(ways == 3)]]
     for k in range(3):
         halved = (ways == 1) & cut[which[:, k]]
         a, b, c = corners[halved][:, [k, (k + 1) % 3, (k + 2) % 3]].T
         m = middle[which[halved, k]]
         parts += [(a, m, c), (m, b, c)]
+        parents += 2 * [np.flatnonzero(halved)]
     finer = MembraneMesh(
         nodes=np.concatenate([mesh.nodes, mesh.nodes[edges[cut]].mean(axis=1)]),
         triangles=np.concatenate([corners[ways == 0], *(np.stack(p, axis=1) for p in parts)]),
         rim=np.concatenate([mesh.rim, count[cut] == 1]),
     )
-    return Refined(finer, edges[cut])
+    own = np.arange(n)
+    ends = np.concatenate([np.stack([own, own], axis=1), edges[cut]])
+    return Refined(finer, ends, np.concatenate(parents))

@@ -19,7 +19,7 @@ class Component:
     Attributes
     ----------
     nodes : (k,) int array
-        Its nodes.
+        Its nodes, of the finest mesh that the patch is known on.
     area_m2 : float
     force_n : float
         Length of the resultant of its pressure.
@@ -38,13 +38,14 @@ class Component:
 
 def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Component, ...]:
     """Parts of a patch, the largest first; their areas add up to the patch's."""
-    above = patch.level > 0.0
+    mesh, estimate, level = patch.finest(mesh, estimate)
+    above = level > 0.0
     if not above.any():
         return ()
     inside = np.flatnonzero(above)
     count, label = connected_parts(mesh.rings, above)
     nodes = mesh.deformed(estimate.motion_m)
-    parts = [_component(mesh, estimate, patch, nodes, inside[label == k]) for k in range(count)]
+    parts = [_component(mesh, estimate, level, nodes, inside[label == k]) for k in range(count)]
     return tuple(sorted(parts, key=lambda part: -part.area_m2))
 
 
@@ -59,7 +60,10 @@ def without_small(
     kept = [part for part in parts if part.area_m2 >= least_area_m2]
     if len(kept) == len(parts):
         return patch
-    level = patch.level.copy()
+    whole = len(mesh.nodes)
+    fine = estimate.fine if patch.fine_level is not None else None
+    mesh, estimate, level = patch.finest(mesh, estimate)
+    level = level.copy()
     for part in parts:
         if part.area_m2 < least_area_m2:
             level[part.nodes] = -np.abs(level[part.nodes])
@@ -74,7 +78,8 @@ def without_small(
     area_m2, area_interval_m2 = area_and_interval(mesh, level, band)
     return replace(
         patch,
-        level=level,
+        level=level if fine is None else fine.on_whole(level, whole),
+        fine_level=None if fine is None else level,
         area_m2=area_m2,
         area_interval_m2=area_interval_m2,
         center_of_pressure_m=center,
@@ -90,16 +95,16 @@ def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
 
 
 def _component(
-    mesh: MembraneMesh, estimate: Estimate, patch: Patch, nodes: np.ndarray, here: np.ndarray
+    mesh: MembraneMesh, estimate: Estimate, level: np.ndarray, nodes: np.ndarray, here: np.ndarray
 ) -> Component:
     pressure = estimate.contact_pressure_pa
-    level = np.minimum(patch.level, 0.0)
-    level[here] = patch.level[here]
+    alone = np.minimum(level, 0.0)
+    alone[here] = level[here]
     load = mesh.areas[here] * pressure[here]
     total = float(load.sum())
     return Component(
         nodes=here,
-        area_m2=area_above(mesh, level, 0.0),
+        area_m2=area_above(mesh, alone, 0.0),
         force_n=float(np.linalg.norm(load @ mesh.normals[here])),
         peak_pa=float(pressure[here].max()),
         center_m=load @ nodes[here] / total if total > 0.0 else nodes[here].mean(axis=0),

@@ -20,6 +20,7 @@ from math import ceil, log, sqrt
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from bubbleviz.inverse.resolution import MESH_BLUR
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import grown
 from bubbleviz.patch.mesh_region import Region, contour_points
@@ -58,16 +59,20 @@ class PatchEdge:
     Parameters
     ----------
     mesh : MembraneMesh
+    edge_length_m : float, optional
+        Mean length of the mesh's edges where there is contact; of all of them by default.
     """
 
-    def __init__(self, mesh: MembraneMesh) -> None:
+    def __init__(self, mesh: MembraneMesh, edge_length_m: float | None = None) -> None:
         self.mesh = mesh
-        a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-        self._edge = float(np.linalg.norm(mesh.nodes[a] - mesh.nodes[b], axis=1).mean())
+        if edge_length_m is None:
+            a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
+            edge_length_m = float(np.linalg.norm(mesh.nodes[a] - mesh.nodes[b], axis=1).mean())
+        self.edge_length_m = edge_length_m
 
     def blur_m(self, resolution_m: float) -> float:
         """ℓ of an estimate of some resolution, m: below half an edge it is the mesh that blurs."""
-        return max(resolution_m, 0.5 * self._edge)
+        return max(resolution_m, MESH_BLUR * self.edge_length_m)
 
     def level_set(
         self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float, resolution_m: float
@@ -82,11 +87,13 @@ class PatchEdge:
             Of the estimate, see `resolution.resolution_m`.
         """
         blur = self.blur_m(resolution_m)
-        psi = np.full(len(self.mesh.nodes), -_HOLE * blur - self._edge)
+        psi = np.full(len(self.mesh.nodes), -_HOLE * blur - self.edge_length_m)
         floor = _FLOOR * gauge_pressure_pa
         if not np.any(contact_pressure_pa > floor):
             return psi
-        region = self._around(contact_pressure_pa > floor, ceil(_HOLE * blur / self._edge) + 2)
+        region = self._around(
+            contact_pressure_pa > floor, ceil(_HOLE * blur / self.edge_length_m) + 2
+        )
         p = contact_pressure_pa[region.index]
         psi[region.index] = self._edge_distance(region, p, floor, blur)
         return psi
@@ -95,11 +102,11 @@ class PatchEdge:
         self, region: Region, p: np.ndarray, floor: float, blur: float
     ) -> np.ndarray:
         outside = self._outside(region, p - floor, blur)
-        beside = _beside(region, p, outside, max(1.0, _INWARD * blur / self._edge))
+        beside = _beside(region, p, outside, max(1.0, _INWARD * blur / self.edge_length_m))
         distance = self._distance(region, _contour(region, p, beside, outside, floor), blur)
         reach = 3.0 * blur
         before = np.clip(distance, -reach, reach)
-        half_width = np.maximum(region.maximum(before, reach / self._edge), 0.0)
+        half_width = np.maximum(region.maximum(before, reach / self.edge_length_m), 0.0)
         smooth = self._smooth(region, before, np.minimum(blur, _THIN * half_width))
         distance = self._distance(region, smooth, blur)
         distance -= self._dilation(region, p, beside, distance, before, blur)
@@ -137,7 +144,7 @@ class PatchEdge:
 
         Of the blur only what is more than the mesh's: nodes of the support end at the edge.
         """
-        excess = max(sqrt(max(blur**2 - (0.5 * self._edge) ** 2, 0.0)), 1e-9)
+        excess = max(sqrt(max(blur**2 - (MESH_BLUR * self.edge_length_m) ** 2, 0.0)), 1e-9)
         widening: np.ndarray = excess * np.interp(half_width / excess, *_NARROW)
         return widening
 
@@ -155,7 +162,7 @@ class PatchEdge:
 
         The length may be another at every node, (k,).
         """
-        variance = 2.0 * (length / self._edge) ** 2
+        variance = 2.0 * (length / self.edge_length_m) ** 2
         steps = ceil(1.25 * np.max(variance))  # of at most 0.8 of a step: no mode turns negative
         share = variance / steps / np.maximum(region.neighbours, 1)
         walk = np.where(region.rings != region.rings[0], share, 0.0)
@@ -168,7 +175,7 @@ class PatchEdge:
         """Signed distance to the zero contour of a nodal field, m; far where it has none."""
         points = contour_points(region, field)
         if len(points) == 0:
-            far = _HOLE * blur + self._edge
+            far = _HOLE * blur + self.edge_length_m
             return np.where(field > 0.0, far, -far)
         distance = cdist(region.points, points).min(axis=1)  # too few of both for a tree
         return np.where(field > 0.0, distance, -distance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import isnan
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import connected_parts
 from bubbleviz.patch.patch_edge import PatchEdge
-from bubbleviz.result import Estimate, Patch
+from bubbleviz.result import Estimate, FineContact, Patch
 
 LINEAR_ERROR = 0.05
 """Share of the load that the linear model misplaces: its error in force on a ball pressed 2 mm into
@@ -43,18 +44,31 @@ class PatchFinder:
     resolution_m : float
         Width of the response of estimates that do not know their own, see
         `resolution.resolution_m`.
+    edge_m : float, optional
+        As of `PatchEdge`.
     """
 
-    def __init__(self, mesh: MembraneMesh, held_pressure_pa: float, resolution_m: float) -> None:
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        held_pressure_pa: float,
+        resolution_m: float,
+        edge_m: float | None = None,
+    ) -> None:
         self._mesh, self._held = mesh, held_pressure_pa
-        self._edge, self._resolution_m = PatchEdge(mesh), resolution_m
+        self._edge, self._resolution_m = PatchEdge(mesh, edge_m), resolution_m
 
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
         """Patch of an estimate: what carries the gas pressure, or by the paper's threshold κ.
 
-        The force is that of the whole contact pressure; the centre of pressure is that of the
-        parts in contact, so that what noise puts elsewhere does not pull it aside.
+        The former is drawn on the estimate's finer mesh where it has one. The force is that of the
+        whole contact pressure; the centre of pressure is that of the parts in contact, so that
+        what noise puts elsewhere does not pull it aside.
         """
+        if kappa is None and estimate.fine is not None:
+            patch = self._on_finer(estimate, estimate.fine)
+            if patch.area_m2 > 0.0:
+                return patch
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
         change = estimate.gas_pressure_change_pa
         gas = self._held + (0.0 if isnan(change) else change)
@@ -85,6 +99,14 @@ class PatchFinder:
             area_interval_m2=area_interval_m2,
             kappa=kappa,
         )
+
+    def _on_finer(self, estimate: Estimate, fine: FineContact) -> Patch:
+        finder = PatchFinder(
+            fine.mesh, self._held, fine.resolution_m, 0.5 * self._edge.edge_length_m
+        )
+        patch = finder.find(fine.estimate(estimate))
+        level = fine.on_whole(patch.level, len(self._mesh.nodes))
+        return replace(patch, level=level, fine_level=patch.level)
 
     def _contacts(
         self, estimate: Estimate, gas_pa: float, blur_m: float

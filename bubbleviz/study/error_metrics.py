@@ -116,9 +116,7 @@ class Judge:
         band = patch.edge_half_width_m
         if np.isnan(band) or not edge.any():
             return np.nan
-        inner, outer = (
-            self._view.above(estimate.motion_m, patch.level, level) for level in (band, -band)
-        )
+        inner, outer = (self._view.patch_pixels(estimate, patch, level) for level in (band, -band))
         return float(np.count_nonzero(edge & outer & ~inner) / np.count_nonzero(edge))
 
     def _best_iou(self, estimate: Estimate, seen: np.ndarray) -> float:

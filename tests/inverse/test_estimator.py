@@ -187,7 +187,9 @@ def test_too_few_pixels_are_no_data(sphere):
 
 
 def test_an_unknown_solver_is_refused_by_name():
-    with pytest.raises(InputError, match="no such solver; choose one of rubber, linear"):
+    with pytest.raises(
+        InputError, match="no such solver; choose one of rubber, rubber-coarse, linear"
+    ):
         estimator(solver="gurobi")
 
 

@@ -68,9 +68,10 @@ SOLVERS: dict[str, Make] = {
 
 RUBBER = "rubber"
 """The exact membrane, which `RubberEstimator` solves; the others are solvers of the linear one."""
-
-ESTIMATORS = (RUBBER, *SOLVERS)
-"""Names for `EstimatorOptions.solver`."""
+RUBBER_COARSE = "rubber-coarse"
+"""The exact membrane on the sensor's own mesh alone: no finer one at the contact."""
+ESTIMATORS = (RUBBER, RUBBER_COARSE, *SOLVERS)
+"""Names for `EstimatorOptions.named` that take the sensor's mesh, or another size of it."""
 
 SOLVER_NAMES = (*ESTIMATORS, "fast")
 """Names for `EstimatorOptions.named`; `fast` is the linear model on a coarse mesh."""

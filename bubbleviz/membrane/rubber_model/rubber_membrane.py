@@ -198,6 +198,21 @@ class RubberMembrane:
         stress_free = prestretch**2 * inverse_metric(mesh)
         return cls(mesh, gauge_pressure_pa, stress_free, mu_h, rim_slack_m)
 
+    def on(self, mesh: MembraneMesh, parent: np.ndarray) -> RubberMembrane:
+        """The same rubber on triangles that are parts of its own, held where their mesh ends.
+
+        Parameters
+        ----------
+        mesh : MembraneMesh
+        parent : (k,) int array
+            Triangle that each of the mesh's lies in.
+        """
+        own, finer = _edges(self.mesh)[parent], _edges(mesh)
+        metric = own @ own.swapaxes(1, 2)
+        back = np.linalg.inv(np.linalg.solve(metric, own @ finer.swapaxes(1, 2)))
+        stress_free = back @ self.inverse[parent] @ back.swapaxes(1, 2)
+        return RubberMembrane(mesh, self.gauge_pressure_pa, stress_free, self.mu_h[parent])
+
     # -- energy and forces ----------------------------------------------------------------------
 
     def energy(self, x: np.ndarray) -> float:
@@ -411,9 +426,15 @@ def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
 
 def inverse_metric(mesh: MembraneMesh) -> np.ndarray:
     """Inverse metric of the mesh's own triangles, (m, 2, 2), 1/m²; see `RubberMembrane`."""
-    corners = mesh.nodes[mesh.triangles]
-    edges = corners[:, 1:] - corners[:, :1]
+    edges = _edges(mesh)
     return np.linalg.inv(edges @ edges.swapaxes(1, 2))
+
+
+def _edges(mesh: MembraneMesh) -> np.ndarray:
+    """Edges of the triangles from corner 0 to 1 and to 2, (m, 2, 3), m."""
+    corners = mesh.nodes[mesh.triangles]
+    edges: np.ndarray = corners[:, 1:] - corners[:, :1]
+    return edges
 
 
 def _rim_lengths(mesh: MembraneMesh) -> np.ndarray:

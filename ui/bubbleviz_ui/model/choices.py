@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal, TypeVar
 
 from bubbleviz.inverse.estimator import EstimatorOptions
@@ -71,9 +71,9 @@ class Setting:
     @property
     def options(self) -> EstimatorOptions:
         """What the estimator takes."""
-        usual = EstimatorOptions()
-        return EstimatorOptions(
-            self.solver,
+        usual = EstimatorOptions.named(self.solver)
+        return replace(
+            usual,
             relinearisations=usual.relinearisations if self.recasts is None else self.recasts,
             nodes=None if self.nodes is None else max(self.nodes, FEWEST_NODES),
             pressure_scale=self.pressure_scale or usual.pressure_scale,

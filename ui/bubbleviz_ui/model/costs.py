@@ -14,6 +14,7 @@ from bubbleviz_ui.model.demand import plotted, products
 
 STAGES = {
     "estimate": "Contact pressure (Eq. 23)",
+    "fine_contact": "Contact on a finer mesh, where the camera is better than the sensor's",
     "patch": "Contact patch (section V-C of the paper)",
     "pixel_mask": "Pixels of the patch",
     "pose": "Pose of the object (section VI of the paper)",

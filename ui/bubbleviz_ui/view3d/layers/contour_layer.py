@@ -33,12 +33,12 @@ class ContourLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Trace the edge of the patch and its band; nothing without contact."""
-        patch = picture.result.trusted_patch
+        patch, estimate = picture.result.trusted_patch, picture.result.estimate
         if patch is not None and patch.area_m2 > 0:
             surface, band = self.canvas.surface, patch.edge_half_width_m
-            self._edge.draw(surface.line(patch.level))
+            self._edge.draw(surface.edge(estimate, patch))
             levels = () if math.isnan(band) else (band, -band)
-            self._band.draw(surface.line(patch.level, levels))
+            self._band.draw(surface.edge(estimate, patch, levels))
         self._has(patch is not None and patch.area_m2 > 0)
 
 
@@ -103,7 +103,7 @@ class _Outline:
         shape = self._surface.shape_of(measured.result.estimate, exaggeration)
         if shape is not None:
             self._surface.draw(shape)
-        self._line.draw(self._surface.line(patch.level))
+        self._line.draw(self._surface.edge(measured.result.estimate, patch))
 
 
 class _Line:

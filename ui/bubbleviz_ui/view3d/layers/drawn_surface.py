@@ -10,7 +10,8 @@ import pyvista as pv
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.result import Estimate
+from bubbleviz.membrane.refine import midway
+from bubbleviz.result import Estimate, Patch
 from bubbleviz_ui.model.units import Units
 
 
@@ -100,10 +101,25 @@ class Surface:
         self._pressure[:] = self._units.pressure.of(1.0) * shape.pressure_pa
         self.poly.Modified()
 
+    def edge(
+        self, estimate: Estimate | None, patch: Patch, levels: tuple[float, ...] = (0.0,)
+    ) -> np.ndarray:
+        """Pieces (k, 2, 3) of the lines where a patch has some levels, as drawn."""
+        fine = None if estimate is None or patch.fine_level is None else estimate.fine
+        if fine is None or patch.fine_level is None:
+            return self.line(patch.level, levels)
+        nodes = midway(np.asarray(self._points), fine.ends)
+        return self._lines(nodes, fine.mesh.corners, patch.fine_level, levels)
+
     def line(self, field: np.ndarray, levels: tuple[float, ...] = (0.0,)) -> np.ndarray:
         """Pieces (k, 2, 3) of the lines where a field (n,) has some levels, as drawn."""
         if self._mesh is None:
             return np.empty((0, 2, 3))
-        nodes, corners = np.asarray(self._points), self._mesh.corners
+        return self._lines(np.asarray(self._points), self._mesh.corners, field, levels)
+
+    @staticmethod
+    def _lines(
+        nodes: np.ndarray, corners: np.ndarray, field: np.ndarray, levels: tuple[float, ...]
+    ) -> np.ndarray:
         lines = [level_line(nodes, corners, field, level) for level in levels]
         return np.concatenate([np.empty((0, 2, 3)), *lines])

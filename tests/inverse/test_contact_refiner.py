@@ -1,0 +1,192 @@
+"""The contact on a finer mesh: against the meridian's equations, and presses on another mesh."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.frames.frame import Frame
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.refine import refined_part
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.patch.components import components, without_small
+from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.study.rubber_oracle import AxialRubber
+
+A, H, GAUGE, CHAMBER, STRETCH = 0.045, 0.020, 2500.0, 3e-4, 1.2
+RADIUS = (A**2 + H**2) / (2 * H)
+BALL = 0.015
+NOISE_M = 5e-5
+VIEW = {"width": 160, "height": 160, "fx": 110.0, "fy": 110.0, "cx": 79.5, "cy": 79.5}
+PRODUCTS = frozenset({"patch", "pixel_mask"})
+
+
+def pipeline(nodes=500, noise_relative=NOISE_M / 0.065, solver=None):
+    sensor = Sensor(
+        name="dome",
+        membrane=Membrane(rim_radius_m=A, height_m=H, prestretch=STRETCH, nodes=nodes),
+        pneumatics=Pneumatics(gauge_pressure_pa=GAUGE, chamber_volume_m3=CHAMBER),
+        camera=Camera(**VIEW, position_m=(0.0, 0.0, -0.05), noise_relative=noise_relative),
+    )
+    return Pipeline.of(sensor, options=EstimatorOptions.named(solver))
+
+
+def frame_of(mesh, motion, noise_m=NOISE_M, seed=0):
+    camera = DepthCamera.of(Camera(**VIEW, position_m=(0.0, 0.0, -0.05)))
+    ranges = MembraneView(camera, mesh).range_image(motion)
+    noise = noise_m * np.random.default_rng(seed).standard_normal(ranges.shape)
+    return Frame(0, 0.0, camera.depth_image(ranges + noise))
+
+
+@cache
+def on_axis(depth):
+    """True area of a ball's contact at rest, m², and the surface by the meridian's equations."""
+    exact = AxialRubber.dome(A, H, STRETCH, GAUGE).press(depth, BALL)
+    r, z = (np.concatenate([[v[0]], v]) for v in (exact.meridian.r_m, exact.meridian.z_m))
+    r[0] = 0.0
+    fine = mesh_cap(spherical_cap(A, H), 8_000)
+    height = np.interp(np.hypot(*fine.nodes[:, :2].T), r, z)
+    height[fine.rim] = 0.0
+    surface = MembraneMesh(np.column_stack([fine.nodes[:, :2], height]), fine.triangles, fine.rim)
+    s = np.interp(exact.contact_radius_m, exact.meridian.r_m, exact.meridian.s_m)
+    return 2 * np.pi * RADIUS**2 * (1 - np.cos(s / RADIUS)), surface
+
+
+@cache
+def two_balls():
+    """A press of two balls by the forward model on a mesh of its own, with its true pixels."""
+    mesh = mesh_cap(spherical_cap(A, H), 4_000)
+    tension = 0.5 * GAUGE * RADIUS
+    gas = Gas(101_325.0 + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)
+    model = RubberForward(RubberMembrane.uniform(mesh, GAUGE, tension, STRETCH), gas)
+    T = np.eye(4)
+    T[2, 3] = H - 0.005
+    contact = model.press(load_object("two_spheres"), T)
+    assert contact.converged
+    share = touching_share(mesh, contact.contact_pressure_pa)
+    camera = DepthCamera.of(Camera(**VIEW, position_m=(0.0, 0.0, -0.05)))
+    truth = MembraneView(camera, mesh).above(contact.displacement_3d_m, share, 0.5)
+    return mesh, contact.displacement_3d_m, truth
+
+
+def test_small_contacts_on_a_coarse_mesh_are_as_large_as_by_the_equations_of_the_meridian():
+    errors = {}
+    for solver in (None, "rubber-coarse"):
+        pipe = pipeline(400, solver=solver)
+        found = []
+        for depth in (0.003, 0.005, 0.007):
+            area_m2, surface = on_axis(depth)
+            image = frame_of(surface, np.zeros_like(surface.nodes))
+            pipe.restart()
+            found.append(pipe.process(image, PRODUCTS).patch.area_m2 / area_m2 - 1.0)
+        errors[solver] = np.abs(found)
+    assert errors[None].max() < 0.1
+    assert errors[None].mean() < 0.6 * errors["rubber-coarse"].mean()
+
+
+def test_the_pixels_of_two_small_contacts_are_closer_to_the_true_ones():
+    mesh, motion, truth = two_balls()
+    overlaps = []
+    for solver in (None, "rubber-coarse"):
+        found = pipeline(400, solver=solver).process(frame_of(mesh, motion), PRODUCTS)
+        mask = found.patch.pixel_mask
+        overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
+    assert overlaps[0] > overlaps[1] + 0.1
+
+
+def test_force_and_pressure_of_the_estimate_stay():
+    _, surface = on_axis(0.005)
+    image = frame_of(surface, np.zeros_like(surface.nodes))
+    fine, coarse = (pipeline(solver=s).process(image, PRODUCTS) for s in (None, "rubber-coarse"))
+    np.testing.assert_array_equal(fine.patch.force_n, coarse.patch.force_n)
+    np.testing.assert_array_equal(
+        fine.estimate.contact_pressure_pa, coarse.estimate.contact_pressure_pa
+    )
+    there = fine.estimate.fine
+    load = there.mesh.areas @ there.contact_pressure_pa
+    whole = pipeline().mesh.areas @ coarse.estimate.contact_pressure_pa
+    assert load == pytest.approx(whole, rel=0.03)
+
+
+def test_the_parts_of_a_fine_patch_add_up_and_small_ones_can_be_left_out():
+    mesh, motion, _ = two_balls()
+    pipe = pipeline(400)
+    result = pipe.process(frame_of(mesh, motion), PRODUCTS)
+    parts = components(pipe.mesh, result.estimate, result.patch)
+    assert len(parts) == 2
+    assert sum(part.area_m2 for part in parts) == pytest.approx(result.patch.area_m2, rel=1e-6)
+    between = 0.5 * (parts[0].area_m2 + parts[1].area_m2)
+    one = without_small(pipe.mesh, result.estimate, result.patch, between)
+    assert one.area_m2 == pytest.approx(parts[0].area_m2, rel=1e-6)
+    pixels = pipe.model.view.patch_pixels(result.estimate, one)
+    assert 0 < np.count_nonzero(pixels) < 0.7 * np.count_nonzero(result.patch.pixel_mask)
+    assert not (pixels & ~result.patch.pixel_mask).any()
+    assert one.node_mask.any()
+    assert not (one.node_mask & ~result.patch.node_mask).any()
+
+
+@pytest.mark.parametrize(("relative", "kappa"), [(0.02, None), (NOISE_M / 0.065, 2.0)])
+def test_a_noisy_camera_and_the_rule_of_the_paper_take_the_mesh_of_the_sensor(relative, kappa):
+    _, surface = on_axis(0.007)
+    pipe = pipeline(800, relative)
+    image = frame_of(surface, np.zeros_like(surface.nodes), relative * 0.065)
+    estimate = pipe.process(image, PRODUCTS).estimate
+    assert estimate.status == "ok"
+    assert (estimate.fine is None) is (kappa is None)
+    assert ("fine_contact" in pipe.counts) is (kappa is not None)
+    assert pipe.whole_patch(estimate, kappa).fine_level is None
+
+
+def test_without_contact_nothing_is_refined():
+    mesh = mesh_cap(spherical_cap(A, H), 4_000)
+    result = pipeline().process(frame_of(mesh, np.zeros_like(mesh.nodes)), PRODUCTS)
+    assert result.estimate.status == "no_contact"
+    assert result.estimate.fine is None
+    assert result.patch.area_m2 == 0.0
+
+
+def test_the_same_rubber_on_finer_triangles_has_the_same_energy_and_forces():
+    """Of shapes that are linear on the coarse ones; with other stress-free triangles each."""
+    mesh = mesh_cap(spherical_cap(A, H), 200)
+    random = np.random.default_rng(0)
+    usual = RubberMembrane.uniform(mesh, GAUGE, 70.0, STRETCH)
+    uneven = usual.inverse * random.uniform(0.9, 1.1, (len(mesh.triangles), 1, 1))
+    rubber = RubberMembrane(mesh, GAUGE, uneven, usual.mu_h)
+    everywhere = np.ones(len(mesh.triangles), bool)
+    finer = refined_part(mesh, everywhere, random.random(len(mesh.triangles)) < 0.4)
+    same = rubber.on(finer.mesh, finer.parent)
+    x = mesh.nodes + 5e-4 * random.standard_normal(mesh.nodes.shape)
+    fine_x = finer.values(x)
+    assert same.energy(fine_x) == pytest.approx(rubber.energy(x), rel=1e-9)
+    assert same.volume(fine_x) == pytest.approx(rubber.volume(x), rel=1e-9)
+    moved = 1e-4 * random.standard_normal(mesh.nodes.shape)
+    work = np.sum(rubber.force(x) * moved)
+    assert np.sum(same.force(fine_x) * finer.values(moved)) == pytest.approx(work, rel=1e-9)
+
+
+def test_a_part_of_a_mesh_ends_in_held_nodes_and_covers_its_triangles():
+    mesh = mesh_cap(spherical_cap(A, H), 300)
+    inside = np.hypot(*mesh.nodes[mesh.triangles].mean(axis=1)[:, :2].T) < 0.6 * A
+    chosen = np.hypot(*mesh.nodes[mesh.triangles].mean(axis=1)[:, :2].T) < 0.3 * A
+    finer = refined_part(mesh, inside, chosen)
+    assert finer.mesh.facet_areas.sum() == pytest.approx(mesh.facet_areas[inside].sum())
+    areas = np.bincount(finer.parent, finer.mesh.facet_areas, minlength=len(inside))
+    np.testing.assert_allclose(areas[inside], mesh.facet_areas[inside])
+    np.testing.assert_allclose(finer.values(mesh.nodes), finer.mesh.nodes, atol=1e-15)
+    t = finer.mesh.triangles
+    sides = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
+    edges, count = np.unique(sides, axis=0, return_counts=True)
+    ends = np.zeros(len(finer.mesh.nodes), bool)
+    ends[edges[count == 1]] = True
+    np.testing.assert_array_equal(finer.mesh.rim, ends)
