@@ -80,7 +80,7 @@ class Setup:
 
     def pipeline_of(self, model: SensorModel) -> Pipeline:
         """Pipeline of a sensor whose mesh stays, where no other is asked for."""
-        options = EstimatorOptions(solver=self.solver, tolerance=self.tolerance)
+        options = replace(EstimatorOptions.named(self.solver), tolerance=self.tolerance)
         if self.relinearisations is not None:
             options = replace(options, relinearisations=self.relinearisations)
         if self.nodes is not None or self.stride > 1:
@@ -90,6 +90,8 @@ class Setup:
 
 
 RUBBER, LINEAR = Setup("rubber"), Setup("linear")
+COARSE = Setup("rubber-coarse")
+"""The exact membrane without the finer mesh at the contact."""
 PAPER = Setup("osqp-cold", relinearisations=0)
 """Eq. 23 by OSQP from rest in every frame, linearised once at the reference surface."""
 
@@ -256,7 +258,7 @@ def edge_grid(*, quick: bool = False) -> Grid:
         objects=(*SMOOTH_OBJECTS, "torus", "two_spheres", *EDGE_OBJECTS),
         depths=(0.2, 0.4),
         noises=(*noises, DepthNoise(relative=0.01)),
-        setups=(RUBBER,),
+        setups=(RUBBER, COARSE),
         repeats=1,
         limit_s=900.0,
     )
