@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
@@ -132,6 +133,12 @@ def test_the_parts_of_a_fine_patch_add_up_and_small_ones_can_be_left_out():
     pixels = pipe.model.view.patch_pixels(result.estimate, one)
     assert 0 < np.count_nonzero(pixels) < 0.7 * np.count_nonzero(result.patch.pixel_mask)
     assert not (pixels & ~result.patch.pixel_mask).any()
+    whole, fine = result.patch.level, result.patch.fine_level
+    away, node = cKDTree(pipe.mesh.nodes).query(result.estimate.fine.mesh.nodes)
+    own = away < 1e-9
+    assert np.count_nonzero(own) > 50
+    np.testing.assert_array_equal(whole[node[own]], fine[own])
+    assert (np.delete(whole, node[own]) <= fine.min()).all()
     assert one.node_mask.any()
     assert not (one.node_mask & ~result.patch.node_mask).any()
 

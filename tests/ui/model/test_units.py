@@ -27,6 +27,9 @@ CONTACT = 75
         (Units().force.text(None), "– N"),
         (Units().force.text(math.nan), "– N"),
         (Units().gas_pressure.text(443.2, signed=True), "+443 Pa"),
+        (Units().force.with_interval(4.784, 0.034), "4.78 ± 0.03 N"),
+        (Units().force.with_interval(4.784, 0.002), "4.78 ± 0.01 N"),  # surely not none
+        (Units().force.with_interval(4.784, 0.0), "4.78 ± 0.00 N"),
     ],
 )
 def test_text(text: str, expected: str) -> None:

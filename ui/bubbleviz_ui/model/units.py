@@ -44,12 +44,13 @@ class Unit:
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
 
     def with_interval(self, si: float | None, half_width: float | None) -> str:
-        """Number ± half of its 95 % interval, and unit."""
+        """Number ± half of its 95 % interval, 0 only where that is exactly 0, and unit."""
         if si is None or half_width is None or not math.isfinite(si + half_width):
             return self.text(si)
-        return (
-            f"{self.of(si):.{self.digits}f} ± {self.of(half_width):.{self.digits}f} {self.symbol}"
-        )
+        shown = self.of(half_width)
+        if half_width > 0.0:
+            shown = max(shown, 10.0**-self.digits)
+        return f"{self.of(si):.{self.digits}f} ± {shown:.{self.digits}f} {self.symbol}"
 
     def with_range(self, si: float, low: float, high: float) -> str:
         """Number, the range it may be in unless that is empty, and unit."""
