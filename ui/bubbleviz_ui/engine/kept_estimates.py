@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import is_dataclass
+
+import numpy as np
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz.result import Estimate
@@ -21,7 +24,8 @@ class KeptEstimates:
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._kept: OrderedDict[int, tuple[Numbers, Estimate]] = OrderedDict()
-        self._bytes, self._most = 0, most_bytes
+        self._sizes: dict[int, int] = {}
+        self._most = most_bytes
 
     def get(self, frame: int) -> tuple[Numbers, Estimate] | None:
         """Numbers and estimate of a frame; None where they are not kept."""
@@ -29,17 +33,16 @@ class KeptEstimates:
 
     def keep(self, frame: int, numbers: Numbers, estimate: Estimate) -> None:
         """Keep a frame's in place of what was kept of it, and let go of the oldest."""
-        if frame in self._kept:
-            self._let_go(frame)
+        self._kept.pop(frame, None)
         self._kept[frame] = numbers, estimate
-        self._bytes += _size(estimate)
-        while self._bytes > self._most:
-            self._let_go(next(iter(self._kept)))
-
-    def _let_go(self, frame: int) -> None:
-        _, estimate = self._kept.pop(frame)
-        self._bytes -= _size(estimate)
+        self._sizes[frame] = _bytes(estimate)
+        while sum(self._sizes.values()) > self._most:
+            oldest, _ = self._kept.popitem(last=False)
+            del self._sizes[oldest]
 
 
-def _size(estimate: Estimate) -> int:
-    return sum(getattr(value, "nbytes", 0) for value in vars(estimate).values())
+def _bytes(held: object) -> int:
+    """Memory of the arrays in something, and in what that holds."""
+    if isinstance(held, np.ndarray):
+        return held.nbytes
+    return sum(map(_bytes, vars(held).values())) if is_dataclass(held) else 0
