@@ -190,6 +190,9 @@ def test_a_part_of_a_mesh_ends_in_held_nodes_and_covers_its_triangles():
     assert finer.mesh.facet_areas.sum() == pytest.approx(mesh.facet_areas[inside].sum())
     areas = np.bincount(finer.parent, finer.mesh.facet_areas, minlength=len(inside))
     np.testing.assert_allclose(areas[inside], mesh.facet_areas[inside])
+    parts = np.bincount(finer.parent, minlength=len(inside))
+    assert (parts[chosen] == 4).all()
+    assert np.count_nonzero(parts[inside & ~chosen] == 1) > np.count_nonzero(chosen)
     np.testing.assert_allclose(finer.values(mesh.nodes), finer.mesh.nodes, atol=1e-15)
     t = finer.mesh.triangles
     sides = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
