@@ -32,7 +32,7 @@ from bubbleviz_ui.shell.layouts import fill
 ENDED_BY = {
     "depth": "the depth image moves then",
     "pressure": "the gas pressure moves then",
-    "recording": "nothing touches the sensor up to the end",
+    "recording": "nothing moves up to the end: make sure that nothing touches the sensor",
 }
 
 NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."
