@@ -21,7 +21,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.contact_refiner import ContactRefiner, mesh_limits
 from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.inverse.solvers.inverse_solver import RUBBER
+from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
 from bubbleviz.membrane.reference_mesh import build_rubber, rest_stress, varied_rubber
 from bubbleviz.patch.components import without_small
 from bubbleviz.patch.patch_finder import PatchFinder
@@ -316,9 +316,8 @@ class Pipeline:
     def _refiner(self) -> ContactRefiner | None:
         """None where a finer mesh is not known of, not wanted, or of no use."""
         estimator = self.estimator
-        if not (self.options.fine_contact and isinstance(estimator, RubberEstimator)):
-            return None
-        return ContactRefiner(self.model, estimator) if mesh_limits(estimator) else None
+        refined = self.options.fine_contact and estimator.solver_name in (RUBBER, LINEAR)
+        return ContactRefiner(self.model, estimator) if refined and mesh_limits(estimator) else None
 
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame

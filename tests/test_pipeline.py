@@ -47,8 +47,12 @@ def made(result: Result) -> set[str]:
         ((), set(), set()),
         (("cloud",), {"cloud"}, {"cloud_m", "cloud_pixels"}),
         (("estimate",), {"estimate"}, {"estimate"}),
-        (("patch",), {"estimate", "patch"}, {"estimate", "patch"}),
-        (("pixel_mask",), {"estimate", "patch", "pixel_mask"}, {"estimate", "patch"}),
+        (("patch",), {"estimate", "fine_contact", "patch"}, {"estimate", "patch"}),
+        (
+            ("pixel_mask",),
+            {"estimate", "fine_contact", "patch", "pixel_mask"},
+            {"estimate", "patch"},
+        ),
         (
             ("residual",),
             {"estimate", "cloud", "residual"},
@@ -56,7 +60,7 @@ def made(result: Result) -> set[str]:
         ),
         (
             ("patch", "cloud"),
-            {"estimate", "patch", "cloud"},
+            {"estimate", "fine_contact", "patch", "cloud"},
             {"estimate", "patch", "cloud_m", "cloud_pixels"},
         ),
     ],

@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy import sparse
 
 from bubbleviz.inverse.likeliest_support import SupportProblem
-from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import adjacency, dense_part, grown
@@ -32,6 +32,16 @@ _SLACK = 1e-6
 
 TouchRule = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Support (n,) bool and the pressure on it → what of it may be contact."""
+
+
+class Response(Protocol):
+    """How a membrane moves around a shape: `LinearisedRubber`, or `LinearResponse`."""
+
+    def responses(self, nodes: np.ndarray, /) -> np.ndarray:
+        """S of unit pressures from inside at nodes (c,), (3n, c), m/Pa."""
+
+    def pull(self, force: np.ndarray, /) -> np.ndarray:
+        """What unit contact pressures do against forces (n, 3), (n,)."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +201,7 @@ class ContactProblem:
 
     Parameters
     ----------
-    rubber : LinearisedRubber
+    membrane : Response
     ranges : Ranges
     prior : Prior
     pressure : (n,) array
@@ -202,13 +212,13 @@ class ContactProblem:
 
     def __init__(
         self,
-        rubber: LinearisedRubber,
+        membrane: Response,
         ranges: Ranges,
         prior: Prior,
         pressure: np.ndarray,
         relaxing: np.ndarray,
     ) -> None:
-        self._rubber, self._ranges, self._prior = rubber, ranges, prior
+        self._membrane, self._ranges, self._prior = membrane, ranges, prior
         self._before, self._relaxing = pressure, relaxing
         left = ranges.error_m - ranges.jacobian @ relaxing.ravel()
         self._at_before = self._pull(left)
@@ -348,7 +358,7 @@ class ContactProblem:
         """Find what the pressures of some more nodes (c,) do to the ranges."""
         if not len(nodes):
             return
-        J = self._ranges.jacobian @ self._rubber.responses(nodes)
+        J = self._ranges.jacobian @ self._membrane.responses(nodes)
         self._by_gas = np.concatenate([self._by_gas, self._ranges.bulge_weighed @ J])
         J *= np.sqrt(self._ranges.weight)[:, None]
         before = len(self._known)
@@ -386,11 +396,11 @@ class ContactProblem:
         if not change.any():
             return self._relaxing
         nodes = np.flatnonzero(change)
-        return self._relaxing - (self._rubber.responses(nodes) @ change[nodes]).reshape(-1, 3)
+        return self._relaxing - (self._membrane.responses(nodes) @ change[nodes]).reshape(-1, 3)
 
     def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
         weighted = self._ranges.transposed @ self._ranges.weighed(ranges_m)
-        return self._rubber.pull(weighted.reshape(-1, 3))
+        return self._membrane.pull(weighted.reshape(-1, 3))
 
     def _everywhere(self, x: np.ndarray) -> np.ndarray:
         pressure = np.zeros(len(self._before))

@@ -20,7 +20,9 @@ from bubbleviz.inverse.contact_problem import (
     Selection,
     smoothness,
 )
-from bubbleviz.inverse.resolution import MESH_BLUR, at_noise, noise_at, resolution_m
+from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.linear_equilibrium import LinearEquilibrium
+from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
 from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
 from bubbleviz.inverse.rubber_estimator import SERVES, RubberEstimator
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -29,9 +31,11 @@ from bubbleviz.membrane.refine import Refined, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
-_WORTH = 0.65
-"""Resolution of a frame, in mesh edges, up to which it is refined. Of presses of ten objects into
-one membrane those at 0.4 to 0.6 gain 0.05 to 0.1 of IoU, those from 0.65 on nothing."""
+_MESH_LIMITS, _WORTH = 0.45, 0.65
+"""Resolution at the noise of the camera, in mesh edges, below which the mesh limits a sensor's
+patches; and that of a frame, with all that its model does not explain, up to which it is refined.
+Presses of 14 objects gain 0.05 to 0.15 of IoU below 0.4 of the former, and 0.01 or nothing from
+0.45 on, those into rubber up to 0.6 of the latter. Chosen on these."""
 _LARGEST = 100
 """Most nodes of a contact that is refined: the time grows with the square of their number."""
 _MARGIN, _AROUND = 2, 6
@@ -52,7 +56,7 @@ class _Part:
         Nodes of the whole mesh whose triangles are finer.
     finer : Refined
     observer : RangeObserver
-    equilibrium : RubberEquilibrium
+    equilibrium : RubberEquilibrium or LinearEquilibrium
     prior : Prior
     resolution_m : float
         At the noise of the camera.
@@ -61,7 +65,7 @@ class _Part:
     cut: np.ndarray
     finer: Refined
     observer: RangeObserver
-    equilibrium: RubberEquilibrium
+    equilibrium: RubberEquilibrium | LinearEquilibrium
     prior: Prior
     resolution_m: float
 
@@ -74,11 +78,11 @@ class ContactRefiner:
     Parameters
     ----------
     model : SensorModel
-    estimator : RubberEstimator
+    estimator : RubberEstimator or Estimator
         Of the same sensor.
     """
 
-    def __init__(self, model: SensorModel, estimator: RubberEstimator) -> None:
+    def __init__(self, model: SensorModel, estimator: RubberEstimator | Estimator) -> None:
         self._model, self._estimator = model, estimator
         self._serves_m = SERVES * 0.5 * model.mesh.edge_length
         self._last: _Part | None = None
@@ -93,16 +97,24 @@ class ContactRefiner:
         estimate : Estimate
             Of this frame.
         """
-        touching, resolution = estimate.contact_pressure_pa > 0.0, estimate.resolution_m
-        if resolution is None or resolution > _WORTH * self._model.mesh.edge_length:
+        usual = self._estimator.resolution_m
+        resolution = estimate.resolution_m or usual
+        if resolution > _WORTH * self._model.mesh.edge_length:
             return None
+        pressure = estimate.contact_pressure_pa
+        gas = self._gas_pressure(estimate)
+        touching = parts_with(self._model.mesh.rings, pressure >= gas, pressure > 0.0)
         if not 0 < np.count_nonzero(touching) <= _LARGEST:
             return None
-        noise = noise_at(resolution, self._estimator.resolution_m)
+        noise = noise_at(resolution, usual)
         try:
             return self._solve(self._part(touching), depth_m, estimate, noise)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             return None
+
+    def _gas_pressure(self, estimate: Estimate) -> float:
+        """Over that outside, which a contact carries somewhere, Pa."""
+        return self._estimator.held_pressure_pa + estimate.gas_pressure_change_pa
 
     def _part(self, touching: np.ndarray) -> _Part:
         """The part around nodes (n,) bool that touch: the last one, where it is the same."""
@@ -124,10 +136,17 @@ class ContactRefiner:
             cut,
             finer,
             observer,
-            RubberEquilibrium(estimator.membrane.on(mesh, finer.parent), estimator.gas),
+            self._equilibrium(finer),
             prior,
-            resolution_m(estimator.prior_weight, estimator.membrane.mean_tension, seen),
+            resolution_m(estimator.prior_weight, self._model.tension_n_per_m, seen),
         )
+
+    def _equilibrium(self, finer: Refined) -> RubberEquilibrium | LinearEquilibrium:
+        estimator = self._estimator
+        if isinstance(estimator, RubberEstimator):
+            membrane = estimator.membrane.on(finer.mesh, finer.parent)
+            return RubberEquilibrium(membrane, estimator.gas)
+        return LinearEquilibrium(finer.mesh, self._model.tension_n_per_m)
 
     def _observer(self, mesh: MembraneMesh, inside: np.ndarray) -> RangeObserver:
         """Of the pixels that see some triangles (m,) bool of the whole mesh at rest."""
@@ -145,8 +164,7 @@ class ContactRefiner:
         self, part: _Part, depth_m: np.ndarray, estimate: Estimate, noise: float
     ) -> FineContact | None:
         finer, observer, equilibrium = part.finer, part.observer, part.equilibrium
-        gas = estimate.gas_pressure_change_pa
-        least = self._estimator.held_pressure_pa + gas
+        gas, least = estimate.gas_pressure_change_pa, self._gas_pressure(estimate)
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return parts_with(finer.mesh.rings, pressure >= least, support)
@@ -180,9 +198,9 @@ class ContactRefiner:
         )
 
 
-def mesh_limits(estimator: RubberEstimator) -> bool:
+def mesh_limits(estimator: RubberEstimator | Estimator) -> bool:
     """Whether an estimator's mesh blurs contacts more than the noise of its camera does."""
-    return estimator.resolution_m < MESH_BLUR * estimator.mesh.edge_length
+    return estimator.resolution_m < _MESH_LIMITS * estimator.mesh.edge_length
 
 
 def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER, RUBBER_COARSE, make_solver
+from bubbleviz.inverse.solvers.inverse_solver import COARSE, LINEAR, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status
@@ -74,8 +74,8 @@ class EstimatorOptions:
     rim_slack_m : float
         How far the rim of the exact membrane gives, see `RIM_SLACK_M`.
     fine_contact : bool
-        Whether the exact membrane's contact is solved for on a finer mesh where the mesh limits
-        how sharp it is, see `contact_refiner`.
+        Whether the contact is solved for on a finer mesh where the mesh limits how sharp it is,
+        see `contact_refiner`; never with the paper's solvers.
     """
 
     solver: str | None = None
@@ -92,9 +92,9 @@ class EstimatorOptions:
         """Options of a `--solver` name: `fast`, a solver's own, or None for the default."""
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
-            return cls(LINEAR, relinearisations=1, nodes=400)
-        if name == RUBBER_COARSE:
-            return cls(RUBBER, fine_contact=False)
+            return cls(LINEAR, relinearisations=1, nodes=400, fine_contact=False)
+        if name in COARSE:
+            return cls(COARSE[name], fine_contact=False)
         return cls(LINEAR if name == "active-set" else name)  # its name up to version 0.1
 
 
@@ -175,6 +175,8 @@ class Estimator:
     solver_name : str
     held_pressure_pa : float
         γ0 (κ1 + κ2): what the tension holds, and so what a contact carries that flattens it.
+    prior_weight : float
+        λ of the H1 term, 1/Pa².
     resolution_m : float
         Width of the estimate's response to a point load, m.
     """
@@ -204,6 +206,7 @@ class Estimator:
         reference_Q = Q * self.scales.length_m**2
         self.solver_name = self.options.solver or LINEAR
         expected = self.options.pressure_scale
+        self.prior_weight = (expected * self.held_pressure_pa) ** -2.0
         self._lambda = 1.0 / (expected * self._held) ** 2
         self._solver = make_solver(
             self.solver_name, self._equilibrium, reference_Q, self._lambda, self.options.tolerance
@@ -215,7 +218,7 @@ class Estimator:
         self._gas_noise = GAS_NOISE * gas.P0 / self.scales.pressure_pa
         self._gas_tau = 3.0 * self._gas_noise * self._equilibrium.adjoint(pull, gas_measured=True)
         self.resolution_m = resolution_m(
-            1.0 / (expected * self.held_pressure_pa) ** 2,
+            self.prior_weight,
             tension_n_per_m,
             information_density(Q, self.mesh.areas[self.mesh.free]),
         )

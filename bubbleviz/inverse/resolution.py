@@ -7,9 +7,6 @@ from math import pi, sqrt
 import numpy as np
 from scipy import sparse
 
-MESH_BLUR = 0.5
-"""Width ℓ of what a mesh blurs, in its edges."""
-
 
 def information_density(Q: sparse.csr_array, areas: np.ndarray) -> float:
     """Information w of `resolution_m`, 1/m⁴, from DᵀWD (1/m²) and the areas of the free nodes."""

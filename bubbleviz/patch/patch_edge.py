@@ -20,11 +20,11 @@ from math import ceil, log, sqrt
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from bubbleviz.inverse.resolution import MESH_BLUR
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import grown
 from bubbleviz.patch.mesh_region import Region, contour_points
 
+_MESH_BLUR = 0.5  # ℓ of what a mesh blurs, in its edges
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, in which missing gauge pressure could go unnoticed
 _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is averaged
@@ -72,7 +72,7 @@ class PatchEdge:
 
     def blur_m(self, resolution_m: float) -> float:
         """ℓ of an estimate of some resolution, m: below half an edge it is the mesh that blurs."""
-        return max(resolution_m, MESH_BLUR * self.edge_length_m)
+        return max(resolution_m, _MESH_BLUR * self.edge_length_m)
 
     def level_set(
         self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float, resolution_m: float
@@ -144,7 +144,7 @@ class PatchEdge:
 
         Of the blur only what is more than the mesh's: nodes of the support end at the edge.
         """
-        excess = max(sqrt(max(blur**2 - (MESH_BLUR * self.edge_length_m) ** 2, 0.0)), 1e-9)
+        excess = max(sqrt(max(blur**2 - (_MESH_BLUR * self.edge_length_m) ** 2, 0.0)), 1e-9)
         widening: np.ndarray = excess * np.interp(half_width / excess, *_NARROW)
         return widening
 

@@ -82,9 +82,7 @@ class PatchFinder:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
             level, band = (pressure - threshold) / gas, np.nan
-        force, center = estimate.force_n, np.full(3, np.nan)
-        if force is None:
-            force = -(mesh.areas * pressure) @ mesh.normals
+        center = np.full(3, np.nan)
         if contact.any():
             load = mesh.areas * contact
             center = load @ mesh.deformed(estimate.motion_m) / load.sum()
@@ -92,7 +90,7 @@ class PatchFinder:
         return Patch(
             threshold_pa=threshold,
             level=level,
-            force_n=force,
+            force_n=self._force_n(estimate),
             center_of_pressure_m=center,
             area_m2=area_m2,
             edge_half_width_m=band,
@@ -106,7 +104,13 @@ class PatchFinder:
         )
         patch = finder.find(fine.estimate(estimate))
         level = fine.on_whole(patch.level, len(self._mesh.nodes))
-        return replace(patch, level=level, fine_level=patch.level)
+        return replace(patch, level=level, fine_level=patch.level, force_n=self._force_n(estimate))
+
+    def _force_n(self, estimate: Estimate) -> np.ndarray:
+        if estimate.force_n is not None:
+            return estimate.force_n
+        force: np.ndarray = -(self._mesh.areas * estimate.contact_pressure_pa) @ self._mesh.normals
+        return force
 
     def _contacts(
         self, estimate: Estimate, gas_pa: float, blur_m: float

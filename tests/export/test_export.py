@@ -248,9 +248,9 @@ def test_every_frame_has_its_files(folder: Path) -> None:
         ("depth", set()),
         ("ply", {"estimate"}),
         ("pressure", {"estimate"}),
-        ("vtk", {"estimate", "patch"}),
-        ("patch", {"estimate", "patch", "pixel_mask", "cloud"}),
-        ("depth,table", {"estimate", "patch"}),
+        ("vtk", {"estimate", "fine_contact", "patch"}),
+        ("patch", {"estimate", "fine_contact", "patch", "pixel_mask", "cloud"}),
+        ("depth,table", {"estimate", "fine_contact", "patch"}),
     ],
 )
 def test_only_the_stages_needed_run(

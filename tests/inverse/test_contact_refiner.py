@@ -13,6 +13,7 @@ from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.refine import refined_part
@@ -104,6 +105,38 @@ def test_the_pixels_of_two_small_contacts_are_closer_to_the_true_ones():
         mask = found.patch.pixel_mask
         overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
     assert overlaps[0] > overlaps[1] + 0.1
+
+
+def test_the_linear_membrane_is_refined_alike():
+    """Pressed by its own forward model, on another mesh."""
+    mesh = mesh_cap(spherical_cap(A, H), 4_000)
+    gas = Gas(101_325.0 + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)
+    T = np.eye(4)
+    T[2, 3] = H - 0.004
+    contact = ForwardModel(mesh, 0.5 * GAUGE * RADIUS, gas).press(load_object("two_spheres"), T)
+    view = MembraneView(DepthCamera.of(Camera(**VIEW, position_m=(0.0, 0.0, -0.05))), mesh)
+    share = touching_share(mesh, contact.contact_pressure_pa)
+    truth, image = (
+        view.above(contact.displacement_m, share, 0.5),
+        frame_of(mesh, contact.displacement_m),
+    )
+    overlaps = []
+    for solver in ("linear", "linear-coarse"):
+        result = pipeline(500, solver=solver).process(image, PRODUCTS)
+        mask = result.patch.pixel_mask
+        overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
+        pressure = result.estimate.contact_pressure_pa
+        own = pipeline(500).mesh
+        np.testing.assert_array_equal(result.patch.force_n, -(own.areas * pressure) @ own.normals)
+    assert overlaps[0] > overlaps[1] + 0.05
+
+
+@pytest.mark.parametrize("solver", ["osqp", "fast", "linear-coarse", "rubber-coarse"])
+def test_some_solvers_take_the_mesh_of_the_sensor(solver):
+    _, surface = on_axis(0.007)
+    pipe = pipeline(solver=solver)
+    pipe.process(frame_of(surface, np.zeros_like(surface.nodes)), PRODUCTS)
+    assert "fine_contact" not in pipe.counts
 
 
 def test_force_and_pressure_of_the_estimate_stay():

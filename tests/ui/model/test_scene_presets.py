@@ -20,14 +20,19 @@ from bubbleviz_ui.view3d.layers_panel import CLOUD_POINTS
 
 Drive = Callable[..., Driver]
 RUNS = {
-    "calibrate": {"estimate", "patch", "cloud", "residual"},
-    "press": {"estimate", "patch"},
-    "pose": {"estimate", "patch"},
+    "calibrate": {"estimate", "fine_contact", "patch", "cloud", "residual"},
+    "press": {"estimate", "fine_contact", "patch"},
+    "pose": {"estimate", "fine_contact", "patch"},
     "cloud": {"cloud"},
-    "dual_nut": {"estimate", "patch"},
-    "residual": {"estimate", "patch", "cloud", "residual"},
-    "review": {"estimate", "patch"},
-    "shear": {"estimate", "patch", "texture"},  # of the linear membrane no traction is made
+    "dual_nut": {"estimate", "fine_contact", "patch"},
+    "residual": {"estimate", "fine_contact", "patch", "cloud", "residual"},
+    "review": {"estimate", "fine_contact", "patch"},
+    "shear": {
+        "estimate",
+        "fine_contact",
+        "patch",
+        "texture",
+    },  # of the linear membrane no traction is made
 }
 """Stages each scene runs."""
 

@@ -63,6 +63,7 @@ class PoseSession(QObject):
         self.start: np.ndarray | None = None
         self._loaded: tuple[str | None, FileUnit | None] = (None, None)
         self.pose: Pose | None = None
+        self._shown: Pose | None = None
         self.busy = False
         self.rows: dict[int, PoseRow] = {}
         controller.opened.connect(self._on_opened)
@@ -194,8 +195,8 @@ class PoseSession(QObject):
             self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
-        if result.pose is None or result.pose is self.pose:
-            return
-        self.pose = result.pose
+        if result.pose is None or result.pose is self._shown:
+            return  # a frame that is settled keeps its pose, though it was reset meanwhile
+        self.pose = self._shown = result.pose
         self.rows[result.frame.index] = PoseRow.of(result)
         self.changed.emit()
