@@ -196,6 +196,9 @@ def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
     assert place is not None and np.linalg.norm(place[:3, 3] - TRUE) < 3e-3
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     assert panel.session.pose is None
+    controller = bench.window.controller
+    with bench.driver.bot.waitSignal(controller.shown):
+        controller.client.ask_settled()  # of the frame as it was shown, with its pose
     bench.driver.wait(lambda: bench.text("state") == "not fitted yet")
 
 
