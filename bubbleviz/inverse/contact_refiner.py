@@ -13,6 +13,7 @@ import numpy as np
 
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
     Prior,
@@ -109,8 +110,8 @@ class ContactRefiner:
         noise = noise_at(resolution, usual)
         try:
             return self._solve(self._part(touching), depth_m, estimate, noise)
-        except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
-            return None
+        except (RuntimeError, np.linalg.LinAlgError, InputError):
+            return None  # a singular tangent, or Hessian; or no pixel sees the part
 
     def _gas_pressure(self, estimate: Estimate) -> float:
         """Over that outside, which a contact carries somewhere, Pa."""
@@ -173,18 +174,19 @@ class ContactRefiner:
         support = finer.values((estimate.contact_pressure_pa > 0.0).astype(float)) >= 0.5
         support &= ~finer.mesh.rim
         pressure = np.where(support, finer.values(estimate.contact_pressure_pa), 0.0)
-        measured, view, rubber = observer.measure(depth_m), None, None
+        measured, view, response = observer.measure(depth_m), None, None
         for _ in range(_STEPS):
             view = observer.around(x, view)
             observation = observer.weigh(measured, view.model_m)
             error = observation.residual_m[view.block] - view.model_m[view.block]
             ranges = Ranges(view.jacobian, error, observation.weight[view.block] / noise**2)
-            if rubber is None or float(np.abs(x - rubber.x).max()) > self._serves_m:
-                rubber = equilibrium.linearised(x, pressure, gas)
-            relaxing = rubber.motion(-equilibrium.residual(x, pressure, gas))
-            problem = ContactProblem(rubber, ranges, part.prior, pressure, relaxing)
+            if response is None or float(np.abs(x - response.x).max()) > self._serves_m:
+                response = equilibrium.linearised(x, pressure, gas)
+            relaxing = response.motion(-equilibrium.residual(x, pressure, gas))
+            problem = ContactProblem(response, ranges, part.prior, pressure, relaxing)
             contact = problem.refine(problem.likeliest(Selection(support)), touches)
-            if not contact.converged or not contact.pressure.any():
+            near = float(np.abs(contact.motion).max()) <= self._model.mesh.edge_length
+            if not (near and contact.converged and contact.pressure.any()):
                 return None
             x, pressure, support = x + contact.motion, contact.pressure, contact.support
             left = error - view.jacobian @ contact.motion.ravel()
