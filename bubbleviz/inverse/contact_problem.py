@@ -364,11 +364,12 @@ class ContactProblem:
         before = len(self._known)
         self._place[nodes] = before + np.arange(len(nodes))
         self._known = np.concatenate([self._known, nodes])
-        self._weighed = np.hstack([self._weighed, J])
+        between = J.T @ self._weighed
         among = np.empty((len(self._known), len(self._known)))
         among[:before, :before] = self._among_known
-        among[before:] = J.T @ self._weighed
-        among[:before, before:] = among[before:, :before].T
+        among[before:, :before], among[:before, before:] = between, between.T
+        among[before:, before:] = J.T @ J  # by itself: half the work
+        self._weighed = np.hstack([self._weighed, J]) if before else J
         self._among_known = among
 
     def _strongest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
