@@ -32,11 +32,12 @@ from bubbleviz.membrane.refine import Refined, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
-_MESH_LIMITS, _WORTH = 0.45, 0.65
+_MESH_LIMITS, _WORTH = 0.42, 0.65
 """Resolution at the noise of the camera, in mesh edges, below which the mesh limits a sensor's
 patches; and that of a frame, with all that its model does not explain, up to which it is refined.
-Presses of 14 objects gain 0.05 to 0.15 of IoU below 0.4 of the former, and 0.01 or nothing from
-0.45 on, those into rubber up to 0.6 of the latter. Chosen on these."""
+Chosen on presses of 14 objects: they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or
+nothing from 0.45 on, those into rubber up to 0.6 of the latter. Shipped sensors are not refined.
+"""
 _LARGEST = 100
 """Most nodes of a contact that is refined: the time grows with the square of their number."""
 _MARGIN, _AROUND = 2, 6

@@ -10,7 +10,9 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.files.preset_files import preset_names
 from bubbleviz.frames.frame import Frame
+from bubbleviz.inverse.contact_refiner import mesh_limits
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
@@ -23,7 +25,7 @@ from bubbleviz.patch.components import components, without_small
 from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor
 from bubbleviz.study.rubber_oracle import AxialRubber
 
 A, H, GAUGE, CHAMBER, STRETCH = 0.045, 0.020, 2500.0, 3e-4, 1.2
@@ -186,6 +188,13 @@ def test_a_noisy_camera_and_the_rule_of_the_paper_take_the_mesh_of_the_sensor(re
     assert (estimate.fine is None) is (kappa is None)
     assert ("fine_contact" in pipe.counts) is (kappa is not None)
     assert pipe.whole_patch(estimate, kappa).fine_level is None
+
+
+@pytest.mark.parametrize("name", preset_names("sensors"))
+@pytest.mark.parametrize("solver", [None, "linear"])
+def test_shipped_sensors_are_as_fast_as_without(name, solver):
+    pipe = Pipeline.of(load_sensor(name), options=EstimatorOptions.named(solver))
+    assert not mesh_limits(pipe.estimator)
 
 
 def test_without_contact_nothing_is_refined():
