@@ -15,7 +15,7 @@ from bubbleviz.result import Estimate, FineContact, Patch
 
 LINEAR_ERROR = 0.05
 """Share of the load that the linear model misplaces: its error in force on a ball pressed 2 mm into
-the bubble, against the exact solution (`study.oracles`); it grows with depth."""
+the bubble, against the exact solution; it grows with depth."""
 
 FRICTION_ERROR = 0.1
 """Share of the load that the exact membrane misplaces on a real sensor: a depth image does not tell

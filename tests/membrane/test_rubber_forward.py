@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exact_bubble import Bubble, axial_contact
 from plate import plate
 
 from bubbleviz.errors import SolveError
@@ -14,7 +15,6 @@ from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.rigid_object import load_object
-from bubbleviz.study.accuracy.exact_bubble import Bubble, axial_contact
 from bubbleviz.study.axial_mesh import swept_mesh
 from bubbleviz.study.rubber_oracle import AxialRubber
 

@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from exact_bubble import Bubble, axial_contact
 
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.study.accuracy.exact_bubble import Bubble, axial_contact
 
 PAPER = Bubble(0.075, 0.05, 2585.5, 101325.0, 2.2e-3)
 BALL = 0.02
