@@ -75,11 +75,15 @@ class FrameOptions:
         Parts of the patch smaller than this are left out.
     cloud_points : int or None
         Most points of the cloud, spread evenly over the image; None for all.
+    fine_contact : bool
+        Whether the contact is refined for the patch, where its mesh limits it. The rule of κ does
+        not use that; the window has it nevertheless, to change rules without solving again.
     """
 
     kappa: float | None = None
     least_area_m2: float = 0.0
     cloud_points: int | None = None
+    fine_contact: bool = True
 
 
 class Pipeline:
@@ -165,14 +169,14 @@ class Pipeline:
             for name in _STAGES:
                 if name == "flow" and flow is not None:
                     result = replace(result, flow=flow.result().flow)
-                elif name in needed and self._makes(name):
+                elif name in needed and self._makes(name, options):
                     result = run(name, result)
         return replace(result, times_ms=times)
 
-    def _makes(self, name: Product) -> bool:
-        """Whether there is what a product is made by."""
+    def _makes(self, name: Product, options: FrameOptions) -> bool:
+        """Whether there is what a product is made by, and it is wanted."""
         if name == "fine_contact":
-            return self._refiner is not None
+            return options.fine_contact and self._refiner is not None
         return name not in OF_OBJECT or self.tracker is not None
 
     def restart(self) -> None:

@@ -238,7 +238,7 @@ def patch_options(kappa: float | None) -> FrameOptions:
     """Options with a patch threshold; InputError where it is no number of 0 or more."""
     if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
         raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
-    return FrameOptions(kappa)
+    return FrameOptions(kappa, fine_contact=kappa is None)
 
 
 def solved(

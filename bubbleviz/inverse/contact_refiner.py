@@ -32,17 +32,17 @@ from bubbleviz.membrane.refine import Refined, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
-_MESH_LIMITS, _WORTH = 0.42, 0.65
+_SENSOR_LIMIT, _FRAME_LIMIT = 0.42, 0.65
 """Resolution at the noise of the camera, in mesh edges, below which the mesh limits a sensor's
 patches; and that of a frame, with all that its model does not explain, up to which it is refined.
 Chosen on presses of 14 objects: they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or
 nothing from 0.45 on, those into rubber up to 0.6 of the latter. Shipped sensors are not refined.
 """
-_LARGEST = 100
+_MOST_NODES = 100
 """Most nodes of a contact that is refined: the time grows with the square of their number."""
-_MARGIN, _AROUND = 2, 6
-"""Rings around the contact that are finer, and rings around those that move, too. In the hold of
-the real press the area hangs on it with 4 of the latter, and no more with 6."""
+_FINER_RINGS, _MOVING_RINGS = 2, 6
+"""Rings of nodes around the contact that are finer, and rings around those that may move, too. In
+the hold of the real press the area depends on the number of the latter at 4, not at 6."""
 _STEPS = 2
 """Gauss–Newton steps: the first with the noise that the estimate was solved with, in which is what
 its mesh misses; the second with what that one leaves."""
@@ -101,12 +101,12 @@ class ContactRefiner:
         """
         usual = self._estimator.resolution_m
         resolution = estimate.resolution_m or usual
-        if resolution > _WORTH * self._model.mesh.edge_length:
+        if resolution > _FRAME_LIMIT * self._model.mesh.edge_length:
             return None
         pressure = estimate.contact_pressure_pa
         gas = self._gas_pressure(estimate)
         touching = parts_with(self._model.mesh.rings, pressure >= gas, pressure > 0.0)
-        if not 0 < np.count_nonzero(touching) <= _LARGEST:
+        if not 0 < np.count_nonzero(touching) <= _MOST_NODES:
             return None
         noise = noise_at(resolution, usual)
         try:
@@ -120,14 +120,14 @@ class ContactRefiner:
 
     def _part(self, touching: np.ndarray) -> _Part:
         """The part around nodes (n,) bool that touch: the last one, where it is the same."""
-        cut = _within(self._model.mesh.rings, touching, _MARGIN)
+        cut = _within(self._model.mesh.rings, touching, _FINER_RINGS)
         if self._last is None or not np.array_equal(cut, self._last.cut):
-            self._last = self._made(cut)
+            self._last = self._built(cut)
         return self._last
 
-    def _made(self, cut: np.ndarray) -> _Part:
+    def _built(self, cut: np.ndarray) -> _Part:
         estimator, whole = self._estimator, self._model.mesh
-        inside = _within(whole.rings, cut, _AROUND)[whole.triangles].all(axis=1)
+        inside = _within(whole.rings, cut, _MOVING_RINGS)[whole.triangles].all(axis=1)
         finer = refined_part(whole, inside, cut[whole.triangles].all(axis=1))
         mesh, observer = finer.mesh, self._observer(finer.mesh, inside)
         prior = Prior(
@@ -203,7 +203,7 @@ class ContactRefiner:
 
 def mesh_limits(estimator: RubberEstimator | Estimator) -> bool:
     """Whether an estimator's mesh blurs contacts more than the noise of its camera does."""
-    return estimator.resolution_m < _MESH_LIMITS * estimator.mesh.edge_length
+    return estimator.resolution_m < _SENSOR_LIMIT * estimator.mesh.edge_length
 
 
 def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.commands.estimate import patch_options
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.contact_refiner import mesh_limits
@@ -176,6 +177,13 @@ def test_the_parts_of_a_fine_patch_add_up_and_small_ones_can_be_left_out():
     assert (np.delete(whole, node[own]) <= fine.min()).all()
     assert one.node_mask.any()
     assert not (one.node_mask & ~result.patch.node_mask).any()
+
+
+def test_where_the_rule_of_the_paper_is_chosen_nothing_is_refined_for_it():
+    _, surface = on_axis(0.007)
+    pipe = pipeline(800)
+    pipe.process(frame_of(surface, np.zeros_like(surface.nodes)), PRODUCTS, patch_options(2.0))
+    assert "fine_contact" not in pipe.counts
 
 
 @pytest.mark.parametrize(("relative", "kappa"), [(0.02, None), (NOISE_M / 0.065, 2.0)])
