@@ -296,14 +296,13 @@ def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
     opened(driver)
     driver.state.choose_panel("images", True)  # the place is marked, too
     view = driver.window.view
-    QApplication.processEvents()
+    driver.wait(lambda: bool(driver.window.controller.inspection.images))
     driver.settle()
     before, size = still(view, 640, 400), view.size()
     hover(view, in_view(driver, nodes(driver)[int(np.argmax(nodes(driver)[:, 2]))]))
     numbers = lambda: [text for text in texts(driver) if "node" in text]  # noqa: E731
     driver.wait(lambda: bool(numbers()))
     assert view.size() == size
-    driver.settle()
     np.testing.assert_array_equal(still(view, 640, 400), before)
     assert numbers()
     driver.window.tools.use_tool("probe")
