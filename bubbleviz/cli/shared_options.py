@@ -9,7 +9,7 @@ from bubbleviz.commands.summary import Summary
 solver_option = click.option(
     "--solver",
     help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and the "
-    "paper's osqp and clarabel: constant tension; rubber-coarse, linear-coarse: without the finer "
+    "paper's osqp and clarabel: constant tension; rubber-base, linear-base: without the finer "
     "mesh at the contact; fast: linear on a coarse mesh.",
 )
 

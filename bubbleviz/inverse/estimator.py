@@ -24,7 +24,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
 from bubbleviz.inverse.scales import Scales
-from bubbleviz.inverse.solvers.inverse_solver import COARSE, LINEAR, make_solver
+from bubbleviz.inverse.solvers.inverse_solver import BASE_MESH, LINEAR, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status
@@ -93,8 +93,8 @@ class EstimatorOptions:
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
             return cls(LINEAR, relinearisations=1, nodes=400, fine_contact=False)
-        if name in COARSE:
-            return cls(COARSE[name], fine_contact=False)
+        if name in BASE_MESH:
+            return cls(BASE_MESH[name], fine_contact=False)
         return cls(LINEAR if name == "active-set" else name)  # its name up to version 0.1
 
 

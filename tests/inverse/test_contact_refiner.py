@@ -87,7 +87,7 @@ def two_balls():
 
 def test_small_contacts_on_a_coarse_mesh_are_as_large_as_by_the_equations_of_the_meridian():
     errors = {}
-    for solver in (None, "rubber-coarse"):
+    for solver in (None, "rubber-base"):
         pipe = pipeline(400, solver=solver)
         found = []
         for depth in (0.003, 0.005, 0.007):
@@ -97,13 +97,13 @@ def test_small_contacts_on_a_coarse_mesh_are_as_large_as_by_the_equations_of_the
             found.append(pipe.process(image, PRODUCTS).patch.area_m2 / area_m2 - 1.0)
         errors[solver] = np.abs(found)
     assert errors[None].max() < 0.1
-    assert errors[None].mean() < 0.6 * errors["rubber-coarse"].mean()
+    assert errors[None].mean() < 0.6 * errors["rubber-base"].mean()
 
 
 def test_the_pixels_of_two_small_contacts_are_closer_to_the_true_ones():
     mesh, motion, truth = two_balls()
     overlaps = []
-    for solver in (None, "rubber-coarse"):
+    for solver in (None, "rubber-base"):
         found = pipeline(400, solver=solver).process(frame_of(mesh, motion), PRODUCTS)
         mask = found.patch.pixel_mask
         overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
@@ -124,7 +124,7 @@ def test_the_linear_membrane_is_refined_alike():
         frame_of(mesh, contact.displacement_m),
     )
     overlaps = []
-    for solver in ("linear", "linear-coarse"):
+    for solver in ("linear", "linear-base"):
         result = pipeline(500, solver=solver).process(image, PRODUCTS)
         mask = result.patch.pixel_mask
         overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
@@ -134,7 +134,7 @@ def test_the_linear_membrane_is_refined_alike():
     assert overlaps[0] > overlaps[1] + 0.05
 
 
-@pytest.mark.parametrize("solver", ["osqp", "fast", "linear-coarse", "rubber-coarse"])
+@pytest.mark.parametrize("solver", ["osqp", "fast", "linear-base", "rubber-base"])
 def test_some_solvers_take_the_mesh_of_the_sensor(solver):
     _, surface = on_axis(0.007)
     pipe = pipeline(solver=solver)
@@ -145,7 +145,7 @@ def test_some_solvers_take_the_mesh_of_the_sensor(solver):
 def test_force_and_pressure_of_the_estimate_stay():
     _, surface = on_axis(0.005)
     image = frame_of(surface, np.zeros_like(surface.nodes))
-    fine, coarse = (pipeline(solver=s).process(image, PRODUCTS) for s in (None, "rubber-coarse"))
+    fine, coarse = (pipeline(solver=s).process(image, PRODUCTS) for s in (None, "rubber-base"))
     np.testing.assert_array_equal(fine.patch.force_n, coarse.patch.force_n)
     np.testing.assert_array_equal(
         fine.estimate.contact_pressure_pa, coarse.estimate.contact_pressure_pa

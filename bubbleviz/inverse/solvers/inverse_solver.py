@@ -68,9 +68,9 @@ SOLVERS: dict[str, Make] = {
 
 RUBBER = "rubber"
 """The exact membrane, which `RubberEstimator` solves; the others are solvers of the linear one."""
-COARSE = {f"{name}-coarse": name for name in (RUBBER, LINEAR)}
+BASE_MESH = {f"{name}-base": name for name in (RUBBER, LINEAR)}
 """Names for the sensor's own mesh alone: no finer one at the contact."""
-ESTIMATORS = (RUBBER, *SOLVERS, *COARSE)
+ESTIMATORS = (RUBBER, *SOLVERS, *BASE_MESH)
 """Names for `EstimatorOptions.named` that take the sensor's mesh, or another size of it."""
 
 SOLVER_NAMES = (*ESTIMATORS, "fast")

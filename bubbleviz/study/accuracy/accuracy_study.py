@@ -90,7 +90,7 @@ class Setup:
 
 
 RUBBER, LINEAR = Setup("rubber"), Setup("linear")
-COARSE = Setup("rubber-coarse")
+BASE_MESH = Setup("rubber-base")
 """The exact membrane without the finer mesh at the contact."""
 PAPER = Setup("osqp-cold", relinearisations=0)
 """Eq. 23 by OSQP from rest in every frame, linearised once at the reference surface."""
@@ -258,7 +258,7 @@ def edge_grid(*, quick: bool = False) -> Grid:
         objects=(*SMOOTH_OBJECTS, "torus", "two_spheres", *EDGE_OBJECTS),
         depths=(0.2, 0.4),
         noises=(*noises, DepthNoise(relative=0.01)),
-        setups=(RUBBER, COARSE),
+        setups=(RUBBER, BASE_MESH),
         repeats=1,
         limit_s=900.0,
     )
