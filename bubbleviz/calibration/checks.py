@@ -76,10 +76,13 @@ def check_no_dent(
     dome : Ellipsoid
     """
     inner = away_from_edges(ndimage.binary_fill_holes(_closed(membrane)), edge_px + 1.0)
-    known = inner & membrane & np.isfinite(residual_m)
+    seen = inner & np.isfinite(residual_m)
+    known = seen & membrane
     spread = robust_sigma(residual_m[known])
     radius = float(np.prod(dome.semi_axes_m) ** (1.0 / 3.0))
-    deep = known & (np.nan_to_num(residual_m) < -_SIGNIFICANT * spread)
+    below = np.nan_to_num(residual_m) < -_SIGNIFICANT * spread
+    known |= _dents_apart(seen & ~membrane, -residual_m)
+    deep = known & below
     # Most of a pixel's neighbours: single pixels err, and holes must not tear a patch apart.
     share = ndimage.uniform_filter(deep.astype(float), 5)
     deep = share > 0.5 * np.maximum(ndimage.uniform_filter(known.astype(float), 5), 1e-9)
@@ -101,6 +104,25 @@ def check_no_dent(
                 f" ({column}, {row}) in all of the frames; take the object away, or name"
                 " contact-free frames"
             )
+
+
+def _dents_apart(apart: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    """Pixels (H, W) of dents whose flanks are so steep that a step separates them.
+
+    A dent gets deeper from its edge to its middle, and most of its variance is told by that;
+    a false return is as far off at its edge.
+    """
+    pieces, count = ndimage.label(_closed(apart))
+    dents = np.zeros_like(apart)
+    for k in range(1, count + 1):
+        whole = pieces == k
+        piece = whole & apart
+        if np.count_nonzero(piece) < _LEAST_PIXELS:
+            continue
+        inwards, depth = ndimage.distance_transform_edt(whole)[piece], depth_m[piece]
+        if np.corrcoef(inwards, depth)[0, 1] > np.sqrt(0.5):
+            dents |= piece
+    return dents
 
 
 def _closed(region: np.ndarray) -> np.ndarray:

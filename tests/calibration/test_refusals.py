@@ -9,7 +9,7 @@ from bubbleviz.calibration.identification import identify
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 
-from .twin import ATMOSPHERE, FREE, make_twin, nominal_sensor
+from .twin import ATMOSPHERE, FREE, cast, make_twin, nominal_sensor
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +32,32 @@ def test_contact_in_every_frame(twin):
     T = twin.camera.T_B_C
     uv = twin.intrinsics.project((dent - T[:3, 3]) @ T[:3, :3])
     assert np.hypot(column - uv[0], row - uv[1]) < 8.0
+
+
+@pytest.mark.parametrize("missing", [0.2, 0.35])
+def test_a_dent_of_which_pixels_are_missing(twin, missing):
+    depth = twin.depth.copy()
+    depth[:, np.random.default_rng(0).random(depth.shape[1:]) < missing] = np.nan
+    refused(replace(twin, depth=depth), "pressed in by 4", range(FREE + 8, FREE + 15))
+
+
+@pytest.mark.parametrize("width", [4e-3, 5e-3])
+def test_a_steep_dent(twin, width):
+    """Its flanks are steps from one pixel to the next."""
+    nodes = twin.truth.nodes
+    dent = 5e-3 * np.exp(-np.sum((nodes[:, :2] - (0.0, 0.008)) ** 2, axis=1) / width**2)
+    pressed, flat = (cast(twin.truth, twin.camera, x) for x in (-dent, 0.0 * dent))
+    depth = twin.depth + twin.camera.depth_image(pressed - flat).astype(np.float32)
+    refused(replace(twin, depth=depth), "pressed in by [34]")
+
+
+def test_a_false_return_is_no_dent(twin):
+    """A spot that the camera sees 20 mm nearer, as by a reflection, is left out."""
+    rows, columns = np.indices(twin.depth.shape[1:])
+    depth = twin.depth.copy()
+    depth[:, (rows - 70) ** 2 + (columns - 78) ** 2 < 36] -= 0.02
+    found = identify(replace(twin, depth=depth), nominal_sensor(), range(12), nodes=200)
+    assert not found.pixels.mask[67:74, 75:82].any()
 
 
 def test_too_few_frames(twin):
