@@ -5,8 +5,12 @@ import pytest
 from scipy.stats import trim_mean
 
 from bubbleviz.calibration.rest.contact_free import find_contact_free, tile_depths
+from bubbleviz.calibration.rest.press_frames import held_frames
+from bubbleviz.calibration.rest.rest_frames import collect
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+
+from .twin import FREE, PRESSED, make_twin, nominal_sensor
 
 FRAMES = 80
 
@@ -73,3 +77,13 @@ def test_the_depth_of_a_tile_is_the_mean_of_its_middle_half():
         middle = trim_mean(known, 0.25) if len(known) >= 32 else np.nan
         assert found[k] == pytest.approx(middle, nan_ok=True)
     assert np.isfinite(found[0]) and np.isnan(found[4])
+
+
+def test_a_press_is_held_where_the_gas_pressure_is_near_its_highest():
+    """The twin's press grows over eight frames: seven eighths of it are not yet nine tenths."""
+    twin = make_twin()
+    samples = collect(twin, nominal_sensor(), range(FREE))
+    assert held_frames(twin, samples) == list(range(FREE + 7, FREE + PRESSED))
+    twin.pressures[FREE:] = twin.pressures[:PRESSED]  # nothing is pressed
+    assert held_frames(twin, samples) == []
+    assert held_frames(twin, collect(make_twin(pressure=False), nominal_sensor(), range(9))) == []

@@ -10,12 +10,18 @@ from bubbleviz.calibration.rest.depth_statistics import (
     stack_depth,
 )
 from bubbleviz.calibration.rest.noise_correlation import (
+    correlated_samples,
     error_of_mean,
     mean_inflation,
     spatial_correlation,
 )
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
-from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights, upper_fence
+from bubbleviz.calibration.robust_statistics import (
+    robust_sigma,
+    tukey_slopes,
+    tukey_weights,
+    upper_fence,
+)
 from bubbleviz.calibration.surface.rim_height import rim_height
 from bubbleviz.camera.pixel_model import PixelModel, RangeLine
 from bubbleviz.errors import InputError
@@ -78,6 +84,14 @@ def test_a_filter_of_the_camera_gives_the_correlation_and_its_length():
     np.testing.assert_allclose(found.spatial_correlation[:12], expected[:12], atol=0.05)
     assert np.abs(found.spatial_correlation[20:]).max() < 0.1  # known to its end
     assert found.correlation_length_px == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("sigma", [1.5, 2.0, 4.0])
+def test_samples_of_a_blurred_plane_worth_one_are_the_volume_under_their_correlation(sigma):
+    """Of exp(−d²/4σ²) over the plane: 4 π σ²."""
+    rho = np.exp(-(np.arange(33.0) ** 2) / (4.0 * sigma**2))
+    assert correlated_samples(rho) == pytest.approx(4.0 * np.pi * sigma**2, rel=0.03)
+    assert correlated_samples(np.array([1.0, 0.0, 0.5])) == 1.0
 
 
 def test_correlation_does_not_depend_on_the_unit_of_the_spread():
@@ -152,6 +166,13 @@ def test_robust_statistics():
     assert robust_sigma(values) == pytest.approx(1.0, rel=0.2)
     weights = tukey_weights(np.array([0.0, 100.0, np.nan]), 1.0)
     np.testing.assert_array_equal(weights, [1.0, 0.0, 0.0])
+
+
+def test_slopes_are_the_derivative_of_weighted_residuals():
+    residuals, step = np.linspace(-6.0, 6.0, 25), 1e-6
+    ends = [(r := residuals + side) * tukey_weights(r, 1.2) for side in (step, -step)]
+    numeric = (ends[0] - ends[1]) / (2.0 * step)
+    np.testing.assert_allclose(tukey_slopes(residuals, 1.2), numeric, atol=1e-8)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])

@@ -194,6 +194,18 @@ def test_intervals_cover_where_many_numbers_are_fitted_to_few_tiles():
     assert 0.88 < np.mean(covered) < 0.98
 
 
+def test_intervals_cover_a_drift_that_three_frames_show():
+    rng = np.random.default_rng(0)
+    frames, tiles, covered = 3, 40, []
+    for seed in range(400):
+        drift = rng.standard_normal(frames)
+        moving = np.repeat((drift - drift.mean())[:, None, None] / tiles, tiles, axis=1)
+        table = ScoreTable(np.zeros((tiles, 1)), moving, 1)
+        low, high = np.percentile(draw_errors(table, 1, seed, draws=400).total, [2.5, 97.5])
+        covered.append(low < drift.sum() < high)
+    assert 0.88 < np.mean(covered) < 0.98
+
+
 def test_scores_are_sums_of_influence_times_error_over_the_samples_that_count():
     """Pixel by pixel: what is beyond its limit or missing is not in the mean, nor in a score."""
     rng = np.random.default_rng(0)
