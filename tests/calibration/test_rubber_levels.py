@@ -54,6 +54,17 @@ def test_inflation_is_that_of_the_meridian(level):
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(motion**2))
 
 
+@pytest.mark.parametrize("share", [-0.6, 0.1, 0.5])
+def test_an_inflated_membrane_is_in_equilibrium(share):
+    """Nodal forces of rubber and gas cancel, but for those that held it at rest."""
+    rest = swept_mesh(AxialRubber(0.045, 110.0, 1.15, G).rest, 300)
+    membrane = prestressed(rest, G, 110.0)
+    x = Inflation(membrane).at((1.0 + share) * G)
+    load = (1.0 + share) * G * membrane.volume_gradient(x)
+    left = (membrane.force(x) - load - membrane.rest_force)[membrane.moving]
+    assert np.abs(left).max() < 1e-6 * np.abs(load).max()
+
+
 @pytest.mark.long
 def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     """Levels of ±15 %; the sensor file's atmosphere is 0.7 kPa too much."""

@@ -220,6 +220,21 @@ def test_the_noise_left_is_that_of_squares_that_are_mostly_seen():
     assert squares.noise_left(block, 0.0 * white.ravel()) == 1.0
 
 
+@pytest.mark.parametrize(
+    ("factor", "least", "most"), [(0.3, 0.3, 0.6), (1.5, 1.4, 1.7), (3, 2.8, 3.3)]
+)
+def test_the_noise_left_is_told_from_the_camera(factor, least, most):
+    """Below the camera's it is a bound: what the errors surely stay within."""
+    observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
+    ranges = MembraneView(CAMERA, MESH).range_image(np.zeros(len(MESH.nodes)))
+    noise = 0.01 * np.random.default_rng(3).standard_normal(ranges.shape)
+    depth = CAMERA.depth_image(ranges * (1.0 + noise)).astype(np.float32)
+    observation = observer.observe(depth, np.zeros(observer.blocks))
+    ray = observer.linearise().hits.ray
+    found = observer.noise_left(observation, ray, factor * observation.residual_m[ray])
+    assert least < found < most
+
+
 def test_noise_that_neighbours_share_clumps():
     """Squares of 16 × 16 pixels with one error each: 64 blocks are worth a sample."""
     rng = np.random.default_rng(6)
