@@ -229,7 +229,8 @@ class ImageFolder:
         last = np.array([each[-1] if each else np.nan for each in numbers])
         if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
             raise InputError(
-                f"{self.path}: the images' names are no times; give a rate or a table of times"
+                f"{self.path}: the images' names are no times; give a rate, or their times in a"
+                " times.csv in the folder"
             )
         if last[0] < _NANOSECONDS:
             return last
