@@ -137,30 +137,86 @@ class _Failure:
 
 
 @dataclass(frozen=True)
+class _Sight:
+    """What an image tells of a shape.
+
+    Attributes
+    ----------
+    view : ShapeRanges
+        The camera's model of the shape.
+    observation : Observation
+    error_m : (k,) array
+        Measured minus modelled ranges of the blocks in `view`.
+    """
+
+    view: ShapeRanges
+    observation: Observation
+    error_m: np.ndarray
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Of the blocks in `view`, (k,), 1/m²."""
+        return self.observation.weight[self.view.block]
+
+    @property
+    def is_nearer_at_rest(self) -> bool:
+        """Whether the image is more like the membrane at rest than like the shape."""
+        at_rest = self.observation.residual_m[self.view.block]
+        return bool(self.weight @ self.error_m**2 > self.weight @ at_rest**2)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A Gauss–Newton step.
+
+    Attributes
+    ----------
+    state : State
+        Where it ends.
+    balanced : bool
+        Whether that is an equilibrium.
+    moved_m : float
+        Its longest motion along an axis.
+    contact : ContactPressure
+    rubber : LinearisedRubber
+    ranges : Ranges
+    left_m : (k,) array
+        Errors of the ranges that it leaves, to first order.
+    solve_ms : float
+    """
+
+    state: State
+    balanced: bool
+    moved_m: float
+    contact: ContactPressure
+    rubber: LinearisedRubber
+    ranges: Ranges
+    left_m: np.ndarray
+    solve_ms: float
+
+
+@dataclass(frozen=True)
 class _Answer:
     """A solved frame.
 
     Attributes
     ----------
-    state : State
-    contact : ContactPressure
+    step : _Step
+        The last one.
+    view : ShapeRanges
+    noise : float
     misfit : Misfit
     contradicts_gas : bool
     sigma_n : (3,) array
-    rubber : LinearisedRubber
-    view : ShapeRanges
-    noise : float
     solve_ms : float
     """
 
-    state: State
-    contact: ContactPressure
+    step: _Step
+    view: ShapeRanges
+    noise: float
     misfit: Misfit
     contradicts_gas: bool
     sigma_n: np.ndarray
-    rubber: LinearisedRubber
-    view: ShapeRanges
-    noise: float
     solve_ms: float
 
 
@@ -276,11 +332,10 @@ class RubberEstimator:
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white):
             nothing = self._nothing("implausible", doubt, answer.misfit.rms_m)
-            return nothing, RubberStart(reached=answer.state, measured=measured)
-        touching = answer.state if answer.state.pressure.any() else None
-        start = RubberStart(
-            touching, answer.rubber, answer.noise, answer.state, measured, answer.view
-        )
+            return nothing, RubberStart(reached=answer.step.state, measured=measured)
+        state, rubber = answer.step.state, answer.step.rubber
+        touching = state if state.pressure.any() else None
+        start = RubberStart(touching, rubber, answer.noise, state, measured, answer.view)
         return self._report(answer), start
 
     # -- one frame ------------------------------------------------------------------------------
@@ -300,84 +355,125 @@ class RubberEstimator:
         do not hang on the frames before.
         """
         state, warm = start.state or self._rest, start.state is not None
-        view, rubber, solve_ms = start.view, start.rubber, 0.0
-        selecting, chosen = True, 0
-        far_steps, noise, steps = 0, start.noise, 0
+        view, rubber, noise = start.view, start.rubber, start.noise
         noises: list[float] = []  # that the frame was solved with
+        selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
         while steps < _STEPS:
             steps += 1
-            at_rest = state is self._rest
-            view = self._view_at_rest if at_rest else self.observer.around(state.x, view)
-            observation = self.observer.weigh(measured, view.model_m)
-            weight = observation.weight[view.block] / noise**2
-            error = observation.residual_m[view.block] - view.model_m[view.block]
-            if warm and steps == 1 and not noises:
-                free = noise < 1.0 and self._is_free(measured, measured_gas)
-                if free or _is_nearer_at_rest(observation, view):
-                    return self._solve(measured, measured_gas, RubberStart())
-            seen = weight > 0.0
-            if np.count_nonzero(seen) < MINIMUM_BLOCKS:
-                return _Failure("no_data")
-            if np.median(np.abs(error[seen])) > self.scales.length_m:
-                return _Failure("implausible", state)
-            rubber = self.rubber_at(state, measured_gas, rubber)
-            gas_error = self._gas_error(rubber, view, measured_gas)
-            ranges = Ranges(view.jacobian, error, weight, gas_error)
-            began = time.perf_counter()
+            sight = self._look(measured, state, view)
+            follows = warm and steps == 1 and not noises
+            if follows and self._is_better_from_rest(measured, measured_gas, sight, noise):
+                return self._solve(measured, measured_gas, RubberStart())
+            if failure := self._unlike_a_membrane(sight, state):
+                return failure
             known = warm or bool(noises)  # how much more than the noise is left
             rounds = (_ROUNDS if known else 1) if selecting else 0
-            contact = self._contact(rubber, ranges, state, measured_gas, rounds)
-            solve_ms += 1e3 * (time.perf_counter() - began)
-            if not contact.converged:
-                return _Failure("not_converged", state)
-            before = state
-            state, balanced = self._step(rubber, state, contact, measured_gas)
-            moved = float(np.abs(state.x - before.x).max())
-            far = moved > self._far_m
-            far_steps += selecting and far and moved < 0.9 * self._longest_m
-            left = error - view.jacobian @ (state.x - before.x).ravel()
-            followed = warm and steps == 1 and not noises and contact.pressure.any()
-            stands = balanced and moved <= (self._serves_m if followed else self._near_m)
-            done = stands and ((selecting and contact.complete) or chosen > _SELECTIONS)
-            if done or (balanced and not known and not self._contradicts(state.gas, measured_gas)):
-                found, touching = noise, bool(contact.pressure.any())
-                # where contact was looked for in vain, what it would explain is left
-                if touching or not contact.pivots:
-                    found = _stepped(self.observer.noise_left(observation, view.block, left))
-                    found = found if touching else max(found, 1.0)
+            step = self._step(rubber, state, sight, measured_gas, noise, rounds)
+            if step is None:
+                break
+            state, view, rubber = step.state, sight.view, step.rubber
+            solve_ms += step.solve_ms
+            far = step.moved_m > self._far_m
+            far_steps += selecting and far and step.moved_m < 0.9 * self._longest_m
+            near_m = self._serves_m if follows and step.contact.pressure.any() else self._near_m
+            stands = step.balanced and step.moved_m <= near_m
+            done = stands and ((selecting and step.contact.complete) or chosen > _SELECTIONS)
+            guessed = step.balanced and not known and not self._contradicts(state.gas, measured_gas)
+            if done or guessed:
+                found = self._noise_left(step, sight, noise)
                 if done and _settled(found, noise, noises):
-                    break
+                    return self._answer(step, sight, measured_gas, noise, solve_ms)
                 noises.append(noise if done else np.inf)
                 noise, chosen, steps = found, 0, 0
             if stands:
-                selecting = True
-                chosen += 1
+                selecting, chosen = True, chosen + 1
             elif far_steps == _FAR_STEPS:
-                return _Failure("not_converged", state)
+                break
             else:
                 selecting = far
-        else:
-            return _Failure("not_converged", state)
-        misfit = self.observer.left(observation, view.block, left)
-        contradicts = self._contradicts(state.gas, measured_gas)
-        sigma = self._sigma(rubber, ranges, state, contact)
-        return _Answer(state, contact, misfit, contradicts, sigma, rubber, view, noise, solve_ms)
+        return _Failure("not_converged", state)
 
-    def _gas_error(
-        self, rubber: LinearisedRubber, view: ShapeRanges, gas: float | None
-    ) -> GasError | None:
-        if gas is None:
-            return None
-        return GasError(rubber.bulge, view.jacobian @ rubber.bulge.ravel(), self.gas_sigma(gas))
-
-    def _is_free(self, measured: Measured, gas: float | None) -> bool:
-        """Whether by the noise of the sensor nothing pulls at the membrane at rest."""
-        view, rubber = self._view_at_rest, self._rest_rubber[gas is not None]
+    def _look(self, measured: Measured, state: State, last: ShapeRanges | None) -> _Sight:
+        """The image beside the camera's model of a state, close to a shape seen before."""
+        at_rest = state is self._rest
+        view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
         observation = self.observer.weigh(measured, view.model_m)
         error = observation.residual_m[view.block] - view.model_m[view.block]
-        gas_error = self._gas_error(rubber, view, gas)
-        ranges = Ranges(view.jacobian, error, observation.weight[view.block], gas_error)
-        return self._problem(rubber, ranges, self._rest, gas).nothing_pulls()
+        return _Sight(view, observation, error)
+
+    def _unlike_a_membrane(self, sight: _Sight, state: State) -> _Failure | None:
+        """Why an image is none of the membrane, if it is not."""
+        seen = sight.weight > 0.0
+        if np.count_nonzero(seen) < MINIMUM_BLOCKS:
+            return _Failure("no_data")
+        if np.median(np.abs(sight.error_m[seen])) > self.scales.length_m:
+            return _Failure("implausible", state)
+        return None
+
+    def _is_better_from_rest(
+        self, measured: Measured, gas: float | None, sight: _Sight, noise: float
+    ) -> bool:
+        """Whether a frame is to be solved from rest, and not from the frame before."""
+        if noise < 1.0:  # by the noise of the sensor nothing may pull at the membrane at rest
+            rubber, at_rest = (
+                self._rest_rubber[gas is not None],
+                self._look(measured, self._rest, None),
+            )
+            ranges = self._ranges(rubber, at_rest, gas)
+            if self._problem(rubber, ranges, self._rest, gas).nothing_pulls():
+                return True
+        return sight.is_nearer_at_rest
+
+    def _noise_left(self, step: _Step, sight: _Sight, noise: float) -> float:
+        """By how much more than the camera's noise a frame is missed, after one was assumed."""
+        touching = bool(step.contact.pressure.any())
+        if step.contact.pivots and not touching:
+            return noise  # contact was looked for in vain, and what it would explain is left
+        found = self.observer.noise_left(sight.observation, sight.view.block, step.left_m)
+        return _stepped(found) if touching else max(_stepped(found), 1.0)
+
+    def _answer(
+        self, step: _Step, sight: _Sight, gas: float | None, noise: float, solve_ms: float
+    ) -> _Answer:
+        misfit = self.observer.left(sight.observation, sight.view.block, step.left_m)
+        contradicts, sigma = self._contradicts(step.state.gas, gas), self._sigma(step)
+        return _Answer(step, sight.view, noise, misfit, contradicts, sigma, solve_ms)
+
+    # -- one step -------------------------------------------------------------------------------
+
+    def _step(
+        self,
+        last: LinearisedRubber | None,
+        state: State,
+        sight: _Sight,
+        gas: float | None,
+        noise: float,
+        rounds: int,
+    ) -> _Step | None:
+        """A step from a state, with its support found anew in so many rounds; None: no answer."""
+        rubber = self.rubber_at(state, gas, last)
+        ranges = self._ranges(rubber, sight, gas, noise)
+        began = time.perf_counter()
+        contact = self._contact(rubber, ranges, state, gas, rounds)
+        solve_ms = 1e3 * (time.perf_counter() - began)
+        if not contact.converged:
+            return None
+        ahead, balanced = self._advanced(rubber, state, contact, gas)
+        motion = ahead.x - state.x
+        left = sight.error_m - sight.view.jacobian @ motion.ravel()
+        moved = float(np.abs(motion).max())
+        return _Step(ahead, balanced, moved, contact, rubber, ranges, left, solve_ms)
+
+    def _ranges(
+        self, rubber: LinearisedRubber, sight: _Sight, gas: float | None, noise: float = 1.0
+    ) -> Ranges:
+        """What an image says near a shape, where it has so many times the camera's noise."""
+        jacobian, weight = sight.view.jacobian, sight.weight / noise**2
+        gas_error = None
+        if gas is not None:
+            sigma = self.gas_sigma(gas)
+            gas_error = GasError(rubber.bulge, jacobian @ rubber.bulge.ravel(), sigma)
+        return Ranges(jacobian, sight.error_m, weight, gas_error)
 
     def _problem(
         self, rubber: LinearisedRubber, ranges: Ranges, state: State, gas: float | None
@@ -415,7 +511,7 @@ class RubberEstimator:
             return np.zeros_like(state.x) if gas is None else gas * rubber.bulge
         return rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
 
-    def _step(
+    def _advanced(
         self,
         rubber: LinearisedRubber,
         state: State,
@@ -470,18 +566,13 @@ class RubberEstimator:
         """Standard deviation of a measured p_v, and of what the model makes of it, Pa."""
         return float(np.hypot(GAS_NOISE * self.gas.P0, GAS_MODEL_ERROR * measured_pa))
 
-    def _sigma(
-        self,
-        rubber: LinearisedRubber,
-        ranges: Ranges,
-        state: State,
-        contact: ContactPressure,
-    ) -> np.ndarray:
+    def _sigma(self, step: _Step) -> np.ndarray:
         """Standard deviation of the force by noise and material, (3,), N."""
+        contact, rubber, ranges = step.contact, step.rubber, step.ranges
         nodes = contact.nodes
         if not len(nodes):
             return np.zeros(3)
-        push = self.membrane.volume_gradient(state.x)[nodes]
+        push = self.membrane.volume_gradient(step.state.x)[nodes]
         variance = np.einsum("ik,ij,jk->k", push, contact.covariance, push)
         C = rubber.responses(nodes)
         for motion in rubber.by_material.T:
@@ -491,7 +582,7 @@ class RubberEstimator:
         return np.sqrt(variance)
 
     def _report(self, answer: _Answer) -> Estimate:
-        state = answer.state
+        state, contact = answer.step.state, answer.step.contact
         touching = bool(state.pressure.any())
         moved = state.x - self.mesh.nodes
         force = np.zeros(3)
@@ -503,8 +594,8 @@ class RubberEstimator:
             contact_pressure_pa=state.pressure,
             gas_pressure_change_pa=state.gas,
             residual_rms_m=answer.misfit.rms_m,
-            kkt_residual=answer.contact.kkt_residual,
-            iterations=answer.contact.pivots,
+            kkt_residual=contact.kkt_residual,
+            iterations=contact.pivots,
             solve_ms=answer.solve_ms,
             displacement_3d_m=moved,
             force_n=force,
@@ -528,13 +619,6 @@ class RubberEstimator:
             force_sigma_n=three,
             reason=reason,
         )
-
-
-def _is_nearer_at_rest(observation: Observation, view: ShapeRanges) -> bool:
-    """Whether an image is more like the membrane at rest than like a shape."""
-    weight, at_rest = observation.weight[view.block], observation.residual_m[view.block]
-    there = at_rest - view.model_m[view.block]
-    return bool(weight @ there**2 > weight @ at_rest**2)
 
 
 def _settled(found: float, noise: float, before: list[float]) -> bool:
