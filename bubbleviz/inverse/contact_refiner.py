@@ -22,10 +22,11 @@ from bubbleviz.inverse.contact_problem import (
     smoothness,
 )
 from bubbleviz.inverse.estimator import Estimator
+from bubbleviz.inverse.gauss_newton import SERVES
 from bubbleviz.inverse.linear_equilibrium import LinearEquilibrium
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
 from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
-from bubbleviz.inverse.rubber_estimator import SERVES, RubberEstimator
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import grown, parts_with
 from bubbleviz.membrane.refine import Refined, refined_part

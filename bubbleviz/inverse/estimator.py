@@ -21,9 +21,8 @@ from bubbleviz.inverse.plausibility import (
     reason_against_fit,
     reason_against_gas,
 )
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, Scales, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
-from bubbleviz.inverse.scales import Scales
 from bubbleviz.inverse.solvers.inverse_solver import BASE_MESH, LINEAR, make_solver
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.stiffness import mean_curvature

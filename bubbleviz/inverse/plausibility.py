@@ -95,3 +95,16 @@ def contradicts_gas(
     asked = float(bulge @ (problem.g - problem.Q @ displacement)) / weight
     certain = asked * np.sqrt(weight) > IMPLAUSIBLE_MISFIT
     return bool(certain and asked > 2.0 * gas_noise)
+
+
+def gas_sigma(gas: Gas, measured_pa: float) -> float:
+    """Standard deviation of a measured p_v, and of what the exact membrane makes of it, Pa."""
+    return float(np.hypot(GAS_NOISE * gas.P0, GAS_MODEL_ERROR * measured_pa))
+
+
+def contradicts_measured_gas(
+    asked_pa: float, measured_pa: float, gas: Gas, gauge_pressure_pa: float
+) -> bool:
+    """Whether the shape of the exact membrane asks for another p_v than was measured."""
+    certain = IMPLAUSIBLE_MISFIT * gas_sigma(gas, measured_pa)
+    return abs(asked_pa - measured_pa) > max(certain, GAS_LAG * gauge_pressure_pa)

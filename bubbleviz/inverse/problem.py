@@ -16,7 +16,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from bubbleviz.inverse.scales import Scales
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import cotangent_laplacian
@@ -26,6 +25,28 @@ DENSE_LIMIT = 3_000
 
 _FEW = 50
 """Rows of L⁻¹ that are read in the time of a solve with the factors of L."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Length a and pressure γ0/a: u/a, p a/γ0 and A/a² are dimensionless.
+
+    Attributes
+    ----------
+    length_m : float
+        Radius of the disc with the membrane's area.
+    pressure_pa : float
+        Pressure that deflects the membrane by about its own size.
+    """
+
+    length_m: float
+    pressure_pa: float
+
+    @classmethod
+    def of(cls, mesh: MembraneMesh, tension_n_per_m: float) -> Scales:
+        """Scales of a membrane with tension γ0."""
+        length = float(np.sqrt(mesh.facet_areas.sum() / np.pi))
+        return cls(length, tension_n_per_m / length)
 
 
 class Equilibrium:

@@ -9,8 +9,10 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.observer import Measured, ShapeRanges
+from bubbleviz.inverse.gauss_newton import FAR, NEAR, SERVES, RubberStart
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
-from bubbleviz.inverse.rubber_estimator import RubberEstimator, RubberStart
+from bubbleviz.inverse.plausibility import gas_sigma
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.membrane.mesh_graph import dense_part, grown
 from bubbleviz.membrane.rubber_model.friction_forward import checked_friction
 from bubbleviz.result import Estimate, Traction
@@ -22,9 +24,6 @@ from bubbleviz.shear.traction_state import Look, TractionStart
 if TYPE_CHECKING:
     from bubbleviz.colour.optical_flow import FlowField
 
-_NEAR, _SERVES, _FAR = 0.05, 0.2, 0.5
-"""Shares of a mesh edge, as of `RubberEstimator`: a step that ends a frame, a way over which a
-tangent and a warm start hold, and one too far for equilibrium to be looked for nearby."""
 _STEPS = 12
 _SHARES = (1.0, 0.5, 0.25)
 """Of a step that are tried until the shape explains more than before."""
@@ -102,8 +101,8 @@ class TractionEstimator:
         self._estimator, self._equilibrium = estimator, estimator.equilibrium
         self.flow_observer = FlowObserver(camera, self.mesh)
         edge = self.mesh.edge_length
-        self._near_m, self._serves_m = _NEAR * edge, _SERVES * edge
-        self._far_m, self._longest_m = _FAR * edge, edge
+        self._near_m, self._serves_m = NEAR * edge, SERVES * edge
+        self._far_m, self._longest_m = FAR * edge, edge
         self._report = TractionReport(self.mesh, estimator.membrane)
 
     def estimate(
@@ -267,7 +266,7 @@ class TractionEstimator:
             look.measurements(state),
             dense_part(estimator.smoothness, nodes),
             Unknowns(state.pressure[nodes], shear.ravel(), 0.0 if gas is None else state.gas - gas),
-            None if gas is None else estimator.gas_sigma(gas),
+            None if gas is None else gas_sigma(estimator.gas, gas),
         )
         solved = problem.solve(self.options.friction)
         pressure, force = np.zeros_like(state.pressure), np.zeros_like(state.x)

@@ -8,8 +8,7 @@ import pytest
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.inverse.detection import detection_threshold
 from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.problem import Equilibrium
-from bubbleviz.inverse.scales import Scales
+from bubbleviz.inverse.problem import Equilibrium, Scales
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.reference_mesh import build_mesh
 

@@ -16,8 +16,7 @@ from scipy.spatial.distance import cdist
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.problem import Equilibrium, natural_residual
-from bubbleviz.inverse.scales import Scales
+from bubbleviz.inverse.problem import Equilibrium, Scales, natural_residual
 from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian, farthest_points
 from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp
 from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
