@@ -178,52 +178,19 @@ class RangeObserver:
         self.camera, self.mesh, self.block = camera, mesh, block
         self.columns = -(-camera.intrinsics.width // block)
         """Blocks in a row of the image."""
+        self._facet_error_m = facet_error(mesh)
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
-        hits = caster.met(mesh.nodes, mesh.normals, seen)
-        bias, noise = np.zeros(len(hits.ray)), noise_relative * hits.range_m
-        used, correlated = np.ones(len(hits.ray), bool), 1.0
-        if pixels is not None:
-            used, bias, noise = (
-                image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
-            )
-            # What facets get wrong is as alike from pixel to pixel as a depth camera's noise is.
-            correlated = pixels.correlated_pixels
-            noise = np.hypot(noise, facet_error(mesh)) * np.sqrt(correlated)
-        pixel = hits.ray[used]
-        if not len(pixel):
-            raise InputError(
-                "camera: no pixel in use sees the membrane; correct the camera's position_m and "
-                "quaternion_xyzw in the sensor file"
-            )
-        order = np.argsort(self._block_of(pixel), kind="stable")
-        pixel = pixel[order]
-        blocks, self._starts, self._count = np.unique(
-            self._block_of(pixel), return_index=True, return_counts=True
-        )
-        self.block_number = blocks
-        """Number of every block, row by row over the image, (B,)."""
-        self.pixel = pixel
-        """Flat indices of the pixels in use, grouped by block, (k,)."""
-        self._used = UsedPixels(
-            number=pixel,
-            block=np.repeat(np.arange(len(blocks)), self._count),
-            scale=camera.range_per_depth.ravel()[pixel],
-            reference_m=(hits.range_m + bias)[used][order].astype(np.float32),
-            precision=(1.0 / noise[used][order] ** 2).astype(np.float32),
-            line=None if pixels is None or pixels.line is None else pixels.line.at(pixel),
-        )
-        self._facet_error_m = facet_error(mesh)
-        precision = self._used.precision
-        self._total = self._sums(precision)
-        self._moment_at_rest = self._sums(precision * self._used.reference_m.astype(float))
+        self._group(caster.met(mesh.nodes, mesh.normals, seen), noise_relative, pixels)
         # Straight from the image to sums over blocks: one pass over the pixels.
+        starts = np.append(self._starts, len(self.pixel))
         self._to_moments = sparse.csr_array(
-            (precision * self._used.scale, pixel, np.append(self._starts, len(pixel))),
-            shape=(len(blocks), camera.intrinsics.width * camera.intrinsics.height),
+            (self._used.precision * self._used.scale, self.pixel, starts),
+            shape=(self.blocks, camera.intrinsics.width * camera.intrinsics.height),
         )
-        self._squares = BlockSquares(blocks, self.columns)
+        self._squares = BlockSquares(self.block_number, self.columns)
         self._sample = self._used.of(self._whole_blocks())
+        correlated = 1.0 if pixels is None else pixels.correlated_pixels
         self._spread = self._used.of(self._apart(max(1, int(np.sqrt(correlated / _LOOKS)))))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
@@ -231,14 +198,55 @@ class RangeObserver:
         noise_m = np.median(1.0 / np.sqrt(self._total))
         self.white = pixels is None and bool(noise_m > 2.0 * self._facet_error_m)
         """Whether residuals should be white: noise of the sensor file, and more than the mesh's."""
-        rays = np.add.reduceat(camera.directions[pixel], self._starts, axis=0)
+        self._cast_blocks()
+
+    def _group(self, hits: Hits, noise_relative: float, pixels: PixelModel | None) -> None:
+        """Group the pixels in use, of those that see the membrane, by block."""
+        range_m, bias, noise = hits.range_m, np.zeros(len(hits.ray)), noise_relative * hits.range_m
+        used = np.ones(len(hits.ray), bool)
+        if pixels is not None:
+            used, bias, noise = (
+                image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
+            )
+            # What facets get wrong is as alike from pixel to pixel as a depth camera's noise is.
+            noise = np.hypot(noise, self._facet_error_m) * np.sqrt(pixels.correlated_pixels)
+        pixel = hits.ray[used]
+        if not len(pixel):
+            raise InputError(
+                "camera: no pixel in use sees the membrane; correct the camera's position_m and "
+                "quaternion_xyzw in the sensor file"
+            )
+        order = np.argsort(self._block_of(pixel), kind="stable")
+        self.pixel = pixel = pixel[order]
+        """Flat indices of the pixels in use, grouped by block, (k,)."""
+        blocks, self._starts, self._count = np.unique(
+            self._block_of(pixel), return_index=True, return_counts=True
+        )
+        self.block_number = blocks
+        """Number of every block, row by row over the image, (B,)."""
+        self._used = UsedPixels(
+            number=pixel,
+            block=np.repeat(np.arange(self.blocks), self._count),
+            scale=self.camera.range_per_depth.ravel()[pixel],
+            reference_m=(range_m + bias)[used][order].astype(np.float32),
+            precision=(1.0 / noise[used][order] ** 2).astype(np.float32),
+            line=None if pixels is None or pixels.line is None else pixels.line.at(pixel),
+        )
+        precision = self._used.precision
+        self._total = self._sums(precision)
+        self._moment_at_rest = self._sums(precision * self._used.reference_m.astype(float))
+
+    def _cast_blocks(self) -> None:
+        """Cast a ray for each block: the mean of its pixels'."""
+        camera, mesh = self.camera, self.mesh
+        rays = np.add.reduceat(camera.directions[self.pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
         self._walk_m = _WALKED * mesh.edge_length
         columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
         self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
         at_rest = self._caster.cast(mesh.nodes, mesh.normals)
-        self._rest_range = np.full(len(blocks), np.nan)
+        self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
         self._at_rest = self._linear_at(at_rest, np.zeros(len(mesh.nodes)))
 
