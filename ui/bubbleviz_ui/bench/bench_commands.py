@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bubbleviz.cli.shared_options import report
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:
@@ -78,15 +79,13 @@ def bench_monkey(
 
     seconds = 60.0 * minutes
     with_memory = seconds >= REST_EVERY_S
-    report = monkey_run(
-        _sensor_for(recording, sensor), recording, seconds, seed, memory=with_memory
-    )
-    _print_measured(report.measured, as_json)
-    if report.blocked:
-        click.echo(f"blocked longest by {report.longest}, in:\n{report.blocked}", err=True)
-    for problem in report.problems:
+    seen = monkey_run(_sensor_for(recording, sensor), recording, seconds, seed, memory=with_memory)
+    _print_measured(seen.measured, as_json)
+    if seen.blocked:
+        click.echo(f"blocked longest by {seen.longest}, in:\n{seen.blocked}", err=True)
+    for problem in seen.problems:
         click.echo(problem, err=True)
-    return int(not report.passed)
+    return int(not seen.passed)
 
 
 @bench.command("live")
@@ -119,13 +118,13 @@ def bench_live(
         from bubbleviz_ui.bench.window_soak import window_soak
 
         whole = window_soak(sensor, 60.0 * minutes, rate, out, size)
-        click.echo(whole.to_json() if as_json else whole.to_text())
+        report(whole, None, as_json=as_json)
         return whole.soak.exit_code
     from bubbleviz_ui.bench.live_soak import soak
 
-    report = soak(sensor, 60.0 * minutes, rate, out)
-    click.echo(report.to_json() if as_json else report.to_text())
-    return report.exit_code
+    soaked = soak(sensor, 60.0 * minutes, rate, out)
+    report(soaked, None, as_json=as_json)
+    return soaked.exit_code
 
 
 @bench.command("pair")
@@ -141,9 +140,9 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
     from bubbleviz.live.session_preset import load_session
     from bubbleviz_ui.bench.live_pair import pair_bench
 
-    report = pair_bench(load_session(session), seconds, rate)
-    click.echo(report.to_json() if as_json else report.to_text())
-    return report.exit_code
+    measured = pair_bench(load_session(session), seconds, rate)
+    report(measured, None, as_json=as_json)
+    return measured.exit_code
 
 
 @bench.command("restarts")
@@ -155,9 +154,9 @@ def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
     """Kill and restart a publisher under a recording window; exit code 1 after a loss."""
     from bubbleviz_ui.bench.live_restarts import restart_bench
 
-    report = restart_bench(sensor, times, seed)
-    click.echo(report.to_json() if as_json else report.to_text())
-    return int(not report.passed)
+    seen = restart_bench(sensor, times, seed)
+    report(seen, None, as_json=as_json)
+    return int(not seen.passed)
 
 
 def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:

@@ -6,30 +6,23 @@ costs is told apart from the window.
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass
 from multiprocessing import active_children
 from pathlib import Path
 from statistics import quantiles
 
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
-from bubbleviz.live.session_preset import SensorPlace, SessionPreset
+from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.bench.live_soak import (
-    free_port,
-    gaps_in,
-    resident_bytes,
-    resized_file,
-    sequences,
-    start_publisher,
-)
-from bubbleviz_ui.bench.live_window import live_window, run_of
+from bubbleviz_ui.bench.bench_window import live_window, recorded_run
+from bubbleviz_ui.bench.live_soak import Publisher, gaps_in, resized_file, sequences
+from bubbleviz_ui.bench.process_usage import process_seconds, resident_bytes, thread_seconds
 from bubbleviz_ui.bench.replay_rate import beats, run_for
-from bubbleviz_ui.bench.thread_times import process_seconds, thread_seconds
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession
 
@@ -39,7 +32,7 @@ SHARE_SHOWN = 0.002
 
 
 @dataclass(frozen=True)
-class PairReport:
+class PairReport(Summary):
     """What `bench pair` measured.
 
     Attributes
@@ -89,10 +82,6 @@ class PairReport:
         """1 when the recording lacks a frame, or has one twice."""
         return int(self.missing > 0 or self.repeated > 0)
 
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False)
-
     def to_text(self) -> str:
         """A few lines for people, with units."""
         received, solved, used = self.received_hz, self.solved_hz, dict(self.cores_used)
@@ -128,34 +117,18 @@ def pair_bench(
     size : (int, int)
         Width and height of both images, pixels.
     """
-    publishers: list[subprocess.Popen[str]] = []
-    with tempfile.TemporaryDirectory(prefix="bubbleviz-pair-") as folder:
-        try:
-            places = tuple(
-                _published(place, rate_hz, size, Path(folder), publishers)
-                for place in preset.sensors
-            )
-            with live_window(preset.model_copy(update={"sensors": places})) as session:
-                return _count_pair(session, seconds, rate_hz, size, publishers, Path(folder))
-        finally:
-            for publisher in publishers:
-                publisher.kill()
-                publisher.communicate()
-
-
-def _published(
-    place: SensorPlace,
-    rate_hz: float,
-    size: tuple[int, int],
-    folder: Path,
-    publishers: list[subprocess.Popen[str]],
-) -> SensorPlace:
-    """Have a process stream a synthetic sensor of another image size; the place to see it from."""
-    sensor = resized_file(load_sensor(place.sensor), size, folder, place.name)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    source = f"{place.source}&rate={rate_hz:g}&encoding=16UC1&frames=90"
-    publishers.append(start_publisher(sensor, endpoint, source))
-    return place.model_copy(update={"sensor": sensor, "source": f"zenoh:{endpoint}"})
+    publishers, places = list[Publisher](), []
+    with tempfile.TemporaryDirectory(prefix="bubbleviz-pair-") as folder, ExitStack() as stack:
+        for place in preset.sensors:
+            sensor = resized_file(load_sensor(place.sensor), size, Path(folder), place.name)
+            source = f"{place.source}&rate={rate_hz:g}&encoding=16UC1&frames=90"
+            publishers.append(stack.enter_context(Publisher(sensor, source)))
+            update = {"sensor": sensor, "source": publishers[-1].uri}
+            places.append(place.model_copy(update=update))
+        session = stack.enter_context(
+            live_window(preset.model_copy(update={"sensors": tuple(places)}))
+        )
+        return _count_pair(session, seconds, rate_hz, size, publishers, Path(folder))
 
 
 @dataclass(frozen=True)
@@ -170,11 +143,9 @@ class _Counts:
     memory_bytes: int
 
     @classmethod
-    def now(
-        cls, session: WindowSession, run: LiveRun, publishers: list[subprocess.Popen[str]]
-    ) -> _Counts:
+    def now(cls, session: WindowSession, run: LiveRun, publishers: list[Publisher]) -> _Counts:
         used = thread_seconds()
-        used["publishers"] = sum(process_seconds(each.pid) for each in publishers)
+        used["publishers"] = sum(process_seconds(each.process.pid) for each in publishers)
         solvers = [each.pid for each in active_children() if each.pid is not None]
         used["solver processes"] = sum(process_seconds(pid) for pid in solvers)
         return cls(
@@ -192,12 +163,11 @@ def _count_pair(
     seconds: float,
     rate_hz: float,
     size: tuple[int, int],
-    publishers: list[subprocess.Popen[str]],
+    publishers: list[Publisher],
     folder: Path,
 ) -> PairReport:
-    run, live, path = run_of(session), session.window.live_controller, folder / "pair.mcap"
-    live.recording.start(run.session.recorder, path)
-    session.wait_for(lambda: live.recording.state() is not None, "the recording")
+    path, live = folder / "pair.mcap", session.window.live_controller
+    run = recorded_run(session, path)
     run_for(WARM_UP_S)
     session.window.picture_age.begin(10**6)
     before = _Counts.now(session, run, publishers)

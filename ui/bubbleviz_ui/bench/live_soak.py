@@ -7,20 +7,20 @@ publisher's own sequence; memory must not grow; what is solved must be young.
 from __future__ import annotations
 
 import json
-import os
-import resource
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.reader import make_reader
+from mcap.records import Message
 
+from bubbleviz.commands.summary import Summary
 from bubbleviz.commands.watch import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
@@ -29,6 +29,7 @@ from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz_ui.bench.process_usage import resident_bytes
 
 WARM_UP_S = 20.0
 """Until then memory may grow: one round of the press, every buffer filled once."""
@@ -36,7 +37,7 @@ _START_S = 60.0  # s until the first frame, at most
 
 
 @dataclass(frozen=True)
-class SoakReport:
+class SoakReport(Summary):
     """What `bench live` measured.
 
     Attributes
@@ -80,10 +81,6 @@ class SoakReport:
         """1 when the file lacks a frame, or has one twice."""
         return int(self.missing > 0 or self.repeated > 0)
 
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False)
-
     def to_text(self) -> str:
         """A few lines for people, with units."""
         return "\n".join(
@@ -117,32 +114,49 @@ def soak(
     """
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
-        publisher = start_publisher(sensor_name, endpoint, f"synthetic:?rate={rate_hz:g}")
-        try:
-            measured = _run(load_sensor(sensor_name), endpoint, seconds, path, publisher)
-        finally:
-            publisher.kill()
-            publisher.communicate()
+        with Publisher(sensor_name, f"synthetic:?rate={rate_hz:g}") as publisher:
+            measured = _run(load_sensor(sensor_name), seconds, path, publisher)
         return report_of(measured, path, seconds, rate_hz)
 
 
-def start_publisher(sensor_name: str, endpoint: str, source: str) -> subprocess.Popen[str]:
-    """Process that runs `bubbleviz publish` on a source."""
-    arguments = ["publish", "--source", source, "--sensor", sensor_name, "--listen", endpoint]
-    code = "from bubbleviz.cli.command_line import main; main()"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments, "--json"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+class Publisher:
+    """A process that runs `bubbleviz publish` on a source; killed at the end of its `with`.
 
+    Attributes
+    ----------
+    uri : str
+        Live source that receives what it sends.
+    process : Popen
+    """
 
-def images_sent(publisher: subprocess.Popen[str]) -> int:
-    """End a publisher in order; how many depth images it has sent."""
-    publisher.terminate()
-    sent = json.loads(publisher.communicate(timeout=30)[0])["sent"]
-    return next(int(count) for topic, count in sent.items() if topic.endswith("image_raw"))
+    def __init__(self, sensor_name: str, source: str) -> None:
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.uri = f"zenoh:{endpoint}"
+        self._arguments = ["--source", source, "--sensor", sensor_name, "--listen", endpoint]
+        self.start()
+
+    def start(self) -> None:
+        """Begin to publish."""
+        code = "from bubbleviz.cli.command_line import main; main()"
+        command = [sys.executable, "-c", code, "publish", *self._arguments, "--json"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+    def images_sent(self) -> int:
+        """End it in order; how many depth images it has sent."""
+        self.process.terminate()
+        sent = json.loads(self.process.communicate(timeout=30)[0])["sent"]
+        return next(int(count) for topic, count in sent.items() if topic.endswith("image_raw"))
+
+    def kill(self) -> None:
+        """Kill it as `kill -9` does."""
+        self.process.kill()
+        self.process.communicate()
+
+    def __enter__(self) -> Publisher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
 
 
 def resized_file(sensor: Sensor, size: tuple[int, int], folder: Path, name: str = "sensor") -> str:
@@ -170,15 +184,6 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def resident_bytes() -> int:
-    """Memory of this process that is in use now; where the system does not tell, the most ever."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
 @dataclass
 class Measured:
     """What was counted while streaming; `memory` is (s since the start, bytes), `sent` images."""
@@ -191,10 +196,8 @@ class Measured:
     sent: int
 
 
-def _run(
-    sensor: Sensor, endpoint: str, seconds: float, path: Path, publisher: subprocess.Popen[str]
-) -> Measured:
-    stream, recorder = open_stream(f"zenoh:{endpoint}", sensor), Recorder()
+def _run(sensor: Sensor, seconds: float, path: Path, publisher: Publisher) -> Measured:
+    stream, recorder = open_stream(publisher.uri, sensor), Recorder()
     stream.listen(recorder.push)
     recorder.start(path)
     try:
@@ -207,7 +210,7 @@ def _run(
             watcher = Watcher(stream, pipeline, None)
             skipped_before = stream.counters().skipped
             ages, memory = _solve_for(watcher, seconds)
-            sent = images_sent(publisher)
+            sent = publisher.images_sent()
             drain(stream)
             skipped = stream.counters().skipped - skipped_before
     finally:
@@ -239,21 +242,17 @@ def drain(stream: LiveStream) -> None:
         time.sleep(0.3)
 
 
+def depth_images(path: Path, prefix: str = "") -> Iterator[Message]:
+    """The depth images of such topics in a recording, in file order."""
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            if schema is not None and schema.name == IMAGE and channel.topic.startswith(prefix):
+                yield message
+
+
 def sequences(path: Path, prefix: str = "") -> np.ndarray:
     """The publisher's count of every depth image of such topics in a recording, in file order."""
-    schemas: set[int] = set()
-    channels: set[int] = set()
-    found = []
-    with path.open("rb") as file:
-        for record in StreamReader(file).records:
-            if isinstance(record, Schema) and record.name == IMAGE:
-                schemas.add(record.id)
-            elif isinstance(record, Channel) and record.schema_id in schemas:
-                if record.topic.startswith(prefix):
-                    channels.add(record.id)
-            elif isinstance(record, Message) and record.channel_id in channels:
-                found.append(record.sequence)
-    return np.array(found, dtype=np.int64)
+    return np.array([message.sequence for message in depth_images(path, prefix)], dtype=np.int64)
 
 
 def gaps_in(count: np.ndarray) -> tuple[int, int]:

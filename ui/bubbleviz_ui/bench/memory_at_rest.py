@@ -6,12 +6,11 @@ What a calibration found stays, and so do caches: of two rests they may differ b
 from __future__ import annotations
 
 import gc
-import os
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bubbleviz.calibration.draft import Step
+from bubbleviz_ui.bench.process_usage import resident_mib
 from bubbleviz_ui.bench.replay_rate import run_for
 from bubbleviz_ui.engine.memory_release import release_memory
 from bubbleviz_ui.shell.dock import Dock
@@ -68,9 +67,3 @@ class Rest:
         gc.collect()
         release_memory()
         return resident_mib()
-
-
-def resident_mib() -> float:
-    """Resident memory of this process, MiB."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -7,12 +7,11 @@ import random
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QPoint, QPointF, Qt, QTimer
 from PySide6.QtGui import QWheelEvent
@@ -30,17 +29,12 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.bench.bench_window import bench_window
 from bubbleviz_ui.bench.block_watch import BlockWatch
-from bubbleviz_ui.bench.memory_at_rest import Rest, resident_mib
+from bubbleviz_ui.bench.memory_at_rest import Rest
+from bubbleviz_ui.bench.process_usage import resident_mib
 from bubbleviz_ui.bench.replay_rate import beats
-from bubbleviz_ui.window_session import WindowSession, window_session
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from PySide6.QtCore import QPoint
-    from PySide6.QtWidgets import QWidget
+from bubbleviz_ui.window_session import WindowSession
 
 REST_EVERY_S = 60.0
 """How often everything is put away and memory looked at."""
@@ -136,13 +130,7 @@ def monkey_run(
         Whether memory is compared: everything is opened first, which takes up to a minute.
     """
     report = Report()
-    with (
-        screen_for_pictures(1280, 800),
-        _caught(report),
-        window_session(sensor, recording, None) as session,
-    ):
-        session.window.resize(1280, 800)
-        session.window.show()
+    with _caught(report), bench_window(sensor, recording) as session:
         session.settle()
         session.controller.failed.connect(
             lambda failed: report.problems.append(failed.details) if failed.details else None

@@ -12,8 +12,8 @@ from statistics import median, quantiles
 from PySide6.QtCore import QEventLoop, Qt, QTimer
 
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.window_session import WindowSession, window_session
+from bubbleviz_ui.bench.bench_window import SIZE, bench_window
+from bubbleviz_ui.window_session import WindowSession
 
 WARM_UP_S = 2.0  # s that are not counted
 WINDOW_S = 1.0  # s over which the lowest rate is taken
@@ -22,10 +22,7 @@ TOO_LONG_MS = 50.0  # a delay one notices
 
 
 def replay_fps(
-    sensor: Sensor,
-    recording: Path | None = None,
-    seconds: float = 8.0,
-    size: tuple[int, int] = (1280, 800),
+    sensor: Sensor, recording: Path | None = None, seconds: float = 8.0
 ) -> dict[str, float]:
     """Replay at recorded speed with membrane and cloud shown, and count what is drawn.
 
@@ -36,8 +33,6 @@ def replay_fps(
         None for the synthetic press.
     seconds : float
         How long to count after warming up.
-    size : (int, int)
-        Window size in pixels.
 
     Returns
     -------
@@ -50,14 +45,12 @@ def replay_fps(
         `dropped_frames` (on purpose) while counting; `seconds`; `load_average` of the machine
         over the last minute and its `cores`; `width`, `height` in pixels.
     """
-    with screen_for_pictures(*size), window_session(sensor, recording, None) as session:
-        session.window.resize(*size)
-        session.window.show()
+    with bench_window(sensor, recording) as session:
         session.state.choose(layers=session.state.choices.layers | {"membrane", "cloud"})
         run_for(WARM_UP_S)
         measured = _count(session, seconds)
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
-    width, height = size
+    width, height = SIZE
     return {**measured, "load_average": load, "cores": cores, "width": width, "height": height}
 
 

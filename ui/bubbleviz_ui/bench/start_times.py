@@ -16,9 +16,10 @@ from PySide6.QtCore import QEventLoop
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
+from bubbleviz_ui.bench.bench_window import SIZE, bench_window
 from bubbleviz_ui.bench.first_picture import FIRST
 from bubbleviz_ui.engine.requests import Failed
-from bubbleviz_ui.window_session import WindowSession, window_session
+from bubbleviz_ui.window_session import WindowSession
 
 CHILD = (
     "from bubbleviz_ui.bench.first_picture import first_picture; "
@@ -40,7 +41,7 @@ def start_times(recording: Path, sensor: str | None, runs: int = 5) -> dict[str,
     """
     times = []
     for _ in range(runs + 1):
-        with screen_for_pictures(1280, 800):  # one each: it ends with its last client
+        with screen_for_pictures(*SIZE):  # one each: it ends with its last client
             times.append(_start(CHILD.format(recording=str(recording), sensor=sensor)))
     counted = times[1:]
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -76,9 +77,7 @@ def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) 
     InputError
         The recording cannot be opened.
     """
-    with screen_for_pictures(1280, 800), window_session(sensor, recording, 0) as session:
-        session.window.resize(1280, 800)
-        session.window.show()
+    with bench_window(sensor, recording, 0) as session:
         session.settle()
         frames = session.state.facts.frames if session.state.facts else 0
         order = np.random.default_rng(seed).integers(0, frames, seeks)

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import quantiles
 
+from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor
+from bubbleviz_ui.bench.bench_window import live_window, recorded_run
 from bubbleviz_ui.bench.live_soak import (
     Measured,
+    Publisher,
     SoakReport,
     drain,
-    free_port,
-    images_sent,
     report_of,
-    resident_bytes,
     resized_file,
-    start_publisher,
 )
-from bubbleviz_ui.bench.live_window import live_window, run_of
+from bubbleviz_ui.bench.process_usage import resident_bytes
 from bubbleviz_ui.bench.replay_rate import beats, run_for
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.window_session import WindowSession
@@ -33,7 +31,7 @@ STEP_S = 1.0  # s between readings
 
 
 @dataclass(frozen=True)
-class WindowSoak:
+class WindowSoak(Summary):
     """What `bench live --window` measured.
 
     Attributes
@@ -91,15 +89,12 @@ def window_soak(
         path = out or Path(folder) / "soak.mcap"
         if size is not None:
             sensor_name = resized_file(load_sensor(sensor_name), size, Path(folder))
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
-        source = f"synthetic:?rate={rate_hz:g}&encoding=16UC1"
-        publisher = start_publisher(sensor_name, endpoint, source)
-        try:
-            with live_window(single(f"zenoh:{endpoint}", sensor_name)) as session, beats() as gaps:
-                measured, pictures_hz = _soak(session, seconds, path, publisher, gaps)
-        finally:
-            publisher.kill()
-            publisher.communicate()
+        with (
+            Publisher(sensor_name, f"synthetic:?rate={rate_hz:g}&encoding=16UC1") as publisher,
+            live_window(single(publisher.uri, sensor_name)) as session,
+            beats() as gaps,
+        ):
+            measured, pictures_hz = _soak(session, seconds, path, publisher, gaps)
         return WindowSoak(
             report_of(measured, path, seconds, rate_hz),
             pictures_hz,
@@ -114,14 +109,12 @@ def _soak(
     session: WindowSession,
     seconds: float,
     path: Path,
-    publisher: subprocess.Popen[str],
+    publisher: Publisher,
     gaps_ms: list[float],
 ) -> tuple[Measured, float]:
-    live, run = session.window.live_controller, run_of(session)
+    live, run = session.window.live_controller, recorded_run(session, path)
     stream = run.frames[0].stream
     session.wait_for(lambda: len(run.frames[0]) > 0, "the first solved frame")
-    live.recording.start(run.session.recorder, path)
-    session.wait_for(lambda: live.recording.state() is not None, "the recording")
     session.window.picture_age.begin(10**7)
     skipped, solved = stream.counters().skipped, len(run.frames[0])
     pictures, memory = session.window.view.render_count, list[tuple[float, int]]()
@@ -133,7 +126,7 @@ def _soak(
     pictures_hz = (session.window.view.render_count - pictures) / (time.monotonic() - began)
     ages, solved = session.window.picture_age.ages_s, len(run.frames[0]) - solved
     skipped = stream.counters().skipped - skipped
-    sent = images_sent(publisher)
+    sent = publisher.images_sent()
     drain(stream)
     state = live.recording.state()
     if state is None:

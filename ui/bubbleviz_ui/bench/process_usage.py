@@ -1,8 +1,9 @@
-"""Processor time of the threads of this process, and of other processes (Linux)."""
+"""Processor time of the threads of this process and of other processes, and its memory (Linux)."""
 
 from __future__ import annotations
 
 import os
+import resource
 import threading
 from collections import defaultdict
 from pathlib import Path
@@ -36,3 +37,17 @@ def process_seconds(number: int) -> float:
 def _seconds(stat: str) -> float:
     user, system = stat[stat.rindex(")") + 2 :].split()[11:13]
     return (int(user) + int(system)) / TICKS_HZ
+
+
+def resident_bytes() -> int:
+    """Memory of this process that is in use now; where the system does not tell, the most ever."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def resident_mib() -> float:
+    """The same in MiB."""
+    return resident_bytes() / 2**20

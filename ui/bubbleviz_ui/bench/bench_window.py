@@ -1,13 +1,14 @@
-"""A window on live sensors, for benchmarks: under a screen of its own."""
+"""The window that is measured: of a small laptop's size, on a screen of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.session_preset import SessionPreset
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession, window_session
@@ -16,21 +17,33 @@ SIZE = (1280, 800)  # pixels: a small laptop's screen
 
 
 @contextmanager
-def live_window(preset: SessionPreset) -> Iterator[WindowSession]:
-    """A window that shows live sensors, under a screen of its own."""
-    first = load_sensor(preset.sensors[0].sensor)
+def bench_window(
+    sensor: Sensor,
+    recording: Path | None,
+    frame: int | None = None,
+    live: SessionPreset | None = None,
+) -> Iterator[WindowSession]:
+    """A window as `window_session` opens it, shown under a screen of its own."""
     with (
         screen_for_pictures(*SIZE),
-        window_session(first, None, None, live=preset) as session,
+        window_session(sensor, recording, frame, live=live) as session,
     ):
         session.window.resize(*SIZE)
         session.window.show()
+        yield session
+
+
+@contextmanager
+def live_window(preset: SessionPreset) -> Iterator[WindowSession]:
+    """A window that shows live sensors, and has drawn its first picture."""
+    first = load_sensor(preset.sensors[0].sensor)
+    with bench_window(first, None, live=preset) as session:
         session.wait_for(lambda: session.window.view.render_count > 0, "the first picture")
         yield session
 
 
-def run_of(session: WindowSession) -> LiveRun:
-    """What is connected, once every sensor of it is shown."""
+def recorded_run(session: WindowSession, path: Path) -> LiveRun:
+    """What is connected, once every sensor of it is shown; it is recorded from then on."""
     live, pair = session.window.live_controller, session.window.pair
 
     def shown() -> bool:
@@ -41,4 +54,6 @@ def run_of(session: WindowSession) -> LiveRun:
     session.wait_for(shown, "connecting")
     if live.run is None:
         raise InputError("bench live: nothing is connected")
+    live.recording.start(live.run.session.recorder, path)
+    session.wait_for(lambda: live.recording.state() is not None, "the recording")
     return live.run
