@@ -9,7 +9,6 @@ import numpy as np
 import pyvista as pv
 from matplotlib import colormaps
 
-from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.shell import theme
 
 ENTRIES = 256
@@ -31,11 +30,6 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
-def pressure_map() -> Any:
-    """Table of the contact pressure, to be filled by `pressure_colours`."""
-    return _table(pressure_colours(COLOUR_MAPS[0]))
-
-
 def pressure_colours(name: str) -> np.ndarray:
     """Entries (256, 4) uint8: neutral at zero, then a uniform map: brighter is stronger."""
     values = _sampled(name, DARKEST).copy()
@@ -47,16 +41,12 @@ def pressure_colours(name: str) -> np.ndarray:
     return values
 
 
-def residual_map(middle: str) -> Any:
-    """Diverging: blue where measured nearer than modelled, green where farther, `middle` between.
-
-    Neither end is a colour of the pressure map, so the two are never mistaken for each other.
-    """
-    return _table(residual_colours(middle))
-
-
 def residual_colours(middle: str) -> np.ndarray:
-    """Entries (256, 4) uint8 of the residual map."""
+    """Entries (256, 4) uint8: blue where measured nearer than modelled, green where farther.
+
+    `middle` is between. Neither end is a colour of the pressure map, so the two are never mistaken
+    for each other.
+    """
     ends = (theme.NEARER, middle, theme.FARTHER)
     nearer, between, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
     share = np.linspace(-1.0, 1.0, ENTRIES)[:, None]
@@ -64,7 +54,8 @@ def residual_colours(middle: str) -> np.ndarray:
     return values.astype(np.uint8)
 
 
-def _table(values: np.ndarray) -> Any:
+def lookup_table(values: np.ndarray) -> Any:
+    """Table of VTK with such entries (256, 4) uint8."""
     table = pv.LookupTable()
     table.values = values
     table.nan_color = theme.UNKNOWN

@@ -60,13 +60,13 @@ class HeldRanges:
     def take(self, who: object, result: Result) -> None:
         """Cover what one of the sensors shows."""
         pressure, residual, force = 0.0, 0.0, 0.0
-        if result.estimate is not None and result.estimate.status == "ok":
-            pressure = float(result.estimate.contact_pressure_pa.max(initial=0.0))
-            residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
-        if result.estimate is not None and result.estimate.status == "no_contact":
-            residual = RESIDUAL_TIMES_RMS * result.estimate.residual_rms_m
-        if result.trusted_patch is not None:
-            force = float(np.linalg.norm(result.trusted_patch.force_n))
+        estimate, patch = result.trusted_estimate, result.trusted_patch
+        if estimate is not None:
+            residual = RESIDUAL_TIMES_RMS * estimate.residual_rms_m
+            if estimate.status == "ok":
+                pressure = float(estimate.contact_pressure_pa.max(initial=0.0))
+        if patch is not None:
+            force = float(np.linalg.norm(patch.force_n))
         held, self._shown_pa[who] = self._held, pressure
         self._held = Ranges(
             _grown(held.pressure_pa, self._usual_peak((who, result.frame.index), pressure)),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
@@ -23,13 +25,7 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scale_ranges import HeldRanges
 from bubbleviz_ui.view3d.tools.picker import Picker
 from bubbleviz_ui.view3d.tools.section_plane import Section
-from bubbleviz_ui.view3d.tools.viewpoints import (
-    ANGLE_DEG,
-    Viewpoint,
-    fit_beside_bars,
-    look_along,
-    look_as,
-)
+from bubbleviz_ui.view3d.tools.viewpoints import DIRECTIONS, Viewpoint, look_along, look_as
 
 MARGIN = 1.0
 """Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
@@ -82,18 +78,9 @@ class Scene:
         """Look at the whole membrane from where the scene says."""
         if self._mesh is None:
             return
-        seen = np.vstack([self._mesh.nodes, self._beside_m])
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        R_B_W = self._T_W_B[:3, :3].T
-        camera = self._view.camera
-        camera.focal_point = tuple((low + high) / 2)
-        camera.position = tuple((low + high) / 2 + R_B_W @ self._choices.view_from)
-        camera.up = tuple(R_B_W[:, 2])
-        camera.view_angle = ANGLE_DEG
-        bounds = [b for pair in zip(low, high, strict=True) for b in pair]
-        self._view.renderer.ResetCamera(bounds)
-        camera.zoom(self._choices.zoom)
-        fit_beside_bars(self._view, seen)
+        seen, R_B_W = np.vstack([self._mesh.nodes, self._beside_m]), self._T_W_B[:3, :3].T
+        towards, up = R_B_W @ self._choices.view_from, R_B_W[:, 2]
+        look_along(self._view, towards, up, seen, self._choices.zoom)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -147,8 +134,8 @@ class Scene:
             far = float(np.linalg.norm((low + high) / 2 - self.depth_camera.center))
             look_as(self._view, self.depth_camera, far)
         else:
-            box = [float(b) for pair in zip(low, high, strict=True) for b in pair]
-            look_along(self._view, name, box)
+            corners = np.array(list(product(*zip(low, high, strict=True))))
+            look_along(self._view, *DIRECTIONS[name], corners)
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 

@@ -10,7 +10,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import ColourBar
-from bubbleviz_ui.view3d.colour_maps import residual_colours, residual_map, rgb
+from bubbleviz_ui.view3d.colour_maps import lookup_table, residual_colours, rgb
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 CHUNK = 1024
@@ -33,8 +33,7 @@ class CloudLayer(Layer):
         super().__init__(canvas)
         view = canvas.view
         self._poly = pv.PolyData(np.zeros((1, 3)))
-        self._table = residual_map(theme.of(view).cloud)
-        self._plain = theme.of(view).cloud
+        self._table = lookup_table(residual_colours(theme.of(view).cloud))
         self._reserve(CHUNK)
         actor = self.add(
             self._poly,

@@ -10,7 +10,7 @@ import pyvista as pv
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.drawn_surface import Surface
+from bubbleviz_ui.view3d.layers.drawn_surface import Surface, pairs
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 CHUNK = 256
@@ -126,7 +126,6 @@ class _Line:
     def _reserve(self, count: int) -> None:
         room = -(-max(count, 1) // CHUNK) * CHUNK
         if 2 * room > self._poly.n_points:
-            pairs = np.arange(2 * room).reshape(-1, 2)
             self._poly.points = np.zeros((2 * room, 3))
-            self._poly.lines = np.column_stack([np.full(room, 2), pairs]).ravel()
+            self._poly.lines = pairs(room)
             self._ends = self._poly.points

@@ -52,10 +52,9 @@ class Surface:
     def set_mesh(self, mesh: MembraneMesh) -> None:
         """Take the reference mesh of another sensor, at rest."""
         self._mesh = mesh
-        faces = np.column_stack([np.full(len(mesh.triangles), 3), mesh.triangles])
         self.poly.point_data.clear()
         self.poly.points = mesh.nodes
-        self.poly.faces = faces.ravel()
+        self.poly.faces = cells(mesh.triangles)
         self._make_arrays(mesh.nodes, mesh.normals)
 
     def _make_arrays(self, nodes: np.ndarray, normals: np.ndarray) -> None:
@@ -123,3 +122,13 @@ class Surface:
     ) -> np.ndarray:
         lines = [level_line(nodes, corners, field, level) for level in levels]
         return np.concatenate([np.empty((0, 2, 3)), *lines])
+
+
+def cells(points: np.ndarray) -> np.ndarray:
+    """VTK's list of cells of the same kind by their points (k, m): triangles, lines or vertices."""
+    return np.insert(points, 0, points.shape[1], axis=1).ravel()
+
+
+def pairs(count: int) -> np.ndarray:
+    """Cells of so many lines, each between two following points of its own."""
+    return cells(np.arange(2 * count).reshape(count, 2))

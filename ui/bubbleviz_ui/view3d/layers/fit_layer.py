@@ -10,6 +10,7 @@ from bubbleviz.pose.observability import open_axes
 from bubbleviz.result import Pose
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.drawn_surface import cells, pairs
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
 
 COLOURS = [theme.NEARER, theme.BETWEEN, theme.GAP]
@@ -66,14 +67,14 @@ class FitLayer(Layer):
         count = len(pose.points_m)
         self._points.point_data.clear()
         self._points.points = pose.points_m
-        self._points.verts = np.column_stack([np.ones(count, int), np.arange(count)]).ravel()
+        self._points.verts = cells(np.arange(count)[:, None])
         self._points.point_data["distance"] = pose.distance_m
         self._points.GetPointData().SetActiveScalars("distance")
         self._lines.points = np.stack([pose.points_m, pose.places_m], axis=1).reshape(-1, 3)
-        self._lines.lines = _pairs(count)
+        self._lines.lines = pairs(count)
         ends = open_arrows(pose, self._length)
         self._arrows.points = ends if len(ends) else np.repeat(pose.center_m[None], 2, axis=0)
-        self._arrows.lines = _pairs(max(len(ends) // 2, 1))
+        self._arrows.lines = pairs(max(len(ends) // 2, 1))
 
 
 def open_arrows(pose: Pose, length_m: float) -> np.ndarray:
@@ -107,8 +108,3 @@ def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
         for sign in (-1.0, 1.0):
             pieces.append(np.stack([tip, tip + size * (back + 0.5 * sign * side)]))
     return np.concatenate(pieces)
-
-
-def _pairs(count: int) -> np.ndarray:
-    """VTK's cells of `count` lines between following points."""
-    return np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(count, 2)]).ravel()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 
-from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Camera, Sensor
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
@@ -40,17 +40,12 @@ class FrustumLayer(Layer):
         if self._camera is None or self._drawn_for == (intrinsics or "sensor"):
             return
         self._drawn_for = intrinsics or "sensor"
-        self._poly.points[:] = _corners(self._camera, intrinsics, self._far_m)
+        self._poly.points[:] = _corners(DepthCamera.of(self._camera, intrinsics), self._far_m)
         self._poly.Modified()
 
 
-def _corners(camera: Camera, intrinsics: Intrinsics | None, far_m: float) -> np.ndarray:
+def _corners(camera: DepthCamera, far_m: float) -> np.ndarray:
     """Camera centre and the four corners of its image at a depth, in B."""
-    used = intrinsics or Intrinsics(
-        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-        camera.distortion_model, camera.distortion,
-    )  # fmt: skip
-    slopes = used.slopes()[[0, 0, -1, -1], [0, -1, -1, 0]]
+    slopes = camera.intrinsics.slopes()[[0, 0, -1, -1], [0, -1, -1, 0]]
     corners = np.column_stack([slopes, np.ones(4)]) * far_m
-    T = camera.T_B_C
-    return np.vstack([T[:3, 3], corners @ T[:3, :3].T + T[:3, 3]])
+    return np.vstack([camera.center, corners @ camera.T_B_C[:3, :3].T + camera.center])

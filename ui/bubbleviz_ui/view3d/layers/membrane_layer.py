@@ -5,7 +5,7 @@ from __future__ import annotations
 from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import ColourBar
-from bubbleviz_ui.view3d.colour_maps import pressure_colours, pressure_map
+from bubbleviz_ui.view3d.colour_maps import lookup_table, pressure_colours
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front, light_plainly
 
 
@@ -19,7 +19,8 @@ class MembraneLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._table, self._map = pressure_map(), COLOUR_MAPS[0]
+        self._map = COLOUR_MAPS[0]
+        self._table = lookup_table(pressure_colours(self._map))
         actor = self.add(
             canvas.surface.poly,
             scalars=canvas.surface.PRESSURE,

@@ -10,6 +10,7 @@ from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.drawn_surface import cells
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 FOUND, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
@@ -39,9 +40,8 @@ class ObjectLayer(Layer):
         """Take another object, or none; it is not drawn before it has a place."""
         self._has_mesh = obj is not None
         if obj is not None:
-            faces = np.column_stack([np.full(len(obj.triangles), 3), obj.triangles])
             self._poly.points = obj.vertices.astype(float)
-            self._poly.faces = faces.ravel()
+            self._poly.faces = cells(obj.triangles)
         self.put(None)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:

@@ -8,11 +8,8 @@ import pyvista as pv
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
-from bubbleviz_ui.view3d.layers.layer import in_front
+from bubbleviz_ui.view3d.layers.layer import add_mark
 from bubbleviz_ui.view3d.render_view import View
-
-TO_THE_FRONT = -6000.0
-"""Depth offset in the units of VTK's coincident topology."""
 
 
 class ProbeMarks:
@@ -29,17 +26,11 @@ class ProbeMarks:
         self._dots = pv.PolyData(np.zeros((2, 3)))
         self._dots.point_data["colour"] = np.array([rgb(theme.LINE), rgb(theme.NODE)], np.uint8)
         self._ray = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        looks = {"reset_camera": False, "render": False}
         dots = {"scalars": "colour", "rgb": True, "point_size": 11, **view.quality.points}
         self.actors = [
-            view.add_mesh(
-                self._ray, color=theme.LINE, line_width=1, opacity=0.6, lighting=False, **looks
-            ),
-            view.add_mesh(self._dots, **dots, **looks),
+            add_mark(view, self._ray, color=theme.LINE, line_width=1, opacity=0.6, lighting=False),
+            add_mark(view, self._dots, **dots),
         ]
-        for actor in self.actors:
-            actor.SetPickable(False)
-            in_front(actor, TO_THE_FRONT)
         view.follow_theme(self._paint)
         self.show(None)
 

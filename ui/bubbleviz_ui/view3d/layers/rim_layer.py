@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pyvista as pv
-from vtkmodules.vtkFiltersCore import vtkFeatureEdges
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
@@ -18,25 +17,20 @@ class RimLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        edges = vtkFeatureEdges()
-        edges.SetInputData(canvas.surface.poly)
-        edges.BoundaryEdgesOn()
-        edges.FeatureEdgesOff()
-        edges.NonManifoldEdgesOff()
-        edges.ManifoldEdgesOff()
-        edges.ColoringOff()
-        self._edges = edges
-        self._line = pv.PolyData()
         self.add(pv.PolyData([[0.0, 0.0, 0.0]]), line_width=3, lighting=False)
         self._own: str | None = None
         canvas.view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Find the boundary of the new mesh; it is clamped, so once is enough."""
-        self._edges.Update()
-        self._line = pv.wrap(self._edges.GetOutput()).copy()
-        self._line.clear_data()
-        self.actor.mapper.SetInputData(self._line)
+        rim = self.canvas.surface.poly.extract_feature_edges(
+            boundary_edges=True,
+            non_manifold_edges=False,
+            feature_edges=False,
+            manifold_edges=False,
+            clear_data=True,
+        )
+        self.actor.mapper.SetInputData(rim)
 
     def paint(self, colour: str | None) -> None:
         """Take a sensor's own colour; None: the theme's."""

@@ -8,6 +8,7 @@ import pyvista as pv
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layers.drawn_surface import pairs
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 
 LONGEST = 0.5
@@ -28,11 +29,9 @@ class VectorsLayer(Layer):
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Take the number of nodes and the size of another sensor."""
-        count = len(mesh.nodes)
         self._longest_m = LONGEST * float(np.ptp(mesh.nodes[:, 2]))
-        lines = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(count, 2)])
         self._poly.points = np.repeat(mesh.nodes, 2, axis=0)
-        self._poly.lines = lines.ravel()
+        self._poly.lines = pairs(len(mesh.nodes))
 
     def draw(self, picture: Picture) -> None:
         """Place the lines; nothing without an estimate."""

@@ -6,11 +6,8 @@ import numpy as np
 import pyvista as pv
 
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.layer import in_front
+from bubbleviz_ui.view3d.layers.layer import add_mark
 from bubbleviz_ui.view3d.render_view import View
-
-TO_THE_FRONT = -6000.0
-"""Depth offset in the units of VTK's coincident topology."""
 
 
 class Distance:
@@ -26,12 +23,9 @@ class Distance:
         self._view = view
         self.points_m: list[np.ndarray] = []
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        looks = {"color": theme.GREEN, "reset_camera": False, "render": False}
-        self._line = view.add_mesh(self._poly, line_width=2, lighting=False, **looks)
-        self._dots = view.add_mesh(self._poly, point_size=10, **view.quality.points, **looks)
-        for actor in (self._line, self._dots):
-            actor.SetPickable(False)
-            in_front(actor, TO_THE_FRONT)
+        dots = {"point_size": 10, **view.quality.points}
+        self._line = add_mark(view, self._poly, color=theme.GREEN, line_width=2, lighting=False)
+        self._dots = add_mark(view, self._poly, color=theme.GREEN, **dots)
         self.clear()
 
     @property

@@ -10,7 +10,7 @@ from vtkmodules.vtkFiltersCore import vtkCutter
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
-from bubbleviz_ui.view3d.layers.layer import in_front
+from bubbleviz_ui.view3d.layers.layer import add_mark
 from bubbleviz_ui.view3d.render_view import View
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -33,19 +33,10 @@ class Section:
         cutter = vtkCutter()
         cutter.SetInputData(surface.poly)
         cutter.SetCutFunction(self._plane)
-        self._line = view.add_mesh(
-            cutter,
-            color=theme.ORANGE,
-            line_width=3,
-            lighting=False,
-            name="section",
-            reset_camera=False,
-            render=False,
-        )
+        look = {"color": theme.ORANGE, "line_width": 3, "lighting": False}
+        self._line = add_mark(view, cutter, -200.0, **look)
         self._line.mapper.SetInputConnection(cutter.GetOutputPort())
         self._line.mapper.ScalarVisibilityOff()
-        self._line.SetPickable(False)
-        in_front(self._line, -200.0)
         self._line.visibility = False
 
     def apply(self, choices: Choices) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from itertools import product
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz_ui.view3d.colour_bar import beside_bars
@@ -23,21 +23,32 @@ ANGLE_DEG = 30.0
 """View angle of a fresh VTK camera."""
 
 
-def look_along(view: View, name: Viewpoint, bounds_m: list[float]) -> None:
-    """Look from a side at everything inside a box (x, y and z from and to, m)."""
-    towards, up = DIRECTIONS[name]
-    middle = np.array([bounds_m[0] + bounds_m[1], bounds_m[2] + bounds_m[3],
-                       bounds_m[4] + bounds_m[5]]) / 2  # fmt: skip
-    camera = view.camera
+def look_along(
+    view: View, towards: ArrayLike, up: ArrayLike, points_m: np.ndarray, zoom: float = 1.0
+) -> None:
+    """Look at points (k, 3) in B, all of which have room beside the colour bars.
+
+    Parameters
+    ----------
+    view : View
+    towards, up : (3,) array_like
+        From the middle of the points to the eye, and what is up, in B.
+    points_m : (k, 3) array
+    zoom : float
+        How near; 1 shows the whole box around the points.
+    """
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
+    middle, camera = (low + high) / 2, view.camera
     camera.view_angle = ANGLE_DEG
     camera.focal_point = tuple(middle)
-    camera.position = tuple(middle + np.array(towards))
-    camera.up = up
-    view.renderer.ResetCamera(bounds_m)
-    fit_beside_bars(view, np.array(list(product(*np.reshape(bounds_m, (3, 2))))))
+    camera.position = tuple(middle + np.asarray(towards))
+    camera.up = tuple(np.asarray(up))
+    view.renderer.ResetCamera(np.column_stack([low, high]).ravel())
+    camera.zoom(zoom)
+    _fit_beside_bars(view, points_m)
 
 
-def fit_beside_bars(view: View, points_m: np.ndarray) -> None:
+def _fit_beside_bars(view: View, points_m: np.ndarray) -> None:
     """Make the picture smaller, and move it left, until points (k, 3) fit beside the bars."""
     camera, free = view.camera, 2.0 * beside_bars(view.width()) - 1.0
     camera.SetWindowCenter(0.0, 0.0)
