@@ -52,7 +52,7 @@ from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel
 from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
-from bubbleviz_ui.panels.status_bar import Rates, StatusBar
+from bubbleviz_ui.panels.status_bar import StatusBar
 from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
@@ -540,8 +540,6 @@ class MainWindow(QMainWindow):
         now = time.perf_counter()
         controller, view = self.controller, self.view
         self.status.show_rates(
-            Rates(
-                controller.client.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped
-            )
+            controller.client.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped
         )
         self.status.show_latency(self.picture_age.report())

@@ -59,9 +59,8 @@ class ExportDialog(QDialog):
         self.setMinimumWidth(WIDTH)
         self._state, self._exporting = state, exporting
         self.kind = QComboBox()
-        for kind in KINDS:
-            self.kind.addItem(kind.title, kind)
         for row, kind in enumerate(KINDS):
+            self.kind.addItem(kind.title, kind)
             self.kind.setItemData(row, kind.tip, Qt.ItemDataRole.ToolTipRole)
         self.kind.setToolTip("What to make of the frames")
         self.frames = QComboBox()

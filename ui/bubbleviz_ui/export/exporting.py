@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.export.pose_columns import pose_columns
+from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.jobs import Done, Job, Jobs
 from bubbleviz_ui.engine.requests import Failed, FrameRequest
 from bubbleviz_ui.export.export_kinds import Kind
@@ -108,12 +109,12 @@ class Exporting(QObject):
             )
             job: Job = self._video.write
         else:
-            poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
-            what = (kind.what, *choices.rule, choices.options, poses)
             # with the first export: the window starts without the writers of all kinds
-            from bubbleviz_ui.export.file_export import FileExport
+            from bubbleviz_ui.export.file_export import export_to_files
 
-            job = FileExport(open_source, sensor, frames, path, *what)
+            poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
+            how = (FrameOptions(*choices.rule), choices.options, poses)
+            job = partial(export_to_files, open_source, sensor, frames, path, kind.what, *how)
         self._jobs.run(job, partial(self._on_done, path))
         self.progressed.emit("starting", 0.0)
         self.changed.emit()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +18,20 @@ if TYPE_CHECKING:
     from bubbleviz.sensor import Sensor
 
 
-@dataclass(frozen=True)
-class FileExport:
-    """Exports frames of a source that it opens anew, so that the window's is left alone.
+def export_to_files(
+    open_source: Callable[[Sensor], FrameSource],
+    sensor: Sensor,
+    frames: range,
+    out: Path,
+    what: str,
+    options: FrameOptions,
+    estimator: EstimatorOptions,
+    poses: dict[int, dict[str, Any]],
+    progress: Progress,
+) -> str:
+    """Export frames of a source that is opened anew, so that the window's is left alone.
 
-    Attributes
+    Parameters
     ----------
     open_source : callable
     sensor : Sensor
@@ -31,42 +39,31 @@ class FileExport:
     out : Path
     what : str
         Of `bubbleviz.export.export_plan.KINDS` for a folder; empty: the suffix of `out` says it.
-    kappa, least_area_m2
-        As in `Choices`.
+    options : FrameOptions
     estimator : EstimatorOptions
     poses : dict
         Pose columns by frame, see `bubbleviz.export.pose_columns`.
+    progress : Progress
+
+    Returns
+    -------
+    str
+        What was done, in a sentence.
+
+    Raises
+    ------
+    InputError
+        A file exists or cannot be written, or a frame cannot be read.
+    Cancelled
+        By `progress`; nothing is left then.
     """
-
-    open_source: Callable[[Sensor], FrameSource]
-    sensor: Sensor
-    frames: range
-    out: Path
-    what: str
-    kappa: float | None
-    least_area_m2: float
-    estimator: EstimatorOptions
-    poses: dict[int, dict[str, Any]]
-
-    def __call__(self, progress: Progress) -> str:
-        """Export; returns what was done, in a sentence.
-
-        Raises
-        ------
-        InputError
-            A file exists or cannot be written, or a frame cannot be read.
-        Cancelled
-            By `progress`; nothing is left then.
-        """
-        plan = ExportPlan.of(self.out, [self.what] if self.what else [], self.poses)
-        progress("opening", 0.0)
-        source = self.open_source(self.sensor)
-        try:
-            intrinsics = source[self.frames[0]].intrinsics
-            pipeline = Pipeline.of(self.sensor, intrinsics, self.estimator)
-            options = FrameOptions(self.kappa, self.least_area_m2)
-            done = export_frames(source, self.frames, pipeline, options, plan, progress)
-        finally:
-            source.close()
-        files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"
-        return f"Exported {count_of(done.frames, 'frame')} to {done.out}{files}"
+    plan = ExportPlan.of(out, [what] if what else [], poses)
+    progress("opening", 0.0)
+    source = open_source(sensor)
+    try:
+        pipeline = Pipeline.of(sensor, source[frames[0]].intrinsics, estimator)
+        done = export_frames(source, frames, pipeline, options, plan, progress)
+    finally:
+        source.close()
+    files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"
+    return f"Exported {count_of(done.frames, 'frame')} to {done.out}{files}"

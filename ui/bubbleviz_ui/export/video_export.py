@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from queue import Empty, Full, Queue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
-from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.export.mp4_writer import open_mp4
 from bubbleviz.wording import count_of
-from bubbleviz_ui.view3d.scene_text import write_in
+from bubbleviz_ui.view3d.scene_text import text_at
 from bubbleviz_ui.view3d.tools.still_picture import still
 
 if TYPE_CHECKING:
@@ -60,7 +59,10 @@ class VideoExport(QObject):
         super().__init__()
         self._controller, self._state, self._view = controller, controller.state, view
         self._frames, self._size, self._path, self._fps = frames, size, path, fps
-        self._caption = _caption(view) if captioned else None
+        # at the bottom of the picture, where nothing else is written
+        self._caption = text_at(view, CAPTION_SIZE, (0.5, 0.015)) if captioned else None
+        if self._caption is not None:
+            self._caption.GetTextProperty().SetJustificationToCentered()
         self._drawn = 0
         self._settling: Frame | None = None
         self._pictures: Queue[np.ndarray] = Queue(WAITING)
@@ -139,14 +141,3 @@ class VideoExport(QObject):
             return still(self._view, *self._size)
         finally:
             self._view.renderer.RemoveViewProp(caption)
-
-
-def _caption(view: View) -> Any:
-    """Text at the bottom of the picture, where nothing else is written."""
-    caption = vtkTextActor()
-    style, place = caption.GetTextProperty(), caption.GetPositionCoordinate()
-    write_in(view, style, CAPTION_SIZE)
-    style.SetJustificationToCentered()
-    place.SetCoordinateSystemToNormalizedViewport()
-    place.SetValue(0.5, 0.015)
-    return caption

@@ -21,6 +21,7 @@ from bubbleviz_ui.model.costs import Cost, Costs
 from bubbleviz_ui.model.registry import ASKING, LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.view3d.render_view import View
 
 EVERY_MS = 500  # twice a second, as can be read
@@ -107,9 +108,7 @@ class CostsPopup(QFrame):
         header = table.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
-        column = QVBoxLayout(self)
-        for widget in (title, table, self.drawing, self.hint):
-            column.addWidget(widget)
+        fill(QVBoxLayout(self), title, table, self.drawing, self.hint)
 
 
 def _title(name: str) -> str:

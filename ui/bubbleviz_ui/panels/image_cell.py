@@ -132,9 +132,13 @@ class ImageCell:
 
     def show(self, image: np.ndarray, low: float, high: float) -> None:
         """Show an image (H, W) in SI with its colours from `low` to `high`."""
+        self._put(image, image.astype(np.float32), levels=(low, high))
+
+    def _put(self, image: np.ndarray, drawn: np.ndarray, **how: Any) -> None:
+        """Draw an image; all of it is in sight where its size is another."""
         new = self.image is None or self.image.shape != image.shape
         self.image = image
-        self.item.setImage(image.astype(np.float32), levels=(low, high))
+        self.item.setImage(drawn, **how)
         if new:
             self.box.setRange(self.item.boundingRect(), padding=0.01)
 
@@ -197,11 +201,7 @@ class ColourCell(ImageCell):
             why = [NOTHING] if seen is None else textwrap.wrap(seen.reason, NARROW)
             self._write("<br>".join([self.picture.title, *why]))
             return
-        new = self.image is None or self.image.shape != seen.rgb.shape
-        self.image = seen.rgb
-        self.item.setImage(seen.rgb, autoLevels=False)
-        if new:
-            self.box.setRange(self.item.boundingRect(), padding=0.01)
+        self._put(seen.rgb, seen.rgb, autoLevels=False)
         self._write(self.picture.title)
 
     def paint(self, dim: QColor, text: QColor) -> None:

@@ -56,14 +56,10 @@ class ImagesPanel(QWidget):
         state.choices_changed.connect(self._on_choices)
 
     def _lay_out(self) -> None:
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(8, 4, 8, 4)
-        self._column.setSpacing(4)
         header, text = QWidget(), QWidget()
         fill(QVBoxLayout(text), *self.lines, margins=(0, 0, 0, 0), spacing=0)
         BarLayout(header, text, self.choose, margins=(0, 0, 0, 0))
-        self._column.addWidget(header)
-        self._column.addWidget(self._host, 1)
+        fill(QVBoxLayout(self), header, (self._host, 1), margins=(8, 4, 8, 4), spacing=4)
         self.setMinimumWidth(LEAST_WIDTH)
 
     # -- events -------------------------------------------------------------------------------

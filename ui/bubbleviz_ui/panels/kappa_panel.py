@@ -67,13 +67,9 @@ class KappaPanel(QWidget):
         self.doubt = QLabel(wordWrap=True)
         self.doubt.setObjectName("doubt")
         self._lay_out()
-        self._show_patch(None)
+        self.show_result(None)
         self._bind(state)
         keep_keys(self)
-
-    def show_result(self, result: Result) -> None:
-        """Write the numbers of the patch."""
-        self._show_patch(result)
 
     def _lay_out(self) -> None:
         fill(QHBoxLayout(self.by_kappa), (self.slider, 1), self.box, margins=(0, 0, 0, 0))
@@ -115,7 +111,8 @@ class KappaPanel(QWidget):
         if "kappa" in names:
             self.by_kappa.setVisible(self._state.choices.kappa is not None)
 
-    def _show_patch(self, result: Result | None) -> None:
+    def show_result(self, result: Result | None) -> None:
+        """Write the numbers of the patch; none without a result."""
         units, patch = self._state.units, None if result is None else result.trusted_patch
         threshold_pa = patch.threshold_pa if patch else None
         automatic = self._state.choices.kappa is None

@@ -70,9 +70,6 @@ class PlotsPanel(QWidget):
         state.choices_changed.connect(self._on_choices)
 
     def _lay_out(self) -> None:
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(8, 4, 8, 4)
-        self._column.setSpacing(4)
         row = fill(
             QHBoxLayout(),
             self.choose,
@@ -83,9 +80,14 @@ class PlotsPanel(QWidget):
             self.hint,
             self.statistics.copy,
         )
-        self._column.addLayout(row)
-        self._column.addWidget(scrolled(self._host), 1)
-        self._column.addWidget(self.statistics)
+        self._column = fill(
+            QVBoxLayout(self),
+            row,
+            (scrolled(self._host), 1),
+            self.statistics,
+            margins=(8, 4, 8, 4),
+            spacing=4,
+        )
         self.progress.setFixedWidth(160)
         self.progress.hide()
         self.cancel.hide()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
@@ -41,15 +40,6 @@ MEASURED = ("solve", "render", "dropped")
 SPACING = 12  # px between labels, as QStatusBar has it at most
 LEAVING = ("dropped", "render", "camera", "solve", "residual", "gas", "latency", "area", "sensor")
 """What a narrow window leaves out, in this order; the panels have it, too."""
-
-
-@dataclass(frozen=True)
-class Rates:
-    """What the window measures about itself."""
-
-    solve_hz: float
-    render_hz: float
-    dropped: int
 
 
 def widest(units: Units) -> dict[str, str]:
@@ -131,13 +121,13 @@ class StatusBar(QStatusBar):
         self.labels["force"].setToolTip(doubt_text(result) or TIPS["force"])
         self._solve_ms = result.times_ms.get("total")
 
-    def show_rates(self, rates: Rates) -> None:
-        """Write how fast the window is."""
+    def show_rates(self, solve_hz: float, render_hz: float, dropped: int) -> None:
+        """Write how fast the window is, and how many frames it has left out."""
         units = self._units
-        solve = f"{units.duration.text(self._solve_ms)} · {units.rate.text(rates.solve_hz)}"
+        solve = f"{units.duration.text(self._solve_ms)} · {units.rate.text(solve_hz)}"
         self.labels["solve"].setText(f"solve {solve}")
-        self.labels["render"].setText(f"render {units.render_rate.text(rates.render_hz)}")
-        self.labels["dropped"].setText(f"dropped {count_of(rates.dropped, 'frame')}")
+        self.labels["render"].setText(f"render {units.render_rate.text(render_hz)}")
+        self.labels["dropped"].setText(f"dropped {count_of(dropped, 'frame')}")
 
     def show_latency(self, report: LatencyReport | None) -> None:
         """Write how old live frames are when their pictures are drawn."""

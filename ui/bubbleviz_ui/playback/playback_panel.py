@@ -30,10 +30,13 @@ from bubbleviz_ui.shell.layouts import fill
 SOON_MS = 200
 """Between repaints of the timeline while playing, ms; new numbers repaint it besides."""
 MODES = {False: "real time", True: "every frame"}
-JUMPS_S = {"−1 s": -1.0, "−0.1 s": -0.1, "+0.1 s": 0.1, "+1 s": 1.0}
-JUMP_KEYS = {-1.0: "Ctrl+←", -0.1: "Shift+←", 0.1: "Shift+→", 1.0: "Ctrl+→"}
-
-
+JUMPS = {
+    -1.0: ("−1", "Ctrl+←"),
+    -0.1: ("−0.1", "Shift+←"),
+    0.1: ("+0.1", "Shift+→"),
+    1.0: ("+1", "Ctrl+→"),
+}
+"""How far, in words and by which keys, by the seconds."""
 MARGIN, SPACING = 10, 4
 """At both sides of the row, and between what is in it, screen pixels."""
 
@@ -54,7 +57,7 @@ class PlaybackPanel(QWidget):
         self.play = self._button("Play or pause (Space)")
         self.forward = self._button("One frame on (→)")
         self.last = self._button("Last frame (End)")
-        self.jumps = {seconds: self._jump(text, seconds) for text, seconds in JUMPS_S.items()}
+        self.jumps = {seconds: self._jump(seconds) for seconds in JUMPS}
         self.timeline = Timeline(state)
         self._due = QTimer(self, singleShot=True, interval=SOON_MS)
         self._due.timeout.connect(lambda: self.timeline.update())
@@ -70,9 +73,7 @@ class PlaybackPanel(QWidget):
         self.loop = self._switch("Loop", "Begin again after the last frame, or the range's (L)")
         self.mark = self._switch("Mark", "Mark this frame (M); PgUp, PgDn go to marked frames")
         self.freeze = self._switch("Freeze", "Stand still while the live source goes on (F)")
-        self.now = QToolButton()
-        self.now.setText("Now")
-        self.now.setToolTip("Back to what the live source shows now (N)")
+        self.now = self._button("Back to what the live source shows now (N)", "Now")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._lay_out()
         self._show_all()
@@ -80,29 +81,27 @@ class PlaybackPanel(QWidget):
         keep_keys(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._on_history)
-        state.source_changed.connect(self._on_source)
-        for changed in (state.choices_changed, state.playing_changed, state.frozen_changed,
-                        state.range_changed, state.markers_changed):  # fmt: skip
+        for changed in (state.source_changed, state.choices_changed, state.playing_changed,
+                        state.frozen_changed, state.range_changed,
+                        state.markers_changed):  # fmt: skip
             changed.connect(self._show_all)
 
-    def _button(self, tip: str) -> QToolButton:
+    def _button(self, tip: str, text: str = "") -> QToolButton:
         button = QToolButton()
+        button.setText(text)
         button.setToolTip(tip)
         return button
 
-    def _jump(self, text: str, seconds: float) -> QToolButton:
-        button = QToolButton()
-        button.setText(text)
+    def _jump(self, seconds: float) -> QToolButton:
+        words, keys = JUMPS[seconds]
+        button = self._button(f"{words} seconds ({keys})", f"{words} s")
         button.setObjectName("slim")
-        button.setToolTip(f"{text.replace(' s', '')} seconds ({JUMP_KEYS[seconds]})")
         button.clicked.connect(lambda: self._state.jump(seconds))
         return button
 
     def _switch(self, text: str, tip: str) -> QToolButton:
-        button = QToolButton()
-        button.setText(text)
+        button = self._button(tip, text)
         button.setCheckable(True)
-        button.setToolTip(tip)
         return button
 
     def _lay_out(self) -> None:
@@ -138,10 +137,6 @@ class PlaybackPanel(QWidget):
         self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
         self.freeze.clicked.connect(state.freeze)
         self.now.clicked.connect(lambda: state.freeze(False))
-
-    def _on_source(self) -> None:
-        self.timeline.update()
-        self._show_all()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
         if not by_playback:  # else shown together with its picture

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front
-from bubbleviz_ui.view3d.scene_text import write_in
+from bubbleviz_ui.view3d.scene_text import text_at
 
 FADED = 0.1
 """Share of the pressure scale from which on the membrane has the colours of pressure alone."""
@@ -42,7 +41,9 @@ class TextureLayer(Layer):
         mapper.SelectColorArray(self.SHADE)
         mapper.SetColorModeToDirectScalars()
         in_front(actor, -30.0)
-        self._note = _note(canvas)
+        self._note = text_at(canvas.view, NOTE, (0.5, 0.16))  # above the scale bar
+        self._note.GetTextProperty().SetJustificationToCentered()
+        canvas.view.renderer.AddViewProp(self._note)
         self.actors.append(self._note)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -83,14 +84,3 @@ class TextureLayer(Layer):
             self._image.point_data["rgb"] = np.zeros((height * width, 3), np.uint8)
         self._image.point_data["rgb"][:] = rgb.reshape(-1, 3)
         self._image.Modified()
-
-
-def _note(canvas: Canvas) -> vtkTextActor:
-    """Text in the lower part of the view."""
-    actor = vtkTextActor()
-    write_in(canvas.view, actor.GetTextProperty(), NOTE)
-    actor.GetTextProperty().SetJustificationToCentered()
-    actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    actor.GetPositionCoordinate().SetValue(0.5, 0.16)  # above the scale bar
-    canvas.view.renderer.AddViewProp(actor)
-    return actor

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
@@ -21,6 +22,17 @@ OPACITY = 0.7
 def font_file() -> str:
     """DejaVu Sans as matplotlib ships it: it has κ and ², VTK's own font has not."""
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+
+
+def text_at(
+    view: View, size: int, place: tuple[float, float], colour: str | None = None
+) -> vtkTextActor:
+    """Text as `write_in` makes it, at a place in shares of the view; it is not in the view yet."""
+    actor = vtkTextActor()
+    write_in(view, actor.GetTextProperty(), size, colour)
+    actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    actor.GetPositionCoordinate().SetValue(*place)
+    return actor
 
 
 def write_in(view: View, style: Any, size: int, colour: str | None = None) -> None:

@@ -6,8 +6,6 @@ import math
 import textwrap
 from typing import Any
 
-from vtkmodules.vtkRenderingCore import vtkTextActor
-
 from bubbleviz.result import Result
 from bubbleviz_ui.model.result_text import DOUBTS, force_text
 from bubbleviz_ui.model.units import Units
@@ -15,7 +13,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import beside_bars
 from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.scene_text import write_in
+from bubbleviz_ui.view3d.scene_text import text_at
 
 LEFT = 0.02
 """Where text begins, as a share of the view's width."""
@@ -102,9 +100,7 @@ def _put(text: Any, size: float, top: float) -> None:
 
 
 def _text_actor(view: View, colour: str | None = None) -> Any:
-    actor = vtkTextActor()
-    write_in(view, actor.GetTextProperty(), REST, colour)
+    actor = text_at(view, REST, (LEFT, 1.0), colour)
     actor.GetTextProperty().SetVerticalJustificationToTop()
-    actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     view.renderer.AddViewProp(actor)
     return actor
