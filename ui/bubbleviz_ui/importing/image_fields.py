@@ -8,14 +8,15 @@ from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout
 
 from bubbleviz.commands.convert import Beside
 from bubbleviz_ui.importing.file_field import FileField
+from bubbleviz_ui.panels.binding import options
 
 UNITS = {
-    "whole numbers mm, others m": None,
-    "m": 1.0,
-    "mm": 1e-3,
-    "0.25 mm": 2.5e-4,
-    "0.1 mm": 1e-4,
-    "µm": 1e-6,
+    None: "whole numbers mm, others m",
+    1.0: "m",
+    1e-3: "mm",
+    2.5e-4: "0.25 mm",
+    1e-4: "0.1 mm",
+    1e-6: "µm",
 }
 """Metres that a pixel's value of 1 stands for; None: by its kind."""
 BY_ITSELF, RATE, TABLE = "times.csv in the folder, else the names", "a rate", "a table"
@@ -39,10 +40,8 @@ class ImageFields:
             "Intrinsics (*.toml *.json);;All files (*)",
             "intrinsics.toml or .json in the folder, else the sensor file's",
         )
-        self.unit = QComboBox()
+        self.unit = options(QComboBox(), UNITS)
         self.unit.setToolTip("What a pixel's value of 1 stands for")
-        for title, metres in UNITS.items():
-            self.unit.addItem(title, metres)
         self.timing = QComboBox()
         self.timing.addItems([BY_ITSELF, RATE, TABLE])
         self.timing.setToolTip("Where the times of the images come from")

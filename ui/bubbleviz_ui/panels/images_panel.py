@@ -167,8 +167,7 @@ def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
     length = units.length
     seen = f"pixel ({place.pixel[1]}, {place.pixel[0]})" if place.pixel else "outside the image"
     point = place.point_m if np.isfinite(place.point_m).all() else place.node_m
-    number = (f"{length.of(float(c)):.{length.digits}f}" for c in point)
-    x, y, z = number
+    x, y, z = (f"{length.of(float(c)):.{length.digits}f}" for c in point)
     return (
         f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",
         f"x {x} · y {y} · z {z} {length.symbol}",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,6 @@ DARKEST = 0.28
 """Share of a map that is too dark to be told from the shadows of the membrane."""
 
 
-@cache
-def _sampled(name: str, start: float) -> np.ndarray:
-    rgba = colormaps[name](np.linspace(start, 1.0, ENTRIES))
-    return np.asarray(rgba * 255.0).astype(np.uint8)
-
-
 def rgb(colour: str) -> tuple[int, int, int]:
     """Red, green and blue, 0 … 255, of `#rrggbb`."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
@@ -32,7 +25,8 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 def pressure_colours(name: str) -> np.ndarray:
     """Entries (256, 4) uint8: neutral at zero, then a uniform map: brighter is stronger."""
-    values = _sampled(name, DARKEST).copy()
+    sampled = colormaps[name](np.linspace(DARKEST, 1.0, ENTRIES))
+    values = np.asarray(sampled * 255.0).astype(np.uint8)
     neutral = np.array([*rgb(theme.NEUTRAL), 255], float)
     values[:NEUTRAL_ENTRIES] = neutral
     blend = slice(NEUTRAL_ENTRIES, NEUTRAL_ENTRIES + BLEND_ENTRIES)

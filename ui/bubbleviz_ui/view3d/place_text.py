@@ -9,8 +9,6 @@ from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
 
@@ -31,9 +29,7 @@ class PlaceText:
         self.actor = vtkTextActor()
         self.actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
         self.actor.SetVisibility(False)
-        style = self.actor.GetTextProperty()
-        write_in(view, style, SIZE)
-        view.follow_theme(self._paint)
+        write_in(view, self.actor.GetTextProperty(), SIZE, ground="field")
         view.renderer.AddViewProp(self.actor)
 
     def show(self, what: Probed | float | None, drawn_m: np.ndarray | None) -> None:
@@ -58,10 +54,6 @@ class PlaceText:
             self.actor.SetInput(beside(self._what, self._units))
         elif self._what is not None:
             self.actor.SetInput(f" {self._units.length.text(self._what)} ")
-
-    def _paint(self, colours: theme.Colours) -> None:
-        ground = (c / 255 for c in rgb(colours.field))
-        self.actor.GetTextProperty().SetBackgroundColor(*ground)
 
 
 def beside(place: Probed, units: Units) -> str:

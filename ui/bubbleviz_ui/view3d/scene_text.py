@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 from vtkmodules.vtkRenderingCore import vtkTextActor
@@ -14,14 +13,10 @@ from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.render_view import View
 
 VTK_FONT_FILE = 4
+FONT = str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+"""As matplotlib ships it: it has κ and ², VTK's own font has not."""
 OPACITY = 0.7
 """Of the ground below text: it can be read over the membrane, which stays in sight."""
-
-
-@cache
-def font_file() -> str:
-    """DejaVu Sans as matplotlib ships it: it has κ and ², VTK's own font has not."""
-    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
 def text_at(
@@ -35,10 +30,19 @@ def text_at(
     return actor
 
 
-def write_in(view: View, style: Any, size: int, colour: str | None = None) -> None:
-    """Give a vtkTextProperty the window's font, a size in pixels, and a colour or the theme's."""
+def write_in(
+    view: View,
+    style: Any,
+    size: int,
+    colour: str | None = None,
+    ground: Literal["view", "field"] = "view",
+) -> None:
+    """Give a vtkTextProperty the window's font, a size in pixels, and a colour or the theme's.
+
+    `ground` is what of the theme lies below the text.
+    """
     style.SetFontFamily(VTK_FONT_FILE)
-    style.SetFontFile(font_file())
+    style.SetFontFile(FONT)
     style.SetFontSize(size)
     style.SetBold(False)
     style.SetItalic(False)
@@ -47,6 +51,6 @@ def write_in(view: View, style: Any, size: int, colour: str | None = None) -> No
 
     def paint(colours: theme.Colours) -> None:
         style.SetColor(*(c / 255 for c in rgb(colour or colours.text)))
-        style.SetBackgroundColor(*(c / 255 for c in rgb(colours.view)))
+        style.SetBackgroundColor(*(c / 255 for c in rgb(getattr(colours, ground))))
 
     view.follow_theme(paint)
