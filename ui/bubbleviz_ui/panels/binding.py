@@ -152,9 +152,7 @@ def menu_button(
     text: str, tip: str, state: SessionState, field: str, titles: Mapping[str, str]
 ) -> tuple[QToolButton, dict[str, QAction]]:
     """Button with a menu whose actions say which names are in a field that is a set."""
-    button, actions = QToolButton(), dict[str, QAction]()
-    button.setText(text)
-    button.setToolTip(tip)
+    button, actions = tool_button(text, tip), dict[str, QAction]()
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     menu = QMenu(button)
     for name, title in titles.items():
@@ -163,6 +161,17 @@ def menu_button(
         bind_member(action, state, field, name)
     button.setMenu(menu)
     return button, actions
+
+
+def tool_button(text: str, tip: str, *, checkable: bool = False, slim: bool = False) -> QToolButton:
+    """Button for a row of them; a slim one has less room around its text."""
+    button = QToolButton()
+    button.setText(text)
+    button.setToolTip(tip)
+    button.setCheckable(checkable)
+    if slim:
+        button.setObjectName("slim")
+    return button
 
 
 def options(box: QComboBox, titles: Mapping[Any, str]) -> QComboBox:

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
-from bubbleviz_ui.panels.binding import bind, options
+from bubbleviz_ui.panels.binding import bind, options, tool_button
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.playback.playback_icons import icon
 from bubbleviz_ui.playback.range_strip import RangeStrip
@@ -37,6 +37,11 @@ JUMPS = {
     1.0: ("+1", "Ctrl+→"),
 }
 """How far, in words and by which keys, by the seconds."""
+SWITCHES = {
+    "Loop": "Begin again after the last frame, or the range's (L)",
+    "Mark": "Mark this frame (M); PgUp, PgDn go to marked frames",
+    "Freeze": "Stand still while the live source goes on (F)",
+}
 MARGIN, SPACING = 10, 4
 """At both sides of the row, and between what is in it, screen pixels."""
 
@@ -52,11 +57,11 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.first = self._button("First frame (Home)")
-        self.back = self._button("One frame back (←)")
-        self.play = self._button("Play or pause (Space)")
-        self.forward = self._button("One frame on (→)")
-        self.last = self._button("Last frame (End)")
+        self.first = tool_button("", "First frame (Home)")
+        self.back = tool_button("", "One frame back (←)")
+        self.play = tool_button("", "Play or pause (Space)")
+        self.forward = tool_button("", "One frame on (→)")
+        self.last = tool_button("", "Last frame (End)")
         self.jumps = {seconds: self._jump(seconds) for seconds in JUMPS}
         self.timeline = Timeline(state)
         self._due = QTimer(self, singleShot=True, interval=SOON_MS)
@@ -70,10 +75,10 @@ class PlaybackPanel(QWidget):
         self.mode.setToolTip(
             "Keep time and leave frames out, or wait for every frame however slow (E)"
         )
-        self.loop = self._switch("Loop", "Begin again after the last frame, or the range's (L)")
-        self.mark = self._switch("Mark", "Mark this frame (M); PgUp, PgDn go to marked frames")
-        self.freeze = self._switch("Freeze", "Stand still while the live source goes on (F)")
-        self.now = self._button("Back to what the live source shows now (N)", "Now")
+        self.loop, self.mark, self.freeze = (
+            tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
+        )
+        self.now = tool_button("Now", "Back to what the live source shows now (N)")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._lay_out()
         self._show_all()
@@ -86,22 +91,10 @@ class PlaybackPanel(QWidget):
                         state.markers_changed):  # fmt: skip
             changed.connect(self._show_all)
 
-    def _button(self, tip: str, text: str = "") -> QToolButton:
-        button = QToolButton()
-        button.setText(text)
-        button.setToolTip(tip)
-        return button
-
     def _jump(self, seconds: float) -> QToolButton:
         words, keys = JUMPS[seconds]
-        button = self._button(f"{words} seconds ({keys})", f"{words} s")
-        button.setObjectName("slim")
+        button = tool_button(f"{words} s", f"{words} seconds ({keys})", slim=True)
         button.clicked.connect(lambda: self._state.jump(seconds))
-        return button
-
-    def _switch(self, text: str, tip: str) -> QToolButton:
-        button = self._button(tip, text)
-        button.setCheckable(True)
         return button
 
     def _lay_out(self) -> None:

@@ -18,7 +18,6 @@ from PySide6.QtWidgets import (
     QPushButton,
     QSlider,
     QSpinBox,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -29,7 +28,7 @@ from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind, options
+from bubbleviz_ui.panels.binding import bind, options, tool_button
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
@@ -47,7 +46,17 @@ VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
 SECTIONS = {None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"}
-TOOLS = {"rotate": "Rotate", "probe": "Probe", "distance": "Distance"}
+TOOLS = {
+    "rotate": ("Rotate", "Drag rotates the scene, the wheel goes nearer"),
+    "probe": ("Probe", "Click on the membrane or a point: its numbers stay until Esc"),
+    "distance": ("Distance", "Click on two points; a third begins anew"),
+}
+HINTS = {
+    "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
+    "probe": ("Click on the membrane", "or on a measured point", ""),
+    "distance": ("Click on two points", "", ""),
+}
+"""In place of numbers."""
 LARGEST_PIXELS = 8192
 MOST_EXAGGERATED = 10.0
 SECTION_STEPS = 200
@@ -87,19 +96,17 @@ class ViewTools(QWidget):
         state.choices_changed.connect(self._on_choices)
 
     def _make_buttons(self) -> None:
-        self.views = {name: self._button(title) for name, title in VIEWS.items()}
+        self.views = {
+            name: tool_button(title, f"Look from the {name}, in the bubble frame B", slim=True)
+            for name, title in VIEWS.items()
+        }
         self.views["camera"].setToolTip("As the depth camera sees it")
-        self.tools = {name: self._button(title) for name, title in TOOLS.items()}
-        for name in ("top", "side", "front"):
-            self.views[name].setToolTip(f"Look from the {name}, in the bubble frame B")
-        self.tools["rotate"].setToolTip("Drag rotates the scene, the wheel goes nearer")
-        self.tools["probe"].setToolTip(
-            "Click on the membrane or a point: its numbers stay until Esc"
-        )
-        self.tools["distance"].setToolTip("Click on two points; a third begins anew")
+        self.tools = {
+            name: tool_button(title, tip, checkable=True, slim=True)
+            for name, (title, tip) in TOOLS.items()
+        }
         group = QButtonGroup(self)
         for button in self.tools.values():
-            button.setCheckable(True)
             group.addButton(button)
         self.tools["rotate"].setChecked(True)
         self.reading = [QLabel() for _ in range(3)]
@@ -122,9 +129,8 @@ class ViewTools(QWidget):
         self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")
-        self.turn = self._button("Turntable")
-        self.turn.setCheckable(True)
-        self.turn.setToolTip("Rotate about the vertical by itself, 30° a second")
+        tip = "Rotate about the vertical by itself, 30° a second"
+        self.turn = tool_button("Turntable", tip, checkable=True, slim=True)
 
     def _lay_out(self) -> None:
         form = QFormLayout()
@@ -206,11 +212,7 @@ class ViewTools(QWidget):
             self._text.show(length_m, self.distance.middle_m)
         else:
             self._text.show(place, self._scene.drawn_node(place))
-        lines = {
-            "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
-            "probe": ("Click on the membrane", "or on a measured point", ""),
-            "distance": ("Click on two points", "", ""),
-        }[self.tool]
+        lines = HINTS[self.tool]
         units, ends = self._state.units, self.distance.points_m
         if self.tool == "probe" and place is not None:
             lines = words(place, units)
@@ -261,13 +263,6 @@ class ViewTools(QWidget):
         path = file_to_save(self, title, "view.png", kinds, of="picture")
         if path is not None:
             self.save_picture(path)
-
-    @staticmethod
-    def _button(text: str) -> QToolButton:
-        button = QToolButton()
-        button.setText(text)
-        button.setObjectName("slim")
-        return button
 
 
 def _pixels() -> QSpinBox:
