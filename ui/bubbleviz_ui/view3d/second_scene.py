@@ -34,9 +34,10 @@ class SecondScene:
 
     def __init__(self, view: View, units: Units, ranges: HeldRanges) -> None:
         self._view = view
-        before = set(_props(view))
+        before = set(view.renderer.GetViewProps())
         self._drawn = DrawnLayers(view, units, ranges, LAYERS)
-        self._assembly = _gathered(view, [p for p in _props(view) if p not in before])
+        made = [prop for prop in view.renderer.GetViewProps() if prop not in before]
+        self._assembly = _gathered(view, made)
         self._assembly.SetVisibility(False)
 
     def set_sensor(
@@ -65,11 +66,6 @@ class SecondScene:
         self._drawn.hide()
         self._assembly.SetVisibility(False)
         self._view.refresh()
-
-
-def _props(view: View) -> list[Any]:
-    props = view.renderer.GetViewProps()
-    return [props.GetItemAsObject(k) for k in range(props.GetNumberOfItems())]
 
 
 def _gathered(view: View, props: list[Any]) -> Any:

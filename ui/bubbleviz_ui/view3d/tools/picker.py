@@ -53,7 +53,6 @@ class Picker:
 def _not_cut_away(mapper: Any) -> np.ndarray:
     """Points (k, 3) in B of what a mapper draws, on the kept side of its clipping planes."""
     points, planes = np.asarray(mapper.dataset.points), mapper.GetClippingPlanes()
-    for k in range(0 if planes is None else planes.GetNumberOfItems()):
-        plane = planes.GetItem(k)
+    for plane in planes or ():
         points = points[(points - plane.GetOrigin()) @ plane.GetNormal() >= 0.0]
     return points
