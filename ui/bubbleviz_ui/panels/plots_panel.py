@@ -154,7 +154,7 @@ class PlotsPanel(QWidget):
     def _make(self) -> list[Part]:
         for name, trace in TRACES.items():
             self.plots[name] = plot = TimePlot(trace)
-            plot.box.sigXRangeChanged.connect(self._on_zoomed)
+            plot.box.sigXRangeChanged.connect(self._later)
             plot.cursor.sigDragged.connect(self._on_dragged)
         self.kappa = KappaPlot()
         self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
@@ -267,9 +267,6 @@ class PlotsPanel(QWidget):
 
     def _on_dragged(self, line: Any) -> None:
         self._seek(float(line.value()))
-
-    def _on_zoomed(self, *_: Any) -> None:
-        self._later()
 
     def _on_kappa(self, line: Any) -> None:
         self._state.choose(kappa=kappa_at(line))

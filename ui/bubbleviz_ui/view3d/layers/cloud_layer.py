@@ -44,7 +44,6 @@ class CloudLayer(Layer):
             interpolate_before_map=False,
             **view.quality.points,
         )
-        actor.mapper.SetScalarModeToUsePointFieldData()
         actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
         self._bar = ColourBar(view, self._table, "residual", upper=False)
         view.follow_theme(self._take_colours)
@@ -108,8 +107,7 @@ class CloudLayer(Layer):
 
     def _reserve(self, count: int) -> None:
         size = -(-count // CHUNK) * CHUNK
-        fits = size <= self._poly.n_points <= size + 2 * CHUNK
-        if fits and self.RESIDUAL in self._poly.point_data:
+        if size <= self._poly.n_points <= size + 2 * CHUNK:
             return
         self._poly.point_data.clear()
         self._poly.points = np.zeros((size, 3), np.float32)
