@@ -38,7 +38,7 @@ from bubbleviz_ui.engine.requests import OpenRequest
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.file_dialogs import unsaved
@@ -86,7 +86,7 @@ class Gamma0Panel(QWidget):
         self.cancel.setToolTip("Stop computing; everything is as it was before")
         self._lay_out()
         self._connect()
-        keep_keys(self)
+        watch_controls(self)
         self.go_to(0)
 
     @property

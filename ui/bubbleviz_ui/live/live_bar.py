@@ -14,7 +14,7 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.record_controls import RecordControls
 from bubbleviz_ui.model.source_facts import Badge
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
 
@@ -69,7 +69,7 @@ class LiveBar(QFrame):
         self.counts.setObjectName("dim")
         self._lay_out()
         self._connect()
-        keep_keys(self)
+        watch_controls(self)
         self.show_all()
 
     def show_all(self) -> None:

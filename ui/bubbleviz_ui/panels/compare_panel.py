@@ -30,8 +30,8 @@ from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind, bind_member, options
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.panels.kappa_panel import HIGHEST
-from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.layouts import fill
 
@@ -152,7 +152,7 @@ class ComparePanel(QWidget):
         self._lay_out()
         controller.compared.connect(self._on_compared)
         controller.failed.connect(self._on_failed)
-        keep_keys(self)
+        watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.source_changed.connect(self._ask_anew)
         state.playing_changed.connect(self._ask)

@@ -15,8 +15,8 @@ from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import menu_button
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.panels.image_cell import PICTURES, ColourCell, ImageCell
-from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
 
@@ -51,7 +51,7 @@ class ImagesPanel(QWidget):
         controller.shown.connect(self._on_shown)
         hover.changed.connect(self._on_hover)
         self._on_hover(None)
-        keep_keys(self)
+        watch_controls(self)
         state.source_changed.connect(self._on_source)
         state.choices_changed.connect(self._on_choices)
 

@@ -23,7 +23,7 @@ from bubbleviz_ui.model.choices import SETTINGS, solver_title
 from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.shell.layouts import fill
 
 LOWEST, HIGHEST = 0.1, 100.0
@@ -69,7 +69,7 @@ class KappaPanel(QWidget):
         self._lay_out()
         self.show_result(None)
         self._bind(state)
-        keep_keys(self)
+        watch_controls(self)
 
     def _lay_out(self) -> None:
         fill(QHBoxLayout(self.by_kappa), (self.slider, 1), self.box, margins=(0, 0, 0, 0))

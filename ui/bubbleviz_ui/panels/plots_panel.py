@@ -19,8 +19,8 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
-from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.playback.range_table import Curve, RangeTable
@@ -62,7 +62,7 @@ class PlotsPanel(QWidget):
         self.hint.setObjectName("dim")
         self._lay_out()
         self._connect()
-        keep_keys(self)
+        watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._later)
         state.range_changed.connect(self._show_statistics)

@@ -23,8 +23,8 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind_quantity
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.panels.kappa_plots import KappaHistogram, KappaPlot, kappa_at
-from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.layouts import fill
 
@@ -57,7 +57,7 @@ class ThresholdPanel(QWidget):
             self.least, state, "least_area_m2", lambda u: u.area, LARGEST_M2, STEP_M2, zero=0.0
         )
         controller.shown.connect(self._draw)
-        keep_keys(self)
+        watch_controls(self)
         state.choices_changed.connect(self._draw)
 
     def _lay_out(self) -> None:

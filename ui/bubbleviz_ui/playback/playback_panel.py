@@ -20,7 +20,7 @@ from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.panels.binding import bind, options, tool_button
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.playback.playback_icons import icon
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
@@ -83,7 +83,7 @@ class PlaybackPanel(QWidget):
         self._lay_out()
         self._show_all()
         self._connect()
-        keep_keys(self)
+        watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._on_history)
         for changed in (state.source_changed, state.choices_changed, state.playing_changed,

@@ -30,7 +30,7 @@ from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, bind_member, options
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.panels.plot_host import import_plots
 from bubbleviz_ui.pose.fit_curves import Curves
 from bubbleviz_ui.pose.pose_text import NUMBERS, copied_pose, known_pose, pose_words
@@ -93,7 +93,7 @@ class PosePanel(QWidget):
         self._fill()
         self._lay_out()
         self._connect()
-        keep_keys(self)
+        watch_controls(self)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(lambda: self._write())
         self._write()

@@ -22,7 +22,7 @@ from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.sensor.sensor_text import VALUES, file_text, identified_text
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
 from bubbleviz_ui.sensor.value_row import ValueRow
@@ -54,7 +54,7 @@ class SensorPanel(QWidget):
         self.save, self.cancel = QPushButton("Save as…"), QPushButton("Cancel")
         self._watch = SensorWatch(self)
         self._lay_out()
-        keep_keys(self)
+        watch_controls(self)
         self._show()
         self.edit.clicked.connect(self._begin)
         self.reload.clicked.connect(self._reload)

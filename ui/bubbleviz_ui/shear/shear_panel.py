@@ -22,7 +22,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, SYSTEMS
 from bubbleviz_ui.panels.binding import bind, options
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.shear.shear_plot import ShearPlot
 from bubbleviz_ui.shear.shear_text import NUMBERS, TIPS, copied_shear, shear_words
 from bubbleviz_ui.shell.layouts import fill
@@ -65,7 +65,7 @@ class ShearPanel(QWidget):
         self.copy.setToolTip("These numbers as text, with their units")
         self._lay_out()
         self._connect(state, controller)
-        keep_keys(self)
+        watch_controls(self)
 
     def _lay_out(self) -> None:
         numbers, settings = QFormLayout(), QFormLayout()

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options
-from bubbleviz_ui.panels.keep_keys import keep_keys
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.shell.layouts import fill
 
 CLOUD_POINTS = {
@@ -49,7 +49,7 @@ class LayersPanel(QWidget):
         self._lay_out()
         self._bind(state)
         self._enable()
-        keep_keys(self)
+        watch_controls(self)
         state.choices_changed.connect(self._enable)
 
     def _box(self, name: str, kind: LayerKind) -> QCheckBox:

@@ -29,8 +29,8 @@ from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import bind, options, tool_button
+from bubbleviz_ui.panels.control_input import watch_controls
 from bubbleviz_ui.panels.images_panel import words
-from bubbleviz_ui.panels.keep_keys import keep_keys
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
 from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
@@ -92,7 +92,7 @@ class ViewTools(QWidget):
         self._bind(state)
         self._connect(controller)
         self._on_choices()
-        keep_keys(self)
+        watch_controls(self)
         state.choices_changed.connect(self._on_choices)
 
     def _make_buttons(self) -> None:
