@@ -11,6 +11,9 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
+_ATTEMPTS = 9
+"""Tries at an import that other threads' imports disturb; one is enough but by rare chance."""
+
 
 class _Deferred(ModuleType):
     """Stands for a module until something of it is asked for."""
@@ -38,12 +41,26 @@ def import_without(package: str, part: str) -> None:
         return
     deferred = _deferred(name)
     try:
-        module = importlib.import_module(package)
+        module = _imported(package)
     except BaseException:
         sys.modules.pop(name, None)
         raise
     if part not in vars(module):  # `hasattr` would have numpy import it
         setattr(module, part, deferred)
+
+
+def _imported(package: str) -> ModuleType:
+    """Import a package, again where another thread's import got in its way.
+
+    Open3D goes through `sys.modules`, which fails while another thread imports.
+    """
+    for _ in range(_ATTEMPTS - 1):
+        try:
+            return importlib.import_module(package)
+        except RuntimeError as error:
+            if "changed size during iteration" not in str(error):
+                raise
+    return importlib.import_module(package)
 
 
 def import_later(package: str) -> None:

@@ -138,3 +138,25 @@ def test_a_package_that_is_not_there_leaves_nothing() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_an_import_that_another_thread_disturbs_is_repeated() -> None:
+    """Open3D goes through all modules; the name of one adds another meanwhile, as a thread may."""
+    code = (
+        "import sys, types\n"
+        "class Name(str):\n"
+        "    asked = 0\n"
+        "    def __contains__(self, part):\n"
+        "        Name.asked += 1\n"
+        "        if Name.asked < 3: sys.modules[f'other{Name.asked}'] = types.ModuleType('other')\n"
+        "        return super().__contains__(part)\n"
+        "sys.modules[Name('disturbing')] = types.ModuleType('disturbing')\n"
+        "from bubbleviz.lazy_imports import import_without\n"
+        "import_without('open3d', 'visualization')\n"
+        "from open3d import core; from open3d.t.geometry import RaycastingScene\n"
+        "RaycastingScene(); print(Name.asked, 'dash' in sys.modules)\n"
+        "import open3d; assert callable(open3d.visualization.draw_plotly)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    asked, heavy = done.stdout.split()
+    assert int(asked) > 3 and heavy == "False"
