@@ -317,6 +317,19 @@ def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench: Benc
         fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
         assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
         assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
+        for curve, largest in zip(curves.iterations, (100.0, rmse.max()), strict=True):
+            low, high = curve.frame.box.viewRange()[1]
+            assert low <= 0.0 and low + high == pytest.approx(largest)  # from 0, no further
+
+
+def test_an_object_that_was_never_found_has_no_last_pose(bench: Bench) -> None:
+    bench.choose("two_spheres")  # the frustum is pressed
+    bench.fit()
+    assert bench.text("state") == "not found yet"
+    assert bench.text("place") == bench.text("fit") == NOTHING
+    bench.choose("frustum")
+    bench.fit()
+    assert bench.text("state").startswith("found")
 
 
 def test_curves_have_no_line_across_what_is_lost_or_was_left_out(

@@ -13,6 +13,7 @@ from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import alone
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
+Below = Literal["number", "seconds"]
 HEIGHT = 109
 """Of a plot with its text, screen pixels."""
 
@@ -34,8 +35,7 @@ class Curves(PlotHost):
         self.prepare()
 
     def _fill(self) -> list[Part]:
-        self.iterations = Curve("fitness", BLUE, "number"), Curve("rmse", ORANGE, "number")
-        self.frames = Curve("fitness", BLUE, "seconds"), Curve("rmse", ORANGE, "seconds")
+        self.iterations, self.frames = _pair("number"), _pair("seconds")
         every = [*self.iterations, *self.frames]
         self.arrange([curve.frame.item for curve in every], columns=2)
         return list(every)
@@ -67,18 +67,30 @@ class Curves(PlotHost):
             curves[k].draw(x, values[:, k], unit, change)
 
 
+def _pair(below: Below) -> tuple[Curve, Curve]:
+    return Curve("fitness", BLUE, below, top=1.0), Curve("rmse", ORANGE, below)
+
+
 class Curve:
-    """One quantity in its unit; the last value is written above, a dash where there is none.
+    """One quantity in its unit, from 0; its last value is above, a dash where there is none.
+
+    Parameters
+    ----------
+    name, colour : str
+    below : {"number", "seconds"}
+        What the axis below has.
+    top : float, optional
+        Where the axis ends, SI; at the largest value where not given.
 
     Attributes
     ----------
     line : pyqtgraph.PlotDataItem
     """
 
-    def __init__(self, name: str, colour: str, below: Literal["number", "seconds"]) -> None:
+    def __init__(self, name: str, colour: str, below: Below, top: float | None = None) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
-        self._name, self._colour = name, colour
+        self._name, self._colour, self._top = name, colour, top
         self.frame = PlotFrame(below)
         self.frame.box.setMouseEnabled(x=False, y=False)
         self.line = pg.PlotDataItem(
@@ -93,6 +105,9 @@ class Curve:
         """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
         symbol = "o" if alone(values).any() else None
         self.line.setData(x, unit.of(1.0) * values, symbol=symbol)
+        top = self._top or float(np.nanmax(values, initial=0.0))
+        if top > 0.0:
+            self.frame.box.setYRange(0.0, unit.of(top), padding=0.05)
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)

@@ -59,6 +59,8 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
 def state_words(pose: Pose) -> str:
     """What became of it, and whether the contact leaves a direction open."""
     left = int(np.count_nonzero(~pose.determined)) if pose.status == "ok" else 0
+    if pose.status == "lost" and not known_pose(pose):
+        return "not found yet"
     return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
 
 
