@@ -86,7 +86,7 @@ def rim_at(found, height_m, sigma_m):
 def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relative, frames, grade):
     verdict = judge(with_tension(in_frames(ball, frames), relative))
     assert verdict.grade == grade
-    assert verdict.summary.startswith(f"{grade}: γ0 = {ball.tension.tension.value:.2f} N/m")
+    assert verdict.summary.startswith(f"{grade}: γ0 = {ball.tension.tension.value:.1f} N/m")
     assert f"({100 * relative:.2g} % either way)" in verdict.summary
     assert any(f"Only {frames} frames" in line for line in verdict.advice) is (frames < 30)
 

@@ -53,9 +53,10 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
         grade = "usable"
     if relative > _USABLE:
         grade = "doubtful"
+    value, low, high = tension.texts(2)
     summary = (
-        f"{grade}: γ0 = {tension.value:.2f} N/m, 95 % interval {tension.low:.2f} to"
-        f" {tension.high:.2f} ({_percent(relative)} either way), at"
+        f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high}"
+        f" ({_percent(relative)} either way), at"
         f" {pressure(found.tension.gauge_pressure_pa)} gauge pressure"
     )
     return Verdict(grade, summary, (_surface(found), *warnings, *_notes(found)))
@@ -157,15 +158,13 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
     if rubber.prestretch is None:
         advice.append(f"λ is not determined: {rubber.why_not}.")
     else:
-        stretch = rubber.prestretch
-        advice.append(
-            f"λ = {stretch.value:.3f}, 95 % interval {stretch.low:.3f} to {stretch.high:.3f}."
-        )
+        value, low, high = rubber.prestretch.texts(3)
+        advice.append(f"λ = {value}, 95 % interval {low} to {high}.")
     if rubber.gauge_from == "press" and (gauge := rubber.gauge) is not None:
+        value, low, high = gauge.texts(0)
         advice.append(
-            f"By the press the gauge pressure is {gauge.value:.0f} Pa, 95 % interval"
-            f" {gauge.low:.0f} to {gauge.high:.0f}: record the open chamber to know"
-            " it more precisely (--vented)."
+            f"By the press the gauge pressure is {value} Pa, 95 % interval {low} to {high}:"
+            " record the open chamber to know it more precisely (--vented)."
         )
     if rubber.gauge is None:
         advice.append(

@@ -41,6 +41,7 @@ from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.membrane.symmetric_lu import symmetric_lu
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.wording import decimals_of, rounded
 
 _CLIP = 3.0  # as the mean of a pixel is clipped
 _BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
@@ -59,6 +60,12 @@ class Quantity:
     def half_width(self) -> float:
         """Half of the interval's width."""
         return 0.5 * (self.high - self.low)
+
+    def texts(self, most: int) -> tuple[str, str, str]:
+        """Value and ends, to the digits that the interval leaves and `most` decimals at most."""
+        decimals = decimals_of(self.half_width, most)
+        value, low, high = (rounded(each, decimals) for each in (self.value, self.low, self.high))
+        return value, low, high
 
     @classmethod
     def normal(cls, value: float, sigma: float) -> Quantity:

@@ -110,7 +110,7 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive: Drive) 
     new = panel.calibration.answer
     assert len(new.draft.samples.frames) == 9 and new.work.settings.deviations == 4.0
     assert new.draft.tension.tension.value != old.draft.tension.tension.value
-    assert f"{new.draft.tension.tension.value:.2f} N/m" in panel.verdict.text()
+    assert f"{new.draft.tension.tension.value:.1f} N/m" in panel.verdict.text()
     assert "Out of date" not in panel.verdict.text()
 
 

@@ -30,6 +30,12 @@ CONTACT = 75
         (Units().force.with_interval(4.784, 0.034), "4.78 ± 0.03 N"),
         (Units().force.with_interval(4.784, 0.002), "4.78 ± 0.01 N"),  # surely not none
         (Units().force.with_interval(4.784, 0.0), "4.78 ± 0.00 N"),
+        (Units().force.with_interval(47.84, 3.14), "47.8 ± 3.1 N"),
+        (Units().tension.with_interval(219.32, 25.62), "219 ± 26 N/m"),
+        (Units().gas_pressure.with_interval(8690.0, 978.0), "8690 ± 980 Pa"),
+        (Units().force.with_interval(-0.2, 12.0), "0 ± 12 N"),
+        (Units().tension.between(192.79, 244.02), "193 … 244 N/m"),
+        (Units().gas_pressure.between(2500.0, 2700.0), "2500 … 2700 Pa"),
     ],
 )
 def test_text(text: str, expected: str) -> None:

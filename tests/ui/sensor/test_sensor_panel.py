@@ -93,7 +93,7 @@ def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Pat
     assert panel.name.text() == "left finger" and panel.file.text() == str(left)
     assert panel.camera.text() == "80×60 pixels"
     tension, gauge = panel.rows[TENSION], panel.rows[GAUGE]
-    assert tension.shown.text() == "90.25 N/m" and tension.interval.text() == "88.00 … 92.50 N/m"
+    assert tension.shown.text() == "90.25 N/m" and tension.interval.text() == "88.0 … 92.5 N/m"
     assert gauge.interval.text() == "2500 … 2700 Pa"
     assert panel.rows["membrane.prestretch"].shown.text() == "not in the file"
     assert gauge.interval.toolTip() == "from a manometer"

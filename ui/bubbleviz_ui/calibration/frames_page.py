@@ -30,9 +30,9 @@ from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell.layouts import fill
 
 ENDED_BY = {
-    "depth": "the depth image moves then",
-    "pressure": "the gas pressure moves then",
-    "recording": "nothing moves up to the end: make sure that nothing touches the sensor",
+    "depth": "then the depth image changes",
+    "pressure": "then the gas pressure changes",
+    "recording": "nothing changes up to the end: make sure that nothing touches the sensor",
 }
 
 NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."

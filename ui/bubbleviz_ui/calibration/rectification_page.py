@@ -79,7 +79,9 @@ class RectificationPage(Page):
         levels = self.calibration.settings.levels
         self.drop.setEnabled(bool(levels))
         names = ", ".join(path.name for path in levels)
-        self.levels.setText(f"Further levels: {names}" if levels else "One level: an offset each.")
+        self.levels.setText(
+            f"Further levels: {names}" if levels else "One level: an offset for each pixel."
+        )
         line = answer.draft.pixels.line if answer.draft.pixels is not None else None
         if line is None or answer.draft.found is None:
             self.numbers.set("line", "offset only")
@@ -110,12 +112,10 @@ class RectificationPage(Page):
             self.numbers.set("gauge pressure rests on", "the sensor file's atmospheric pressure")
             return
         stretch, gauge = rubber.prestretch, rubber.gauge
-        self.numbers.set(
-            "λ",
-            f"not determined: {rubber.why_not}"
-            if stretch is None
-            else f"{stretch.value:.3f}, 95 % {stretch.low:.3f} … {stretch.high:.3f}",
-        )
+        if stretch is None:
+            self.numbers.set("λ", f"not determined: {rubber.why_not}")
+        else:
+            self.numbers.set("λ", "{}, 95 % interval {} … {}".format(*stretch.texts(3)))
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
         self.numbers.set("gauge pressure rests on", rubber.gauge_rests_on)

@@ -54,7 +54,7 @@ class TensionPage(Page):
         )
         say = self.numbers.set
         say("γ0", unit.with_interval(value, estimate.tension.half_width))
-        say("95 % interval", f"{estimate.tension.low:.2f} … {unit.text(estimate.tension.high)}")
+        say("95 % interval", unit.between(estimate.tension.low, estimate.tension.high))
         for name, size in estimate.dimensions.items():
             text = units.length.with_interval(size.value, size.half_width)
             say(name.removesuffix("_m").replace("_", " "), text)

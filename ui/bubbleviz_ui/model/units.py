@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from bubbleviz.wording import decimals_of, rounded
+
 NOTHING = "–"
 """Shown where there is no number."""
 
@@ -44,13 +46,24 @@ class Unit:
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
 
     def with_interval(self, si: float | None, half_width: float | None) -> str:
-        """Number ± half of its 95 % interval, 0 only where that is exactly 0, and unit."""
+        """Number ± half of its 95 % interval, to the digits that this leaves, and unit.
+
+        The half is 0 only where it is exactly 0.
+        """
         if si is None or half_width is None or not math.isfinite(si + half_width):
             return self.text(si)
         shown = self.of(half_width)
         if half_width > 0.0:
             shown = max(shown, 10.0**-self.digits)
-        return f"{self.of(si):.{self.digits}f} ± {shown:.{self.digits}f} {self.symbol}"
+        decimals = decimals_of(shown, self.digits)
+        number, shown_half = (rounded(each, decimals) for each in (self.of(si), shown))
+        return f"{number} ± {shown_half} {self.symbol}"
+
+    def between(self, low: float, high: float) -> str:
+        """Ends of a 95 % interval, to the digits that its width leaves, and unit."""
+        low, high = self.of(low), self.of(high)
+        decimals = decimals_of(0.5 * (high - low), self.digits)
+        return f"{rounded(low, decimals)} … {rounded(high, decimals)} {self.symbol}"
 
     def with_range(self, si: float, low: float, high: float) -> str:
         """Number, the range it may be in unless that is empty, and unit."""

@@ -60,8 +60,7 @@ class Value:
         ends = getattr(sensor.calibration, self.interval, None) if self.interval else None
         if ends is None:
             return ""
-        low, high = ends
-        return f"{unit.of(low):.{unit.digits}f} … {unit.text(high).rstrip()}"
+        return unit.between(*ends).rstrip()
 
     def origin(self, sensor: Sensor) -> str:
         """What the number rests on, where the file says so."""
