@@ -95,10 +95,18 @@ class Estimate:
         Wall time of the solver alone, ms.
     displacement_3d_m : (n, 3) array or None
         The whole displacement of the exact membrane; None of the linear one.
+    unexplained_pressure_pa : (n,) array or None
+        Pressure on the exact membrane that is too little to be evidence of contact, Pa. It is part
+        of the membrane's equilibrium but not of the contact pressure and force.
+    nodal_force_n : (n, 3) array or None
+        Force of the contact on the nodes of the exact membrane, N: p_c on the current area vectors,
+        and friction; None of the linear model.
+    friction_n : (n, 3) array or None
+        The part of it that is friction, N.
     force_n : (3,) array or None
-        Resultant of p_c on the current area vectors, N; None of the linear model.
+        The sum of `nodal_force_n`, N.
     force_sigma_n : (3,) array or None
-        Standard deviation of that by noise and material.
+        Standard deviation of that by noise, friction, material and the model's own error.
     gas_law_pa : float or None
         p_v by the gas law for the exact shape, Pa; None of the linear model.
     resolution_m : float or None
@@ -119,6 +127,9 @@ class Estimate:
     iterations: int = 0
     solve_ms: float = 0.0
     displacement_3d_m: np.ndarray | None = None
+    unexplained_pressure_pa: np.ndarray | None = None
+    nodal_force_n: np.ndarray | None = None
+    friction_n: np.ndarray | None = None
     force_n: np.ndarray | None = None
     force_sigma_n: np.ndarray | None = None
     gas_law_pa: float | None = None

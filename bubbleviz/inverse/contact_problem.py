@@ -1,11 +1,12 @@
 """The contact pressure that explains a range image, around a shape of the exact membrane.
 
-    min  ½ ‖e − D (δ − S Δp)‖²_W + ½ λ pᵀ L p + τᵀ p   over p = p₀ + Δp ≥ 0
+    min  ½ ‖e − D (δ − S Δp + B c)‖²_W + ½ λ pᵀ L p + ½ cᵀ Σ⁻¹ c + τᵀ p   over p = p₀ + Δp ≥ 0
 
 with e the ranges that the shape leaves unexplained, D their derivative by the nodes and δ the
-motion to equilibrium under the present pressure p₀. The error of a measured gas pressure is an
-unknown of its own with a prior, eliminated from the misfit. First with the L1 term to find where
-there is contact, then on the likeliest support there without it, which takes out its bias.
+motion to equilibrium under the present pressure p₀. The nuisance amplitudes c, such as the error of
+a measured gas pressure and the friction of each contact, have a prior and are eliminated from the
+misfit. First with the L1 term to find where there is contact, then on the likeliest support there
+without it, which takes out its bias.
 """
 
 from __future__ import annotations
@@ -74,22 +75,28 @@ def smoothness(mesh: MembraneMesh, weight: float) -> sparse.csr_array:
 
 
 @dataclass(frozen=True)
-class GasError:
-    """What an error of the measured gas pressure does.
+class Nuisances:
+    """Motions of the membrane, besides those by contact pressure, of unknown amplitudes.
 
     Attributes
     ----------
-    bulge : (n, 3) array
-        Motion under unit gas pressure, m/Pa.
-    ranges : (k,) array
-        The same in the ranges.
-    sigma_pa : float
-        Standard deviation of the error.
+    motions : (n, 3, a) array
+        B: motion under a unit of each, m.
+    sigma : (a,) array
+        Standard deviation of each amplitude, known before a frame.
+    forces : (n, 3, a) array
+        Contact forces on the nodes that a unit of each stands for, N.
     """
 
-    bulge: np.ndarray
-    ranges: np.ndarray
-    sigma_pa: float
+    motions: np.ndarray
+    sigma: np.ndarray
+    forces: np.ndarray
+
+    @classmethod
+    def none(cls, nodes: int) -> Nuisances:
+        """No amplitudes at all, of a membrane with so many nodes."""
+        empty = np.zeros((nodes, 3, 0))
+        return cls(empty, np.zeros(0), empty)
 
 
 @dataclass(frozen=True)
@@ -104,14 +111,13 @@ class Ranges:
         e: measured less modelled ranges.
     weight : (k,) array
         1/σ².
-    gas : GasError or None
-        None where the gas pressure follows from the volume.
+    nuisances : Nuisances
     """
 
     jacobian: sparse.csr_array
     error_m: np.ndarray
     weight: np.ndarray
-    gas: GasError | None = None
+    nuisances: Nuisances
 
     @cached_property
     def transposed(self) -> sparse.csc_array:
@@ -119,24 +125,29 @@ class Ranges:
         return self.jacobian.T
 
     @cached_property
-    def bulge_weighed(self) -> np.ndarray:
-        """W D b of the bulge b, (k,)."""
-        return np.zeros_like(self.weight) if self.gas is None else self.weight * self.gas.ranges
+    def by_nuisances(self) -> np.ndarray:
+        """R = D B: ranges under a unit of each nuisance, (k, a), m."""
+        motions = self.nuisances.motions
+        return self.jacobian @ motions.reshape(3 * len(motions), motions.shape[2])
 
     @cached_property
-    def gas_variance(self) -> float:
-        """Variance of the gas pressure's error given everything else, Pa²."""
-        if self.gas is None:
-            return 0.0
-        return 1.0 / (1.0 / self.gas.sigma_pa**2 + float(self.bulge_weighed @ self.gas.ranges))
+    def nuisances_weighed(self) -> np.ndarray:
+        """W R, (k, a)."""
+        return self.weight[:, None] * self.by_nuisances
 
-    def gas_error_pa(self, left_m: np.ndarray) -> float:
-        """Most likely error of the gas pressure for ranges (k,) that nothing else explains, Pa."""
-        return self.gas_variance * float(self.bulge_weighed @ left_m)
+    @cached_property
+    def nuisance_covariance(self) -> np.ndarray:
+        """(Σ⁻¹ + RᵀWR)⁻¹: covariance of the amplitudes given everything else, (a, a)."""
+        prior = np.diag(self.nuisances.sigma**-2.0)
+        return np.linalg.inv(prior + self.nuisances_weighed.T @ self.by_nuisances)
+
+    def amplitudes(self, unexplained_m: np.ndarray) -> np.ndarray:
+        """Most likely amplitudes (a,) for ranges (k,) that nothing else explains."""
+        return self.nuisance_covariance @ (self.nuisances_weighed.T @ unexplained_m)
 
     def weighed(self, ranges_m: np.ndarray) -> np.ndarray:
-        """Ranges (k,) times the inverse of their covariance, the gas pressure's error in it."""
-        return self.weight * ranges_m - self.gas_error_pa(ranges_m) * self.bulge_weighed
+        """Ranges (k,) times the inverse of their covariance, the nuisances in it (Woodbury)."""
+        return self.weight * ranges_m - self.nuisances_weighed @ self.amplitudes(ranges_m)
 
 
 @dataclass(frozen=True)
@@ -178,10 +189,10 @@ class ContactPressure:
         ‖min(p, ∇)‖ of the debiased problem on its support, both over their largest.
     nodes : (s,) int array
         Those under pressure.
-    covariance : (s, s) array
-        Of their pressures, Pa².
-    gas_error_pa : float
-        By how much the gas pressure is higher than measured.
+    amplitudes : (a,) array
+        Of the nuisances.
+    covariance : (s + a, s + a) array
+        Of the pressures of `nodes`, Pa, and the amplitudes.
     """
 
     support: np.ndarray
@@ -192,8 +203,8 @@ class ContactPressure:
     complete: bool
     kkt_residual: float
     nodes: np.ndarray
+    amplitudes: np.ndarray
     covariance: np.ndarray
-    gas_error_pa: float
 
 
 class ContactProblem:
@@ -226,7 +237,9 @@ class ContactProblem:
         self._work = self._known = np.empty(0, int)
         self._hessian = np.empty((0, 0))
         self._place = np.full(len(pressure), -1)
-        self._by_gas, self._among_known = np.empty(0), np.empty((0, 0))
+        self._among_known = np.empty((0, 0))
+        self._by_nuisances = np.empty((0, len(ranges.nuisances.sigma)))
+        """Jᵀ W R of the known nodes, with J = D S, (known, a)."""
         self._weighed = np.empty((len(ranges.weight), 0))
         """√W D S of the known nodes, (k, known)."""
 
@@ -314,23 +327,28 @@ class ContactProblem:
                 break
             support = kept
         nodes = np.flatnonzero(pressure > 0.0)
-        where = np.searchsorted(self._work, nodes)
-        motion, gas_error, ranges = self._motion(pressure), 0.0, self._ranges
-        if ranges.gas is not None:
-            gas_error = ranges.gas_error_pa(ranges.error_m - ranges.jacobian @ motion.ravel())
-            motion = motion + gas_error * ranges.gas.bulge
+        motion, ranges = self._motion(pressure), self._ranges
+        amplitudes = ranges.amplitudes(ranges.error_m - ranges.jacobian @ motion.ravel())
         return ContactPressure(
             support,
             pressure,
-            motion,
+            motion + ranges.nuisances.motions @ amplitudes,
             pivots,
             selection.converged and solved,
             selection.complete,
             self._kkt(pressure, support) if support.any() else 0.0,
             nodes,
-            np.linalg.inv(part(self._hessian, where)),
-            gas_error,
+            amplitudes,
+            self._covariance(nodes),
         )
+
+    def _covariance(self, nodes: np.ndarray) -> np.ndarray:
+        """Covariance of the pressures of nodes (s,) and of the amplitudes, (s + a, s + a)."""
+        alone = self._ranges.nuisance_covariance
+        pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._work, nodes)))
+        slope = alone @ self._by_nuisances[self._place[nodes]].T  # of the amplitudes by pressure
+        across = slope @ pressures
+        return np.block([[pressures, across.T], [across, alone + across @ slope.T]])
 
     def _on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support alone."""
@@ -349,8 +367,8 @@ class ContactProblem:
         self._know(work[~np.isin(work, self._known)])
         where = self._place[work]
         self._hessian = part(self._among_known, where) + dense_part(self._prior.smoothness, work)
-        by_gas = self._by_gas[where]
-        self._hessian -= self._ranges.gas_variance * np.outer(by_gas, by_gas)
+        by_nuisances = self._by_nuisances[where]
+        self._hessian -= by_nuisances @ self._ranges.nuisance_covariance @ by_nuisances.T
         gradient = self._gradient(self._before)[work]
         self._linear = gradient - self._hessian @ self._before[work]
 
@@ -359,7 +377,8 @@ class ContactProblem:
         if not len(nodes):
             return
         J = self._ranges.jacobian @ self._membrane.responses(nodes)
-        self._by_gas = np.concatenate([self._by_gas, self._ranges.bulge_weighed @ J])
+        by_nuisances = J.T @ self._ranges.nuisances_weighed
+        self._by_nuisances = np.concatenate([self._by_nuisances, by_nuisances])
         J *= np.sqrt(self._ranges.weight)[:, None]
         before = len(self._known)
         self._place[nodes] = before + np.arange(len(nodes))

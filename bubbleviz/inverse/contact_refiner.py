@@ -16,6 +16,7 @@ from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
+    Nuisances,
     Prior,
     Ranges,
     Selection,
@@ -176,15 +177,20 @@ class ContactRefiner:
         support = finer.values((estimate.contact_pressure_pa > 0.0).astype(float)) >= 0.5
         support &= ~finer.mesh.rim
         pressure = np.where(support, finer.values(estimate.contact_pressure_pa), 0.0)
+        friction = np.zeros_like(x)
+        if estimate.friction_n is not None:  # that of the estimate, as a traction
+            areas = self._model.mesh.areas[:, None]
+            friction = finer.values(estimate.friction_n / areas) * finer.mesh.areas[:, None]
         measured, view, response = observer.measure(depth_m), None, None
         for _ in range(_STEPS):
             view = observer.around(x, view)
             observation = observer.weigh(measured, view.model_m)
             error = observation.residual_m[view.block] - view.model_m[view.block]
-            ranges = Ranges(view.jacobian, error, observation.weight[view.block] / noise**2)
+            weight = observation.weight[view.block] / noise**2
+            ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(x)))
             if response is None or float(np.abs(x - response.x).max()) > self._serves_m:
                 response = equilibrium.linearised(x, pressure, gas)
-            relaxing = response.motion(-equilibrium.residual(x, pressure, gas))
+            relaxing = response.motion(friction - equilibrium.residual(x, pressure, gas))
             problem = ContactProblem(response, ranges, part.prior, pressure, relaxing)
             contact = problem.refine(problem.likeliest(Selection(support)), touches)
             near = float(np.abs(contact.motion).max()) <= self._model.mesh.edge_length

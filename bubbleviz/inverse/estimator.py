@@ -11,6 +11,7 @@ from bubbleviz.camera.block_squares import median
 from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.detection import detection_threshold
+from bubbleviz.inverse.friction import FRICTION
 from bubbleviz.inverse.normal_equations import NormalEquations
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
@@ -75,6 +76,9 @@ class EstimatorOptions:
     fine_contact : bool
         Whether the contact is solved for on a finer mesh where the mesh limits how sharp it is,
         see `contact_refiner`; never with the paper's solvers.
+    friction : float
+        Standard deviation of the coefficients of friction of contacts with the exact membrane, see
+        `friction_loads`; 0 for contacts without friction.
     """
 
     solver: str | None = None
@@ -85,6 +89,7 @@ class EstimatorOptions:
     block: int | None = None
     rim_slack_m: float = RIM_SLACK_M
     fine_contact: bool = True
+    friction: float = FRICTION
 
     @classmethod
     def named(cls, name: str | None) -> EstimatorOptions:

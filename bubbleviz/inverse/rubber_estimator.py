@@ -80,7 +80,9 @@ class RubberEstimator:
         self.equilibrium = RubberEquilibrium(membrane, gas, variants)
         self.smoothness = smoothness(self.mesh, self.prior_weight)
         size = Scales.of(self.mesh, membrane.mean_tension).length_m
-        self._newton = GaussNewton(observer, self.equilibrium, self.smoothness, size)
+        self._newton = GaussNewton(
+            observer, self.equilibrium, self.smoothness, size, self.options.friction
+        )
         density = self._newton.weight_density
         self.resolution_m = resolution_m(self.prior_weight, membrane.mean_tension, density)
 
@@ -126,22 +128,25 @@ class RubberEstimator:
 
     def _report(self, answer: SolvedFrame) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
-        touching = bool(state.pressure.any())
-        moved = state.x - self.mesh.nodes
-        force = np.zeros(3)
-        if touching:
-            force = -state.pressure @ self.membrane.volume_gradient(state.x)
+        touching, moved = bool(state.pressure.any()), state.x - self.mesh.nodes
+        unexplained = np.where(answer.contact, 0.0, state.pressure)
+        pressure = state.pressure - unexplained
+        friction = np.where(unexplained[:, None] > 0.0, 0.0, state.friction)
+        force = friction - pressure[:, None] * self.membrane.volume_gradient(state.x)
         return Estimate(
             status="ok" if touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
-            contact_pressure_pa=state.pressure,
+            contact_pressure_pa=pressure,
+            unexplained_pressure_pa=unexplained,
             gas_pressure_change_pa=state.gas,
             residual_rms_m=answer.misfit.rms_m,
             kkt_residual=contact.kkt_residual,
             iterations=contact.pivots,
             solve_ms=answer.solve_ms,
             displacement_3d_m=moved,
-            force_n=force,
+            nodal_force_n=force,
+            friction_n=friction,
+            force_n=force.sum(axis=0),
             force_sigma_n=answer.sigma_n,
             gas_law_pa=self.equilibrium.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import connected_parts
-from bubbleviz.patch.patch_finder import area_above, area_and_interval
+from bubbleviz.patch.patch_finder import area_above, area_and_interval, nodal_force
 from bubbleviz.result import Estimate, Patch
 
 
@@ -21,8 +22,8 @@ class Component:
     nodes : (k,) int array
         Its nodes, of the finest mesh that the patch is known on.
     area_m2 : float
-    force_n : float
-        Length of the resultant of its pressure.
+    force_n : (3,) array
+        Force on it in B; those of all parts add up to the patch's.
     peak_pa : float
         Highest contact pressure.
     center_m : (3,) array
@@ -31,13 +32,19 @@ class Component:
 
     nodes: np.ndarray
     area_m2: float
-    force_n: float
+    force_n: np.ndarray
     peak_pa: float
     center_m: np.ndarray
 
+    @property
+    def force_magnitude_n(self) -> float:
+        """Length of the force, N."""
+        return float(np.linalg.norm(self.force_n))
+
 
 def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Component, ...]:
-    """Parts of a patch, the largest first; their areas add up to the patch's."""
+    """Parts of a patch, the largest first; areas and forces add up to the patch's."""
+    whole, force = mesh, nodal_force(mesh, estimate)
     mesh, estimate, level = patch.finest(mesh, estimate)
     above = level > 0.0
     if not above.any():
@@ -45,7 +52,14 @@ def components(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> tuple[Co
     inside = np.flatnonzero(above)
     count, label = connected_parts(mesh.rings, above)
     nodes = mesh.deformed(estimate.motion_m)
-    parts = [_component(mesh, estimate, level, nodes, inside[label == k]) for k in range(count)]
+    forces = np.zeros((count, 3))
+    loaded = np.flatnonzero(force.any(axis=1))
+    _, nearest = cKDTree(mesh.nodes[inside]).query(whole.nodes[loaded])
+    np.add.at(forces, label[nearest], force[loaded])
+    parts = [
+        _component(mesh, estimate, level, nodes, inside[label == k], forces[k])
+        for k in range(count)
+    ]
     return tuple(sorted(parts, key=lambda part: -part.area_m2))
 
 
@@ -95,7 +109,12 @@ def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
 
 
 def _component(
-    mesh: MembraneMesh, estimate: Estimate, level: np.ndarray, nodes: np.ndarray, here: np.ndarray
+    mesh: MembraneMesh,
+    estimate: Estimate,
+    level: np.ndarray,
+    nodes: np.ndarray,
+    here: np.ndarray,
+    force: np.ndarray,
 ) -> Component:
     pressure = estimate.contact_pressure_pa
     alone = np.minimum(level, 0.0)
@@ -105,7 +124,7 @@ def _component(
     return Component(
         nodes=here,
         area_m2=area_above(mesh, alone, 0.0),
-        force_n=float(np.linalg.norm(load @ mesh.normals[here])),
+        force_n=force,
         peak_pa=float(pressure[here].max()),
         center_m=load @ nodes[here] / total if total > 0.0 else nodes[here].mean(axis=0),
     )

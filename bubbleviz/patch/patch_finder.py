@@ -17,11 +17,6 @@ LINEAR_ERROR = 0.05
 """Share of the load that the linear model misplaces: its error in force on a ball pressed 2 mm into
 the bubble, against the exact solution; it grows with depth."""
 
-FRICTION_ERROR = 0.1
-"""Share of the load that the exact membrane misplaces on a real sensor: a depth image does not tell
-what friction does. Where the tangential motion was measured, too, by flow of the colour image, the
-force of the one real press there is was a tenth larger."""
-
 
 def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
     """Mean contact pressure over the membrane, Aᵀp_c / ‖A‖₁, Pa."""
@@ -31,9 +26,11 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
 class PatchFinder:
     """Finds the patch in an estimate.
 
-    By default the physics of contact draws it: each part must somewhere reach the gas pressure, as
-    what lies on something flat or convex does, and carry more than what noise or the model's own
-    error could put there; `PatchEdge` finds its edge.
+    By default the physics of contact draws it: on the linear membrane each part must somewhere
+    reach the gas pressure, as what lies on something flat or convex does, and carry more than what
+    noise or the model's own error could put there; the exact membrane's estimate has only such
+    parts.
+    `PatchEdge` finds their edge.
     With a factor κ it is the paper's: wherever p_c exceeds κ times its mean over the membrane.
 
     Parameters
@@ -90,7 +87,7 @@ class PatchFinder:
         return Patch(
             threshold_pa=threshold,
             level=level,
-            force_n=self._force_n(estimate),
+            force_n=nodal_force(mesh, estimate).sum(axis=0),
             center_of_pressure_m=center,
             area_m2=area_m2,
             edge_half_width_m=band,
@@ -104,13 +101,8 @@ class PatchFinder:
         )
         patch = finder.find(fine.estimate(estimate))
         level = fine.on_whole(patch.level, len(self._mesh.nodes))
-        return replace(patch, level=level, fine_level=patch.level, force_n=self._force_n(estimate))
-
-    def _force_n(self, estimate: Estimate) -> np.ndarray:
-        if estimate.force_n is not None:
-            return estimate.force_n
-        force: np.ndarray = -(self._mesh.areas * estimate.contact_pressure_pa) @ self._mesh.normals
-        return force
+        force = nodal_force(self._mesh, estimate).sum(axis=0)
+        return replace(patch, level=level, fine_level=patch.level, force_n=force)
 
     def _contacts(
         self, estimate: Estimate, gas_pa: float, blur_m: float
@@ -118,7 +110,8 @@ class PatchFinder:
         """Contact pressure (n,) of the connected parts that are contact, and part of each node.
 
         Elsewhere the pressure is 0 Pa; what is too low to be in one has part −1: on the linear
-        membrane, where noise leaves some pressure everywhere, below half the gas pressure.
+        membrane, where noise leaves some pressure everywhere, below half the gas pressure. The
+        estimate of the exact membrane has found its contacts itself.
         """
         pressure, linear = estimate.contact_pressure_pa, estimate.force_n is None
         above = pressure > (0.5 * gas_pa if linear else 0.0)
@@ -126,13 +119,15 @@ class PatchFinder:
         if not above.any():
             return np.zeros(len(pressure)), part
         parts, part[above] = connected_parts(self._mesh.rings, above)
+        if not linear:
+            return pressure, part
         highest = np.zeros(parts)
         np.maximum.at(highest, part[above], pressure[above])
         touches = highest >= gas_pa
         load = self._mesh.areas * pressure
         loads = np.bincount(part[above], load[above], minlength=parts)
-        least = (LINEAR_ERROR if linear else FRICTION_ERROR) * float(load.sum())
-        touches &= loads >= (max(gas_pa * np.pi * blur_m**2, least) if linear else least)
+        least = LINEAR_ERROR * float(load.sum())
+        touches &= loads >= max(gas_pa * np.pi * blur_m**2, least)
         contact = np.zeros(len(pressure))
         contact[above] = np.where(touches[part[above]], pressure[above], 0.0)
         return contact, part
@@ -152,6 +147,13 @@ class PatchFinder:
             inside = (contact[small] / gas_pa - 0.5) * edge
             level[small] = np.minimum(inside, self._edge.blur_m(resolution_m))
         return level
+
+
+def nodal_force(mesh: MembraneMesh, estimate: Estimate) -> np.ndarray:
+    """Force of the contact on the nodes, (n, 3), N."""
+    if estimate.nodal_force_n is not None:
+        return estimate.nodal_force_n
+    return -(mesh.areas * estimate.contact_pressure_pa)[:, None] * mesh.normals
 
 
 def area_and_interval(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from bubbleviz.inverse.gauss_newton import MODEL_ERROR
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
@@ -12,10 +13,6 @@ from bubbleviz.result import Estimate, Traction, TractionStatus
 from bubbleviz.shear.traction_problem import SolvedTraction
 from bubbleviz.shear.traction_state import Look, TractionStart
 
-_MESH_ERROR = 0.02
-"""Standard deviation of a factor on the whole wrench: what triangles miss of a contact. Chosen on
-the puck of `study shear`, whose force is up to 2.3 % off, but not askew; its ball, which it was not
-chosen on, is off by 1 % (median) and 3.1 % (worst of 53 frames)."""
 _ALL_UNKNOWN = np.full((6, 6), np.nan)
 
 
@@ -47,10 +44,12 @@ class TractionReport:
         return self._of("no_contact", x, np.zeros_like(x), vectors)
 
     def alone(self, estimate: Estimate, reason: str) -> Traction:
-        """The contact pressure of an estimate, nothing being known of friction."""
+        """The contact of an estimate, whose friction is known by depth alone."""
         x = self._positions(estimate)
         vectors = self._membrane.volume_gradient(x)
-        force = -estimate.contact_pressure_pa[:, None] * vectors
+        force = estimate.nodal_force_n
+        if force is None:
+            raise ValueError("the estimate is not of the exact membrane")
         return self._of("depth_alone", x, force, vectors, reason=reason)
 
     def solved(
@@ -71,7 +70,7 @@ class TractionReport:
         by_material = wrench @ solved.answer(rubber.by_material)
         covariance = deviation.T @ deviation + by_material @ by_material.T
         torque = np.cross(state.x - center, force).sum(axis=0)
-        by_mesh = _MESH_ERROR * np.concatenate([force.sum(axis=0), torque])
+        by_mesh = MODEL_ERROR * np.concatenate([force.sum(axis=0), torque])
         covariance += np.outer(by_mesh, by_mesh)
         columns = solved.columns.reshape(-1, 3, solved.columns.shape[1])[nodes]
         motions = columns[:, :, solved.active].reshape(3 * len(nodes), -1)

@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.stats import multivariate_normal
 
-from bubbleviz.inverse.contact_problem import ContactProblem, Prior, Ranges, Selection
+from bubbleviz.inverse.contact_problem import ContactProblem, Nuisances, Prior, Ranges, Selection
 from bubbleviz.inverse.likeliest_support import SupportProblem
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
@@ -93,7 +93,8 @@ def test_a_rim_node_never_touches():
     prior = Prior(smoothness, np.zeros(len(dome.nodes)), dome.rings)
     jacobian = sparse.csr_array(sparse.eye_array(dome.nodes.size))
     seen = -500.0 * rubber.responses(np.flatnonzero(beside)).sum(axis=1)
-    ranges = Ranges(jacobian, seen, np.full(len(seen), 1e8))
+    weight = np.full(len(seen), 1e8)
+    ranges = Ranges(jacobian, seen, weight, Nuisances.none(len(dome.nodes)))
     problem = ContactProblem(
         rubber, ranges, prior, np.zeros(len(dome.nodes)), np.zeros_like(dome.nodes)
     )

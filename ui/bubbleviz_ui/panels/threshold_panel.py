@@ -106,7 +106,7 @@ class ThresholdPanel(QWidget):
         for row, part in enumerate(parts):
             texts = (
                 units.area.text(part.area_m2),
-                units.force.text(part.force_n),
+                units.force.text(part.force_magnitude_n),
                 units.pressure.text(part.peak_pa),
                 "contact" if part.area_m2 >= least else "removed",
             )

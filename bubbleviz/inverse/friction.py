@@ -1,0 +1,59 @@
+"""Friction of contacts that a depth image alone determines.
+
+A depth image does not show friction, but friction moves the membrane: without it, the estimate
+would explain that motion by pressure where nothing touches. Each contact has three unknowns: slides
+along two directions across its mean normal, and a spin about it. Each is a traction proportional to
+the contact pressure, so that its amplitude is the share of Coulomb's friction that acts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bubbleviz.membrane.mesh_graph import connected_parts
+
+FRICTION = 1.0
+"""Standard deviation of the amplitudes: a coefficient of friction of latex on common materials."""
+
+
+def friction_loads(
+    x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray, rings: np.ndarray
+) -> np.ndarray:
+    """Forces on the nodes under a unit of each amplitude, (n, 3, 3 contacts), N.
+
+    Parameters
+    ----------
+    x : (n, 3) array
+        Shape, m.
+    area_vectors : (n, 3) array
+        Of its nodes, m².
+    pressure : (n,) array
+        p_c, Pa; connected nodes under pressure are a contact.
+    rings : (d, n) int array
+        As of `MembraneMesh`.
+    """
+    touching = pressure > 0.0
+    count, contact = connected_parts(rings, touching)
+    nodes = np.flatnonzero(touching)
+    loads = np.zeros((len(x), 3, 3 * count))
+    for k in range(count):
+        own = nodes[contact == k]
+        loads[own, :, 3 * k : 3 * k + 3] = _loads(x[own], area_vectors[own], pressure[own])
+    return loads
+
+
+def _loads(x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+    """Two slides and a spin of one contact of c nodes, (c, 3, 3), N."""
+    area = np.linalg.norm(area_vectors, axis=1, keepdims=True)
+    load, normal = pressure * area[:, 0], area_vectors / area
+    axis = load @ normal
+    axis /= np.linalg.norm(axis)
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    spin = np.cross(axis, x - load @ x / load.sum())
+    radius = np.sqrt(load @ (spin**2).sum(axis=1) / load.sum())  # 0 of a single node
+    spin /= max(radius, np.finfo(float).tiny)
+    slides = np.stack([first, np.cross(axis, first)], axis=1)
+    along = np.concatenate([np.broadcast_to(slides, (len(x), 3, 2)), spin[:, :, None]], axis=2)
+    along = along - normal[:, :, None] * np.einsum("ci,cij->cj", normal, along)[:, None]
+    return load[:, None, None] * along

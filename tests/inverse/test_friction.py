@@ -1,0 +1,116 @@
+"""Friction by depth alone, against another solver's rubber and against presses on another mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bubbleviz as bv
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse.friction import friction_loads
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.study.shear.stuck_press import Motion
+from tests.rubber_renders import (
+    GAUGE_PA,
+    at_rest,
+    camera_of,
+    dome_sensor,
+    render,
+    rubber_truth,
+)
+from tests.shear.drag import Eyes, press, sensor, stuck
+
+PRODUCTS = frozenset({"estimate"})
+DOME = mesh_cap(spherical_cap(0.045, 0.02), 800)
+
+
+def loads_of(pressure):
+    return friction_loads(DOME.nodes, DOME.areas[:, None] * DOME.normals, pressure, DOME.rings)
+
+
+def on(x, y, radius=0.008):
+    away = np.hypot(DOME.nodes[:, 0] - x, DOME.nodes[:, 1] - y)
+    return np.where(away < radius, 3000.0, 0.0)
+
+
+def test_two_slides_and_a_spin_of_each_contact_lie_in_the_membrane():
+    one, other = on(0.0, 0.0), on(0.03, 0.01, 0.004)
+    loads = loads_of(one + other)
+    assert loads.shape == (len(DOME.nodes), 3, 6)
+    along_normal = np.einsum("ni,nij->nj", DOME.normals, loads)
+    assert np.abs(along_normal).max() < 1e-12 * np.abs(loads).max()
+    assert not loads[one == 0.0][:, :, :3].any() or not loads[other == 0.0][:, :, :3].any()
+    first = loads_of(one)
+    slides, spin = first[:, :, :2].sum(axis=0), first[:, :, 2]
+    load = DOME.areas @ one
+    np.testing.assert_allclose(slides.T @ slides, load**2 * np.eye(2), atol=0.03 * load**2)
+    assert np.linalg.norm(spin.sum(axis=0)) < 0.02 * load
+    torque = np.cross(DOME.nodes, spin).sum(axis=0)
+    assert abs(torque[2]) > 0.5 * load * 0.008 / np.sqrt(2.0)
+    assert np.hypot(*torque[:2]) < 0.05 * abs(torque[2])
+
+
+def test_a_contact_of_one_node_slides_and_does_not_spin():
+    pressure = np.zeros(len(DOME.nodes))
+    pressure[np.argmin(np.hypot(DOME.nodes[:, 0], DOME.nodes[:, 1]))] = 1e4
+    loads = loads_of(pressure)
+    assert np.isfinite(loads).all()
+    assert loads[:, :, :2].any()
+    assert not loads[:, :, 2].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "depth", "drag", "twist"), [("puck", 0.004, 0.001, 8.0), ("sphere", 0.006, 0.002, 0.0)]
+)
+def test_of_an_object_that_sticks_and_is_dragged(name, depth, drag, twist):
+    """The truth is on a mesh of its own, and its friction is not proportional to pressure."""
+    truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
+    frame, size = eyes.see(truth), np.linalg.norm(truth.force_n)
+    estimate = eyes.pipeline.process(frame, PRODUCTS).estimate
+    error = estimate.force_n - truth.force_n
+    assert np.linalg.norm(error) < 0.05 * size
+    assert (np.abs(error) < 1.96 * estimate.force_sigma_n).all()
+    np.testing.assert_allclose(estimate.force_n, estimate.nodal_force_n.sum(axis=0))
+    frictionless = Pipeline.of(sensor(1000), options=EstimatorOptions(friction=0.0))
+    without = frictionless.process(frame, PRODUCTS).estimate
+    assert np.linalg.norm(without.force_n - truth.force_n) > 0.08 * size or not without.trusted
+
+
+def test_a_long_drag_is_followed_by_depth_alone():
+    eyes, path = Eyes(1000), press("puck", 0.004)[0]
+    for truth in path.along([Motion(np.array([1.0, 0.4, 0.0]) * k * 1e-3) for k in range(5)]):
+        estimate = eyes.pipeline.process(eyes.see(truth), PRODUCTS).estimate
+        assert estimate.status == "ok"
+        error = np.linalg.norm(estimate.force_n - truth.force_n)
+        assert error < 0.04 * np.linalg.norm(truth.force_n)
+
+
+@pytest.mark.parametrize("name", ["ball_drag1", "puck_twist"])
+def test_of_another_solvers_rubber(name, tmp_path):
+    """Identified from its own levels and open chamber, then dragged or twisted."""
+    truth, camera = rubber_truth(name), camera_of(320)
+    triangles, rest = truth["triangles"], truth["rest_m"]
+
+    def seen(shapes, gauge, noise=5e-5, seed=0):
+        return render(name, camera, shapes, triangles, gauge, noise_m=noise, seed=seed)
+
+    levels = [
+        seen(at_rest(shape, 10), gauge, seed=1)
+        for shape, gauge in zip(truth["level_m"], truth["level_pa"], strict=True)
+    ]
+    vented = seen(at_rest(truth["vented_m"], 5), 0.0)
+    drawing = dome_sensor(camera)
+    found = bv.identify(seen(at_rest(rest), GAUGE_PA), drawing, levels=levels, vented=vented)
+    found.save(tmp_path / "dome.toml")
+    true, gauges = truth["force_n"], truth["gauge_pressure_pa"]
+    for noise_m in (5e-5, 1.5e-4):
+        presses = seen(truth["nodes_m"], gauges, noise_m, 2)
+        run = bv.estimate(list(presses), tmp_path / "dome.toml")
+        assert all(each.status == "ok" for each in run)
+        error = np.linalg.norm(run.force_n - true, axis=1) / np.linalg.norm(true, axis=1)
+        assert np.median(error) < 0.015
+        assert error.max() < 0.04
+        sigma = np.array([each.result.estimate.force_sigma_n for each in run])
+        inside = (np.abs(run.force_n - true) < 1.96 * sigma).all(axis=1)
+        assert inside.mean() >= 0.9

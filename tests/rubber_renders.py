@@ -1,0 +1,155 @@
+"""Depth images of membranes that another solver computed, as a sensor would record them.
+
+The positions are those of `../shared/data/rubber_truth`, or any other (F, n, 3) over one mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+
+FOLDER = Path(__file__).parents[2] / "shared" / "data" / "rubber_truth"
+GAUGE_PA, ATMOSPHERE_PA = 5_258.0, 101_325.0
+GAS_NOISE_PA = 2.0
+
+
+def rubber_truth(name: str) -> dict[str, np.ndarray]:
+    """Arrays of `name`.npz, in float64; skips the test where this machine does not have it."""
+    path = FOLDER / f"{name}.npz"
+    if not path.is_file():
+        pytest.skip(f"{path.name} of rubber_truth is not on this machine")
+    with np.load(path) as data:
+        arrays = {key: data[key] for key in data.files}
+    single = {key: each for key, each in arrays.items() if each.dtype == np.float32}
+    return arrays | {key: each.astype(np.float64) for key, each in single.items()}
+
+
+def camera_of(width: int = 320, focal_px: float = 215.0, z_m: float = -0.052) -> Camera:
+    """A 4:3 camera on the axis that looks along +z."""
+    height = 3 * width // 4
+    return Camera(
+        width=width,
+        height=height,
+        fx=focal_px,
+        fy=focal_px,
+        cx=0.5 * (width - 1),
+        cy=0.5 * (height - 1),
+        position_m=(0.0, 0.0, z_m),
+    )
+
+
+def dome_sensor(
+    camera: Camera | None = None,
+    gauge_pa: float = GAUGE_PA,
+    atmosphere_pa: float = ATMOSPHERE_PA,
+    chamber_m3: float = 2e-4,
+) -> Sensor:
+    """What a drawing says of the sensor of `rubber_truth`, gauge pressure and atmosphere true."""
+    return Sensor(
+        name="moulded dome",
+        membrane=Membrane(shape="spherical_cap", rim_radius_m=0.045, height_m=0.029),
+        pneumatics=Pneumatics(
+            gauge_pressure_pa=gauge_pa,
+            atmospheric_pressure_pa=atmosphere_pa,
+            chamber_volume_m3=chamber_m3,
+        ),
+        camera=camera or camera_of(),
+    )
+
+
+@dataclass
+class Renders:
+    """Source of frames, one of each shape, with white noise of its own in each.
+
+    Attributes
+    ----------
+    name : str
+    camera : DepthCamera
+    range_m : (F, H, W) array
+        Without noise; NaN where a ray misses.
+    gas_pressure_pa : (F,) array or None
+        Absolute, as recorded.
+    noise_m : float
+        σ of depth, m.
+    seed : int
+    """
+
+    name: str
+    camera: DepthCamera
+    range_m: np.ndarray
+    gas_pressure_pa: np.ndarray | None
+    noise_m: float
+    seed: int
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Of frames at 30 Hz."""
+        return np.arange(len(self)) / 30.0
+
+    def __len__(self) -> int:
+        return len(self.range_m)
+
+    def __getitem__(self, index: int) -> Frame:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        depth = self.camera.depth_image(self.range_m[index])
+        noise = np.random.default_rng([self.seed, index]).standard_normal(depth.shape)
+        gas = None if self.gas_pressure_pa is None else float(self.gas_pressure_pa[index])
+        image = (depth + self.noise_m * noise).astype(np.float32)
+        return Frame(index, float(self.times_s[index]), image, self.camera.intrinsics, gas)
+
+    def close(self) -> None:
+        pass
+
+    def write(self, path: Path) -> Path:
+        """Write a recording of all frames."""
+        with RecordingWriter(path) as writer:
+            for index in range(len(self)):
+                writer.write(self[index])
+        return path
+
+
+def render(
+    name: str,
+    camera: Camera,
+    nodes_m: np.ndarray,
+    triangles: np.ndarray,
+    gauge_pa: np.ndarray | float | None,
+    *,
+    noise_m: float = 1e-4,
+    gas_noise_pa: float = GAS_NOISE_PA,
+    atmosphere_pa: float = ATMOSPHERE_PA,
+    seed: int = 0,
+) -> Renders:
+    """Frames of shapes (F, n, 3); for F frames of one shape give `np.repeat(shape[None], F, 0)`.
+
+    `gauge_pa` of each frame, (F,), or of all; None where no gas pressure is recorded.
+    """
+    depth_camera, gas = DepthCamera.of(camera), None
+    images: dict[bytes, np.ndarray] = {}  # frames of one shape are cast once
+    ranges = []
+    for nodes in nodes_m:
+        key = nodes.tobytes()
+        if key not in images:
+            mesh = MembraneMesh(nodes, triangles, np.zeros(len(nodes), bool))
+            images[key] = MembraneView(depth_camera, mesh).range_image(np.zeros(len(nodes)))
+        ranges.append(images[key])
+    if gauge_pa is not None:
+        shaken = np.random.default_rng([seed, 1 << 20]).standard_normal(len(ranges))
+        gas = atmosphere_pa + np.broadcast_to(gauge_pa, len(ranges)) + gas_noise_pa * shaken
+    return Renders(name, depth_camera, np.stack(ranges), gas, noise_m, seed)
+
+
+def at_rest(shape_m: np.ndarray, frames: int = 30) -> np.ndarray:
+    """So many frames of one shape (n, 3), (F, n, 3)."""
+    return np.repeat(shape_m[None], frames, axis=0)
