@@ -15,23 +15,34 @@ the one real press, single nodes far from the contact carry up to 0.08 of it. Th
 temporal filter mixes images of a moving membrane, which no shape in equilibrium explains."""
 
 
+def _substantial(mesh: MembraneMesh, pressure: np.ndarray) -> np.ndarray:
+    """Nodes (n,) bool of the parts of a pressure (n,) that carry more than the misplaced load."""
+    touching = pressure > 0.0
+    count, part = connected_parts(mesh.rings, touching)
+    loads = np.bincount(part, (mesh.areas * pressure)[touching], minlength=count)
+    touching[touching] = (loads >= MISPLACED_LOAD * loads.sum())[part]
+    return touching
+
+
 def evident(mesh: MembraneMesh, contact: ContactPressure) -> np.ndarray:
     """Nodes (n,) bool of the parts that are contact; the part with the largest load always is one.
 
-    Another one has to carry more than the model's error could put there, and more than noise puts
-    at any of the n nodes.
+    Another one has to be substantial, and to carry more than noise puts at any of the n nodes.
     """
-    nodes, load = contact.nodes, mesh.areas * contact.pressure
-    touching = contact.pressure > 0.0
-    count, part = connected_parts(mesh.rings, touching)
+    found = _substantial(mesh, contact.pressure)
+    count, part = connected_parts(mesh.rings, found)
     if count < 2:
-        return touching
-    own = part == np.arange(count)[:, None]  # (count, s)
-    loads, rows = own @ load[nodes], own * mesh.areas[nodes]
-    covariance = contact.covariance[: len(nodes), : len(nodes)]
+        return found
+    nodes = np.flatnonzero(found)
+    own = part == np.arange(count)[:, None]  # (count, nodes)
+    loads, rows = own @ (mesh.areas * contact.pressure)[nodes], own * mesh.areas[nodes]
+    where = np.searchsorted(contact.nodes, nodes)
+    covariance = contact.covariance[np.ix_(where, where)]
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", rows, covariance, rows))
-    evident = loads >= MISPLACED_LOAD * loads.sum()
-    evident &= loads >= universal_threshold(sigma, len(mesh.free))
-    evident[np.argmax(loads)] = True
-    touching[nodes] = evident[part]
-    return touching
+    kept = [
+        load >= universal_threshold(each, len(mesh.free))
+        for load, each in zip(loads, sigma, strict=True)
+    ]
+    kept[np.argmax(loads)] = True
+    found[nodes] = np.array(kept)[part]
+    return found

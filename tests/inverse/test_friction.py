@@ -35,7 +35,7 @@ def on(x, y, radius=0.008):
 
 
 def test_two_slides_and_a_spin_of_each_contact_lie_in_the_membrane():
-    one, other = on(0.0, 0.0), on(0.03, 0.01, 0.004)
+    one, other = on(0.0, 0.0), on(0.03, 0.01, 0.006)
     loads = loads_of(one + other)
     assert loads.shape == (len(DOME.nodes), 3, 6)
     along_normal = np.einsum("ni,nij->nj", DOME.normals, loads)
