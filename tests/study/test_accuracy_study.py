@@ -2,7 +2,7 @@
 
 import csv
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -217,7 +217,7 @@ def test_a_stopped_study_goes_on(sensor, tmp_path):
     grid = replace(GRID, objects=("sphere",), noises=(ONE,), setups=SETUPS[1:])
     first = run_accuracy(sensor, grid, tmp_path)
     again = run_accuracy(sensor, grid, tmp_path)
-    assert again.rows == first.rows
+    np.testing.assert_equal([*map(asdict, again.rows)], [*map(asdict, first.rows)])  # NaN as NaN
     with pytest.raises(InputError, match="another study"):
         run_accuracy(sensor, replace(grid, seed=8), tmp_path)
 
