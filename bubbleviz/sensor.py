@@ -29,6 +29,14 @@ Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
+WEATHER_SIGMA_PA = 2e3 / 1.96
+"""σ of the atmospheric pressure at one place, Pa: 95 % of the weather is within ±2 kPa."""
+
+
+ATMOSPHERES = 30e3, 120e3
+"""Atmospheric pressure, Pa: from the highest mountain's to a pressurised cabin's."""
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -63,8 +71,9 @@ class Pneumatics(_Section):
 
     gauge_pressure_pa: float = Field(ge=50.0, le=100e3)
     """Below 50 Pa, 5 mm of water, nothing is inflated; above an atmosphere latex has burst."""
-    atmospheric_pressure_pa: float = Field(default=101_325.0, ge=30e3, le=120e3)
-    """From the highest mountain's to a pressurised cabin's."""
+    gauge_sigma_pa: float | None = Field(default=None, gt=0.0, le=100e3)
+    """Standard deviation of the gauge pressure; absent: by the calibration's interval, if any."""
+    atmospheric_pressure_pa: float = Field(default=101_325.0, ge=ATMOSPHERES[0], le=ATMOSPHERES[1])
     chamber_volume_m3: float = Field(ge=1e-7, le=10.0)
     """From 0.1 ml to a room: litres for m³ and the like are beyond."""
     tension_n_per_m: float | None = Field(default=None, ge=1e-3, le=1e6)
@@ -208,6 +217,8 @@ def edited(sensor: Sensor, values: Mapping[str, Any]) -> Sensor:
         if value == table.get(name):
             continue
         table[name] = value
+        if key == "pneumatics.gauge_pressure_pa":
+            table.pop("gauge_sigma_pa", None)  # of the number that was there
         calibration = data.get("calibration")
         if section and calibration is not None:
             calibration["edited"] = sorted({key, *calibration.get("edited", ())})

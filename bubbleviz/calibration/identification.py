@@ -36,6 +36,7 @@ from bubbleviz.calibration.surface.reference_surface import (
     Surfaces,
     cap_over_rim,
     fit_surfaces,
+    mesh_ellipsoid,
 )
 from bubbleviz.calibration.tension.chamber_volume import (
     ChamberEstimate,
@@ -46,10 +47,17 @@ from bubbleviz.calibration.tension.tension_estimate import TensionEstimate, esti
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.sensor import LEAST_NOISE, Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor import (
+    ATMOSPHERES,
+    LEAST_NOISE,
+    WEATHER_SIGMA_PA,
+    Camera,
+    Membrane,
+    Pneumatics,
+    Sensor,
+)
 from bubbleviz.sensor_model import SensorModel
 
 _PRESSED_FRAMES = 10  # for the chamber
@@ -207,11 +215,24 @@ def _identify(
 
 
 def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:
-    """Gauge pressure of the contact-free frames, Pa: measured, or the sensor file's."""
+    """Gauge pressure of the contact-free frames, Pa.
+
+    The sensor file's where that says how well it is known, or no gas pressure was recorded; else
+    the recorded one less the sensor file's atmospheric pressure.
+    """
     pneumatics = sensor.pneumatics
     if samples.gas_pressure_pa is None:
         return pneumatics.gauge_pressure_pa
     rest = float(np.median(samples.gas_pressure_pa))
+    if pneumatics.gauge_sigma_pa is not None:
+        gauge = pneumatics.gauge_pressure_pa
+        if not ATMOSPHERES[0] <= rest - gauge <= ATMOSPHERES[1]:
+            raise InputError(
+                f"{samples.source_name}: gas pressure {rest:.0f} Pa less the sensor file's gauge"
+                f" pressure {gauge:.0f} Pa is no atmospheric pressure; record the absolute one, or"
+                " correct the sensor file"
+            )
+        return gauge
     gauge = rest - pneumatics.atmospheric_pressure_pa
     if gauge <= 0.0:
         raise InputError(
@@ -221,12 +242,27 @@ def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:
     return gauge
 
 
+def rest_gauge_sigma(samples: Samples, sensor: Sensor) -> float | None:
+    """Standard deviation of `rest_gauge_pressure`, Pa; None where nothing tells it.
+
+    An absolute pressure leaves the weather's. So does a sensor file that says how well its gauge
+    pressure is known where the recorded pressure is another one than its: either the weather
+    changed since, or the inflation, and nothing tells which.
+    """
+    pneumatics = sensor.pneumatics
+    told = pneumatics.gauge_sigma_pa
+    if samples.gas_pressure_pa is None:
+        return told
+    if told is None:
+        return WEATHER_SIGMA_PA
+    moved = float(np.median(samples.gas_pressure_pa)) - pneumatics.reference_pressure_pa
+    return float(np.hypot(told, min(abs(moved), WEATHER_SIGMA_PA)))
+
+
 def check_dome(samples: Samples, surfaces: Surfaces) -> float:
     """Refuse a dome pressed in or half unseen; share of it that is seen."""
     name, cap, camera = samples.source_name, surfaces.fits.cap.ellipsoid, surfaces.camera
-    mesh = mesh_cap(cap_over_rim(cap), _SEEN_NODES)
-    mesh = MembraneMesh(mesh.nodes + cap.centre_m * (1.0, 1.0, 0.0), mesh.triangles, mesh.rim)
-    seen = seen_share(mesh, camera, surfaces.membrane)
+    seen = seen_share(mesh_ellipsoid(cap, _SEEN_NODES), camera, surfaces.membrane)
     check_seen(name, seen)
     ranges = samples.statistics.range_m
     points = camera.center + ranges[..., None] * camera.directions.reshape(*ranges.shape, 3)
@@ -289,9 +325,8 @@ def assemble(
     volume = sensor.pneumatics.chamber_volume_m3 if measured is None else measured
     pneumatics = sensor.pneumatics.model_copy(
         update={
-            "gauge_pressure_pa": round(tension.gauge_pressure_pa, 1),
+            **_pressures(samples, tension, rest_gauge_sigma(samples, sensor)),
             "chamber_volume_m3": float(f"{volume:.3g}"),
-            "tension_n_per_m": round(tension.tension.value, 3),
         }
     )
     update = {
@@ -311,6 +346,22 @@ def assemble(
         seen=seen,
         wander_m=wander_m,
     )
+
+
+def _pressures(
+    samples: Samples, tension: TensionEstimate, gauge_sigma_pa: float | None
+) -> dict[str, float | None]:
+    """Pressures and γ0 of the sensor file; the recorded gas pressure is that of its rest."""
+    gauge = tension.gauge_pressure_pa
+    values = {
+        "gauge_pressure_pa": round(gauge, 1),
+        "gauge_sigma_pa": None if gauge_sigma_pa is None else round(gauge_sigma_pa, 1),
+        "tension_n_per_m": round(tension.tension.value, 3),
+    }
+    if samples.gas_pressure_pa is not None:
+        absolute = float(np.median(samples.gas_pressure_pa))
+        values["atmospheric_pressure_pa"] = round(absolute - gauge, 1)
+    return values
 
 
 def with_rubber(
@@ -336,19 +387,16 @@ def with_rubber(
     InputError
         An open chamber was recorded, but not the gas pressure of the inflated sensor.
     """
-    rubber = estimate_rubber(found.model, found.samples, found.tension, levels, vented, held)
+    known = rest_gauge_sigma(found.samples, found.given)
+    other = found.surfaces.other_mesh
+    where = found.model, found.samples, found.tension
+    rubber = estimate_rubber(*where, levels, vented, held, gauge_sigma_pa=known, other_mesh=other)
     if rubber is None:
         return found
-    tension, sensor = found.tension, found.sensor
+    tension, sensor, section = found.tension, found.sensor, {}
     if rubber.gauge is not None:
         tension = tension.under(rubber.gauge)
-    section = {
-        "gauge_pressure_pa": round(tension.gauge_pressure_pa, 1),
-        "tension_n_per_m": round(tension.tension.value, 3),
-    }
-    if rubber.gauge_from in ("levels", "press") and found.samples.gas_pressure_pa is not None:
-        absolute = float(np.median(found.samples.gas_pressure_pa))
-        section["atmospheric_pressure_pa"] = round(absolute - tension.gauge_pressure_pa, 1)
+        section = _pressures(found.samples, tension, rubber.gauge.sigma)
     membrane = sensor.membrane
     if rubber.prestretch is not None:
         stretch = {"prestretch": round(rubber.prestretch.value, 4)}

@@ -129,19 +129,22 @@ def varied_rubber(
 ) -> list[RubberMembrane]:
     """The membrane with γ0, gauge pressure and λ in turn off by one standard deviation.
 
-    Of those whose 95 % interval the sensor's calibration gives; parameters as of `build_rubber`.
+    Of those whose 95 % interval the sensor's calibration gives, and of the gauge pressure whose
+    standard deviation the sensor file gives; parameters as of `build_rubber`.
     Stress at rest follows from shape and gauge pressure, whatever the material.
     γ0 follows the gauge pressure, from which Young–Laplace has it: of its own deviation only that
     counts which the gauge pressure does not explain.
     """
     known, pneumatics = sensor.calibration, sensor.pneumatics
-    if known is None:
-        return []
-    gauge = _deviation(known.gauge_interval_pa)
-    by_gauge = tension_n_per_m * gauge / pneumatics.gauge_pressure_pa
-    whole = _deviation(known.tension_interval_n_per_m)
-    tension = float(np.sqrt(max(whole**2 - by_gauge**2, 0.0)))
-    stretch = _deviation(known.prestretch_interval)
+    gauge = tension = stretch = 0.0
+    if known is not None:
+        gauge = _deviation(known.gauge_interval_pa)
+        by_gauge = tension_n_per_m * gauge / pneumatics.gauge_pressure_pa
+        whole = _deviation(known.tension_interval_n_per_m)
+        tension = float(np.sqrt(max(whole**2 - by_gauge**2, 0.0)))
+        stretch = _deviation(known.prestretch_interval)
+    if pneumatics.gauge_sigma_pa is not None:
+        gauge = pneumatics.gauge_sigma_pa
     varied = []
     if tension:
         varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m, stress))

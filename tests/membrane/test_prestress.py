@@ -191,6 +191,23 @@ def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_str
     np.testing.assert_allclose(by_gauge.stress_free_area, usual.stress_free_area, rtol=1e-3)
 
 
+def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration():
+    """`gauge_sigma_pa` counts in place of the calibration's interval, too."""
+    sensor = load_sensor("punyo_oval_d405")
+    mesh = build_mesh(sensor)
+    tension = reference_tension(sensor, mesh)
+    section = sensor.pneumatics.model_copy(update={"gauge_sigma_pa": 700.0})
+    told = sensor.model_copy(update={"pneumatics": section})
+    plain = told.model_copy(update={"calibration": None})
+    raised = sensor.pneumatics.gauge_pressure_pa + 700.0
+    (by_gauge,) = varied_rubber(plain, mesh, tension)
+    assert by_gauge.gauge_pressure_pa == pytest.approx(raised)
+    share = raised / sensor.pneumatics.gauge_pressure_pa
+    usual = build_rubber(sensor, mesh, tension).mean_tension
+    assert by_gauge.mean_tension == pytest.approx(share * usual)
+    assert varied_rubber(told, mesh, tension)[1].gauge_pressure_pa == pytest.approx(raised)
+
+
 def test_what_is_varied_has_the_stress_that_its_own_surface_and_pressure_ask_for():
     """Found once and handed on, it is that of each variant found anew; without λ there is none."""
     sensor = load_sensor("punyo_oval_d405")

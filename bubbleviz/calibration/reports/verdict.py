@@ -8,6 +8,7 @@ from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
+from bubbleviz.calibration.tension.tension_estimate import Quantity
 from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
 
@@ -51,7 +52,7 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
     grade: Grade = "good"
     if relative > _GOOD or warnings:
         grade = "usable"
-    if relative > _USABLE:
+    if relative > _USABLE or (found.rubber is not None and found.rubber.contradicts_file):
         grade = "doubtful"
     value, low, high = tension.texts(2)
     summary = (
@@ -91,9 +92,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f" is wrong by as many percent as it is ({pressure(100.0)}:"
             f" {100 * tension.per_pascal:.2f} N/m). Record the pressure, or measure it."
         )
-    given = found.given.pneumatics.gauge_pressure_pa
+    given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
     change = tension.gauge_pressure_pa / given - 1.0
-    if abs(change) > _USABLE:
+    if rubber is not None and rubber.both is not None:
+        shapes, file = (_interval(each, pressure) for each in rubber.both)
+        if rubber.contradicts_file:
+            out.append(
+                f"The gauge pressure is {shapes} by the {rubber.told_by} and {file} by the sensor"
+                " file: one of them is wrong. Record the open chamber for ten seconds (--vented)."
+            )
+    elif abs(change) > _USABLE:
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: inflate alike, and make sure that nothing touches the sensor."
@@ -160,11 +168,12 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
     else:
         value, low, high = rubber.prestretch.texts(3)
         advice.append(f"λ = {value}, 95 % interval {low} to {high}.")
-    if rubber.gauge_from == "press" and (gauge := rubber.gauge) is not None:
+    if rubber.both is not None and (gauge := rubber.gauge) is not None:
         value, low, high = gauge.texts(0)
         advice.append(
-            f"By the press the gauge pressure is {value} Pa, 95 % interval {low} to {high}:"
-            " record the open chamber to know it more precisely (--vented)."
+            f"By the {rubber.told_by} and the sensor file the gauge pressure is {value} Pa, 95 %"
+            f" interval {low} to {high}: record the open chamber for ten seconds to know it more"
+            " precisely (--vented)."
         )
     if rubber.gauge is None:
         advice.append(
@@ -172,6 +181,10 @@ def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
             " many percent wrong as it is: record the open chamber (--vented)."
         )
     return advice
+
+
+def _interval(gauge: Quantity, pressure: PressureText) -> str:
+    return f"{pressure(gauge.value)} ({pressure(gauge.low)} to {pressure(gauge.high)})"
 
 
 def _percent(share: float) -> str:

@@ -14,14 +14,12 @@ from bubbleviz.calibration.rubber.press_fit import HeldPress
 from bubbleviz.calibration.rubber.rubber_fit import RubberFit, fit_rubber
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.tension.tension_estimate import Quantity, TensionEstimate
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, SolveError
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.result import HALF_95
+from bubbleviz.sensor import WEATHER_SIGMA_PA
 from bubbleviz.sensor_model import SensorModel
 
-_WIDEST = 0.2
-"""Half-width of the gauge pressure's interval over itself from which on it is called not
-determined: force is as wrong as the gauge pressure."""
-_NORMAL = 1.96
-"""Half of a 95 % interval over σ."""
 _UNEXPLAINED = 0.25
 """Share of the change of range that rubber may leave unexplained."""
 
@@ -37,6 +35,7 @@ class RubberEstimate:
     gauge : Quantity or None
         Gauge pressure of the reference surface, Pa; None: not determined, the sensor file's stands.
     gauge_from : {"vented", "levels", "press", "given"}
+        By levels and by a press it is weighed with the sensor file's.
     fit : RubberFit or None
         None where neither a level nor a press was of use.
     levels : tuple of str
@@ -47,6 +46,9 @@ class RubberEstimate:
         That of the open chamber; empty where there is none.
     why_not : str
         Why λ is not determined; empty where it is.
+    both : (Quantity, Quantity) or None
+        The gauge pressure by the levels or the press alone, and by the sensor file, Pa; None where
+        it was not weighed.
     """
 
     prestretch: Quantity | None
@@ -57,14 +59,28 @@ class RubberEstimate:
     press: str = ""
     vented: str = ""
     why_not: str = ""
+    both: tuple[Quantity, Quantity] | None = None
+
+    @property
+    def contradicts_file(self) -> bool:
+        """Whether the intervals of the gauge pressure by shapes and by the file do not meet."""
+        if self.both is None:
+            return False
+        shapes, file = self.both
+        return shapes.low > file.high or shapes.high < file.low
+
+    @property
+    def told_by(self) -> Literal["press", "levels"]:
+        """What was asked."""
+        return "press" if self.press else "levels"
 
     @property
     def gauge_rests_on(self) -> str:
         """What the gauge pressure comes from, in words."""
         return {
             "vented": f"the open chamber of {self.vented}",
-            "levels": self._shapes,
-            "press": self._shapes,
+            "levels": f"{self._shapes}; the sensor file",
+            "press": f"{self._shapes}; the sensor file",
             "given": "the sensor file's atmospheric pressure",
         }[self.gauge_from]
 
@@ -89,6 +105,9 @@ def estimate_rubber(
     levels: Sequence[Samples],
     vented: Vented | None = None,
     held: Samples | None = None,
+    *,
+    gauge_sigma_pa: float | None,
+    other_mesh: MembraneMesh,
 ) -> RubberEstimate | None:
     """λ, and where the chamber was not opened the gauge pressure, from levels or from a press.
 
@@ -105,6 +124,10 @@ def estimate_rubber(
     vented : Vented, optional
     held : Samples, optional
         Of a press, which is asked where there are no levels.
+    gauge_sigma_pa : float or None
+        Standard deviation of the gauge pressure by the sensor file, Pa; the weather's where None.
+    other_mesh : MembraneMesh
+        As of `fit_rubber`.
 
     Returns
     -------
@@ -116,7 +139,7 @@ def estimate_rubber(
     names = tuple(each.source_name for each in levels)
     press = "" if held is None or levels else held.source_name
     known = RubberEstimate(None, None, "given", None, names, press)
-    gas, sigma = samples.gas_pressure_pa, None
+    gas = samples.gas_pressure_pa
     if vented is not None:
         if gas is None:
             raise InputError(
@@ -126,60 +149,56 @@ def estimate_rubber(
         sigma = float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
         gauge = Quantity.normal(tension.gauge_pressure_pa, sigma)
         known = replace(known, gauge=gauge, gauge_from="vented", vented=vented.source_name)
+    vented_sigma = None if known.gauge is None else known.gauge.sigma
+    told = tension.gauge_pressure_pa, vented_sigma, tension.tension.sigma / tension.tension.value
     try:
         if levels:
-            return _by_levels(model, samples, tension, levels, sigma, known)
-        if held is not None:
-            return _by_press(HeldPress(model, samples, held), tension, sigma, known)
-    except InputError as error:
+            fit = _of_levels(model, samples, levels, other_mesh, *told)
+        elif held is not None:
+            fit = HeldPress(model, samples, held).fit(*told)
+        else:
+            return replace(known, why_not="no inflation level was recorded")
+    except (InputError, SolveError) as error:
         return replace(known, why_not=str(error))
-    return replace(known, why_not="no inflation level was recorded")
+    if vented is not None:
+        return _judged(fit, known, known)
+    by_file = Quantity.normal(tension.gauge_pressure_pa, gauge_sigma_pa or WEATHER_SIGMA_PA)
+    return _weighed(fit, by_file, known)
 
 
-def _by_levels(
+def _of_levels(
     model: SensorModel,
     samples: Samples,
-    tension: TensionEstimate,
     levels: Sequence[Samples],
-    gauge_sigma_pa: float | None,
-    known: RubberEstimate,
-) -> RubberEstimate:
+    other_mesh: MembraneMesh,
+    gauge_pa: float,
+    sigma_pa: float | None,
+    stress_sigma: float,
+) -> RubberFit:
     if any(each.gas_pressure_pa is None for each in (samples, *levels)):
-        return replace(known, why_not="not every level has its gas pressure recorded")
+        raise InputError("not every level has its gas pressure recorded")
     mask = np.ones(samples.depth_m.shape[1:], bool) if model.pixels is None else model.pixels.mask
-    where = samples, model.mesh, model.camera, mask, levels, tension.gauge_pressure_pa
-    fit = fit_rubber(*where, gauge_sigma_pa, _relative(tension))
-    if gauge_sigma_pa is None:
-        free = Quantity.of(fit.gauge_pressure_pa, fit.gauge_errors_pa)
-        if free.half_width < _WIDEST * free.value:
-            return _judged(fit, replace(known, gauge=free, gauge_from="levels"), known)
-        fit = fit_rubber(*where, 0.0, _relative(tension))
-    return _judged(fit, known, known)
+    where = samples, model.mesh, other_mesh, model.camera, mask, levels
+    return fit_rubber(*where, gauge_pa, sigma_pa, stress_sigma)
 
 
-def _by_press(
-    press: HeldPress,
-    tension: TensionEstimate,
-    gauge_sigma_pa: float | None,
-    known: RubberEstimate,
-) -> RubberEstimate:
-    fit = press.fit(tension.gauge_pressure_pa, gauge_sigma_pa, _relative(tension))
-    if gauge_sigma_pa is not None:
-        return _judged(fit, known, known)
-    gauge = Quantity.of(fit.gauge_pressure_pa, fit.gauge_errors_pa)
-    if gauge.half_width < _WIDEST * gauge.value:
-        return _judged(fit, replace(known, gauge=gauge, gauge_from="press"), known)
-    return replace(
-        known,
-        fit=fit,
-        why_not=f"the press leaves the gauge pressure open between {gauge.low:.0f} and"
-        f" {gauge.high:.0f} Pa, and λ with it",
-    )
+def _weighed(fit: RubberFit, by_file: Quantity, known: RubberEstimate) -> RubberEstimate:
+    """Gauge pressure by the shapes and by the sensor file, each by its variance, and λ under it.
 
-
-def _relative(tension: TensionEstimate) -> float:
-    """Relative standard deviation of γ0, as of the stress at rest."""
-    return tension.tension.half_width / tension.tension.value / _NORMAL
+    What differs by more than both deviations leave widens that of the mean by as much, as the
+    Particle Data Group does. Where not even the intervals meet one of them is wrong, and the
+    interval holds both.
+    """
+    by_shapes = Quantity.of(fit.gauge_pressure_pa, fit.gauge_errors_pa)
+    found = replace(known, gauge_from=known.told_by, both=(by_shapes, by_file))
+    spread = float(np.hypot(by_shapes.sigma, by_file.sigma))
+    apart = by_shapes.value - by_file.value
+    gauge = by_file.value + (by_file.sigma / spread) ** 2 * apart
+    sigma = by_shapes.sigma * by_file.sigma / spread * max(1.0, abs(apart) / spread)
+    if found.contradicts_file:
+        sigma = max(sigma, *(abs(each.value - gauge) / HALF_95 for each in (by_shapes, by_file)))
+    found = replace(found, gauge=Quantity.normal(gauge, sigma))
+    return _judged(fit.under(gauge, sigma), found, known)
 
 
 def _judged(fit: RubberFit, found: RubberEstimate, before: RubberEstimate) -> RubberEstimate:

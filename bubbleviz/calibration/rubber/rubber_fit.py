@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
 from bubbleviz.calibration.rest.rest_frames import Samples
@@ -29,7 +31,7 @@ from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.inflation import Inflation
-from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
+from bubbleviz.membrane.rubber_model.prestress import STRESS_DEGREE, Prestress, prestressed
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.stiffness import mean_curvature
 
@@ -47,6 +49,9 @@ _LOOK_M = 1e-5
 """Largest motion of a node for the derivative of ranges, m."""
 BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
 _CLIP = 3.0  # as the mean of a pixel is clipped
+_RINGS = 4
+"""Of equal numbers of pixels between rim and top: each large against what errors of the model are
+alike over, and the others still tell q from G."""
 
 
 @dataclass(frozen=True)
@@ -80,18 +85,34 @@ class LevelModel:
     """
 
     def __init__(self, mesh: MembraneMesh, camera: DepthCamera, pixels: np.ndarray) -> None:
-        self._mesh, self._pixels = mesh, pixels
+        self._mesh, self._camera, self._pixels = mesh, camera, pixels
         self._caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         self._tension = 1.0 / mean_curvature(mesh)  # over the gauge pressure, which is 1 Pa here
         self._stress = Prestress.of(mesh, 1.0)
         self.rest_m = self._cast(mesh.nodes)
 
+    @property
+    def height_m(self) -> np.ndarray:
+        """Height of what the pixels see at rest over the rim plane, (k,), m; NaN where none."""
+        upward: np.ndarray = self._camera.directions[self._pixels, 2]
+        return self._camera.center[2] + self.rest_m * upward
+
     def tighter(self, share: float) -> LevelModel:
         """The same with all stress at rest larger by a share, γ0 with it."""
         other = copy(self)
         other._tension = (1.0 + share) * self._tension
-        other._stress = Prestress((1.0 + share) * self._stress.weights)
+        other._stress = self._stress.times(1.0 + share)
         return other
+
+    def smoother(self) -> LevelModel:
+        """The same with the stress at rest by polynomials of a lower degree."""
+        other = copy(self)
+        other._stress = Prestress.of(self._mesh, 1.0, STRESS_DEGREE - 2)
+        return other
+
+    def on(self, mesh: MembraneMesh) -> LevelModel:
+        """The same pixels over another reference surface."""
+        return LevelModel(mesh, self._camera, self._pixels)
 
     def at(self, q: float, ratio: float, near: np.ndarray | None = None) -> LevelShape:
         """Shape of rubber of q at a ratio of gauge pressures.
@@ -154,10 +175,22 @@ class RubberFit:
     change_rms_m: float
     rises_pa: tuple[float, ...]
 
+    def under(self, gauge_pa: float, sigma_pa: float, seed: int = 0) -> Self:
+        """The same where the gauge pressure is known otherwise; q follows as their errors do."""
+        relative = self.gauge_errors_pa / self.gauge_pressure_pa
+        slope = float(np.cov(self.q_errors, relative)[0, 1] / np.var(relative))  # dq/d(ln G)
+        drawn = sigma_pa / gauge_pa * np.random.default_rng([seed, 3]).standard_normal(DRAWS)
+        return replace(
+            self,
+            q=self.q + slope * float(np.log(gauge_pa / self.gauge_pressure_pa)),
+            q_errors=self.q_errors + slope * (drawn - relative),
+        )
+
 
 def fit_rubber(
     base: Samples,
     mesh: MembraneMesh,
+    other_mesh: MembraneMesh,
     camera: DepthCamera,
     mask: np.ndarray,
     levels: Sequence[Samples],
@@ -172,8 +205,12 @@ def fit_rubber(
     ----------
     base : Samples
         Of the reference surface.
-    mesh, camera
-        Reference surface and camera in B.
+    mesh : MembraneMesh
+        Reference surface in B.
+    other_mesh : MembraneMesh
+        Of another surface that fits the same frames: what it changes is an error, too.
+    camera : DepthCamera
+        In B.
     mask : (H, W) bool array
         Pixels in use.
     levels : sequence of Samples
@@ -190,6 +227,8 @@ def fit_rubber(
     ------
     InputError
         A level has no gas pressure, or no rubber is near the levels.
+    SolveError
+        The rubber that is found cannot hold the levels over the other surface.
     """
     pressures = [_mean_pressure(each) for each in (base, *levels)]
     rises = np.array([mean - pressures[0][0] for mean, _ in pressures[1:]])
@@ -207,9 +246,15 @@ def fit_rubber(
     rng = np.random.default_rng([seed, 1])
     shaken = rng.standard_normal((DRAWS, len(pressures))) * [sigma for _, sigma in pressures]
     errors += (shaken[:, 1:] - shaken[:, :1]) @ to_rise
-    errors += stress_sigma * np.outer(rng.standard_normal(DRAWS), fit.by_stress(state, influence))
     facets = (mesh.edge_length * 0.5 * mean_curvature(mesh)) ** 2
-    errors += facets * np.outer(rng.standard_normal(DRAWS), fit.by_motion(state, influence))
+    ways = [
+        stress_sigma * fit.by_stress(state, influence),
+        facets * fit.by_motion(state, influence),
+        fit.by_degree(state, influence),
+        fit.by_surface(state, influence, other_mesh),
+        *fit.by_ring(state, free),
+    ]
+    errors += rng.standard_normal((DRAWS, len(ways))) @ ways
     if gauge_sigma_pa is not None:
         shift = gauge_sigma_pa / state.gauge_pa * rng.standard_normal(DRAWS)
         errors[:, 1] = shift
@@ -340,15 +385,45 @@ class _Fit:
 
     def by_stress(self, state: _State, influence: np.ndarray) -> np.ndarray:
         """Change of the fitted (q, ln G), (2,), per relative change of the stress at rest."""
-        ratios, share = 1.0 + self._rises / state.gauge_pa, 0.01
-        tighter = self._model.tighter(share)
-        shapes = [
-            tighter.at(state.q, ratio, nodes)
-            for ratio, nodes in zip(ratios, state.nodes_m, strict=True)
-        ]
-        model = self.change_m - state.missed_m + self._model.rest_m
-        moved = np.nan_to_num(np.stack([shape.range_m for shape in shapes]) - model)
-        return -np.einsum("lk,lkp->p", moved, influence) / share
+        share = 0.01
+        return self._by_model(self._model.tighter(share), state, influence, state.nodes_m) / share
+
+    def by_degree(self, state: _State, influence: np.ndarray) -> np.ndarray:
+        """Change of the fitted (q, ln G), (2,), where the stress at rest is a smoother field."""
+        return self._by_model(self._model.smoother(), state, influence, state.nodes_m)
+
+    def by_surface(self, state: _State, influence: np.ndarray, mesh: MembraneMesh) -> np.ndarray:
+        """Change of the fitted (q, ln G), (2,), on another reference surface."""
+        return self._by_model(self._model.on(mesh), state, influence, [None] * len(self._levels))
+
+    def _by_model(
+        self,
+        other: LevelModel,
+        state: _State,
+        influence: np.ndarray,
+        near: Sequence[np.ndarray | None],
+    ) -> np.ndarray:
+        """Change of the fitted (q, ln G), (2,), by another model of the levels."""
+        ratios = 1.0 + self._rises / state.gauge_pa
+        shapes = [other.at(state.q, *each) for each in zip(ratios, near, strict=True)]
+        change = np.stack([shape.range_m for shape in shapes]) - other.rest_m
+        moved = np.nan_to_num(change - (self.change_m - state.missed_m))
+        return -np.einsum("lk,lkp->p", moved, influence)
+
+    def by_ring(self, state: _State, free: tuple[bool, bool]) -> np.ndarray:
+        """Errors (_RINGS, 2) of a standard deviation each by whatever the model gets wrong.
+
+        The jackknife over rings: uneven rubber, and a surface that is wrong where it is not seen,
+        show as rings that ask for different rubber.
+        """
+        height = np.nan_to_num(self._model.height_m, nan=-np.inf)
+        limits = np.nanquantile(self._model.height_m, np.arange(1, _RINGS) / _RINGS)
+        ring = np.searchsorted(limits, height)
+        sigma = max(robust_sigma(state.missed_m, center=0.0), 1e-9)
+        weights = tukey_weights(state.missed_m, sigma)
+        moved = np.stack([_step(state, weights * (ring != k), free, 0.0) for k in range(_RINGS)])
+        spread = np.sqrt((_RINGS - 1) / _RINGS) * moved
+        return spread * float(stdtrit(_RINGS - 1, 0.975) / ndtri(0.975))
 
     def by_motion(self, state: _State, influence: np.ndarray) -> np.ndarray:
         """Change of the fitted (q, ln G), (2,), where the mesh moves too much by a share of it.

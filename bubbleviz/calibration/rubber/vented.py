@@ -53,6 +53,9 @@ class Vented:
     def set_in(self, sensor: Sensor) -> Sensor:
         """The sensor with this atmospheric pressure."""
         section = sensor.pneumatics.model_copy(
-            update={"atmospheric_pressure_pa": round(self.pressure_pa, 1)}
+            update={
+                "atmospheric_pressure_pa": round(self.pressure_pa, 1),
+                "gauge_sigma_pa": None,  # of a gauge pressure told by something else
+            }
         )
         return sensor.model_copy(update={"pneumatics": section})

@@ -105,6 +105,13 @@ class Surfaces:
         """Typical distance of the mesh's flat facets from the surface, m."""
         return facet_error(self.mesh)
 
+    @property
+    def other_mesh(self) -> MembraneMesh:
+        """Mesh of another surface, in B: what differs on it is as uncertain as the shape."""
+        if self.chosen == "ellipsoid":
+            return self.free_form.mesh
+        return mesh_ellipsoid(self.fits.cap.ellipsoid, len(self.mesh.nodes))
+
 
 def fit_surfaces(
     samples: Samples, nodes: int, force: Name | None = None, progress: Progress = quiet
@@ -190,6 +197,12 @@ def cap_over_rim(ellipsoid: Ellipsoid) -> EllipsoidalCap:
         )
     at_rim = float(np.sqrt(1.0 - sunk**2))
     return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + sunk), c)
+
+
+def mesh_ellipsoid(ellipsoid: Ellipsoid, nodes: int) -> MembraneMesh:
+    """Mesh of the part of a fitted ellipsoid above the rim plane, where it lies in B."""
+    mesh = mesh_cap(cap_over_rim(ellipsoid), nodes)
+    return replace(mesh, nodes=mesh.nodes + ellipsoid.centre_m * (1.0, 1.0, 0.0))
 
 
 def _fit_caps(

@@ -61,6 +61,11 @@ class Quantity:
         """Half of the interval's width."""
         return 0.5 * (self.high - self.low)
 
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a normal error with this interval."""
+        return self.half_width / float(ndtri(0.975))
+
     def texts(self, most: int) -> tuple[str, str, str]:
         """Value and ends, to the digits that the interval leaves and `most` decimals at most."""
         decimals = decimals_of(self.half_width, most)

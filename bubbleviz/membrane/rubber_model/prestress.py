@@ -22,7 +22,7 @@ from bubbleviz.membrane.rubber_model.disc_map import disc_map, zernike
 from bubbleviz.membrane.rubber_model.rubber_membrane import FAR_STRETCHED, RubberMembrane
 from bubbleviz.membrane.stiffness import mean_curvature
 
-_DEGREE = 8
+STRESS_DEGREE = 8
 """Of the polynomials and of the virtual displacements; 4 misses a bulged flat sheet by 2 %."""
 _RIDGE = 1e-3
 """Weight of the mean square of Σ z_k D_k against that of the unbalanced load over the load: lies
@@ -48,7 +48,9 @@ class Prestress:
     weights: np.ndarray
 
     @classmethod
-    def of(cls, mesh: MembraneMesh, gauge_pressure_pa: float) -> Prestress:
+    def of(
+        cls, mesh: MembraneMesh, gauge_pressure_pa: float, degree: int = STRESS_DEGREE
+    ) -> Prestress:
         """Field that balances the pressure by least squares.
 
         Its virtual work with the load is none for all smooth displacements that spare the rim:
@@ -59,6 +61,8 @@ class Prestress:
         mesh : MembraneMesh
             The surface under the pressure.
         gauge_pressure_pa : float
+        degree : int
+            Of the polynomials and of the virtual displacements.
 
         Raises
         ------
@@ -72,8 +76,8 @@ class Prestress:
                 "reference surface: flat or hollow, so that no tension holds its gauge pressure"
             )
         disc = disc_map(mesh)
-        unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc)
-        moved = _virtual_displacements(mesh, disc)[mesh.triangles]  # (m, 3, q)
+        unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc, degree)
+        moved = _virtual_displacements(mesh, disc, degree)[mesh.triangles]  # (m, 3, q)
         load = curvature * np.einsum("tx,tcq->xq", mesh.facet_vectors / 3.0, moved)
         pull = mesh.facet_areas[:, None, None] * np.einsum(
             "tax,ktab,bc->ktcx", _edges(mesh), unit, _FROM_EDGES
@@ -102,7 +106,8 @@ class Prestress:
         τ with T = E τ Eᵀ, by the edges E (3×2) of each triangle from its corner 0.
         """
         disc = disc_map(mesh)
-        weights = self.weights @ _polynomials(mesh, disc).T
+        degree = round(np.sqrt(2.0 * self.weights.shape[1] + 0.25) - 1.5)  # of (d+1)(d+2)/2
+        weights = self.weights @ _polynomials(mesh, disc, degree).T
         tau: np.ndarray = np.einsum("kt,ktij->tij", weights, _fields(mesh, disc))
         return tau
 
@@ -178,16 +183,16 @@ def _fields(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
     return fields
 
 
-def _polynomials(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
+def _polynomials(mesh: MembraneMesh, disc: np.ndarray, degree: int) -> np.ndarray:
     """Zernike polynomials in the triangles, (m, p)."""
-    return zernike(disc[mesh.triangles].mean(axis=1), _DEGREE)
+    return zernike(disc[mesh.triangles].mean(axis=1), degree)
 
 
-def _virtual_displacements(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
+def _virtual_displacements(mesh: MembraneMesh, disc: np.ndarray, degree: int) -> np.ndarray:
     """Smooth functions that are 0 on the rim, orthonormal over the mean of the area, (n, q)."""
     at = disc[mesh.free]
     weight = np.sqrt(mesh.areas[mesh.free] / mesh.areas.sum())[:, None]
-    ways = zernike(at, _DEGREE) * (1.0 - np.einsum("ij,ij->i", at, at))[:, None]
+    ways = zernike(at, degree) * (1.0 - np.einsum("ij,ij->i", at, at))[:, None]
     if len(ways) < ways.shape[1]:
         raise InputError(
             f"mesh: {len(ways)} nodes inside the rim do not determine the stress of rubber; use a"

@@ -1,0 +1,209 @@
+"""What a sensor file knows of its gauge pressure is not overruled by inflation levels.
+
+Rubber that was moulded as a dome is stretched unevenly, so that levels alone tell a gauge pressure
+that is 25 to 40 % too high.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bubbleviz.calibration.identification import (
+    identify,
+    rest_gauge_pressure,
+    rest_gauge_sigma,
+    with_rubber,
+)
+from bubbleviz.calibration.reports.verdict import judge, rubber_advice
+from bubbleviz.calibration.rest.rest_frames import collect
+from bubbleviz.calibration.rubber.vented import Vented
+from bubbleviz.calibration.sensor_writer import write_sensor
+from bubbleviz.errors import InputError
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import edited, load_sensor
+from bubbleviz.study.inflated_rubber import InflatedRubber
+from tests.rubber_renders import (
+    ATMOSPHERE_PA,
+    GAUGE_PA,
+    at_rest,
+    camera_of,
+    dome_sensor,
+    render,
+    rubber_truth,
+)
+
+FRAMES, NODES = 10, 500
+WEATHER = 2e3 / 1.96
+SMALL = camera_of(160, 107.5)
+
+
+def twin():
+    """Triangles, the rest and the levels of a dome moulded with no stretch and then inflated."""
+    dome = InflatedRubber.moulded_dome((0.045, 0.045), 0.0235, 330.0, 1.0001, GAUGE_PA)
+    pressures = np.array([0.85, 1.15]) * GAUGE_PA
+    levels = np.stack([dome.shape(each).nodes for each in pressures])
+    return {
+        "triangles": dome.rest.triangles,
+        "rest_m": dome.rest.nodes,
+        "level_m": levels,
+        "level_pa": pressures,
+    }
+
+
+@pytest.fixture(scope="module", params=["twin", "dome_ball"])
+def dome(request):
+    """A moulded dome: own rubber, or that of another solver where this machine has it."""
+    return twin() if request.param == "twin" else rubber_truth("dome_ball")
+
+
+def shown(dome, shape_m, gauge_pa, seed):
+    return render("dome", SMALL, at_rest(shape_m, FRAMES), dome["triangles"], gauge_pa, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def identified(dome):
+    """Identification of the dome from a sensor file that says so much of its pressures."""
+    rest = shown(dome, dome["rest_m"], GAUGE_PA, 1)
+    levels = [
+        shown(dome, shape, pressure, 2 + k)
+        for k, (shape, pressure) in enumerate(zip(dome["level_m"], dome["level_pa"], strict=True))
+    ]
+
+    def of(vented=None, **pneumatics):
+        sensor = dome_sensor(SMALL)
+        section = sensor.pneumatics.model_copy(update=pneumatics)
+        sensor = sensor.model_copy(update={"pneumatics": section})
+        found = identify(rest, sensor, range(FRAMES), nodes=NODES)
+        return with_rubber(found, [collect(each, sensor, range(FRAMES)) for each in levels], vented)
+
+    return of
+
+
+def test_a_gauge_pressure_known_to_two_percent_stays(identified):
+    found = identified(gauge_sigma_pa=0.01 * GAUGE_PA)
+    assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE_PA, rel=0.02)
+    gauge = found.rubber.gauge
+    assert gauge.low < GAUGE_PA < gauge.high
+    assert found.sensor.pneumatics.gauge_sigma_pa == pytest.approx(
+        gauge.half_width / 1.96, rel=0.01
+    )
+    rest_pa = found.sensor.pneumatics.reference_pressure_pa
+    assert rest_pa == pytest.approx(ATMOSPHERE_PA + GAUGE_PA, abs=3.0)
+
+
+@pytest.mark.parametrize("weather_pa", [-1500.0, 0.0, 1500.0])
+def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa):
+    """The sensor file's atmosphere is wrong by weather, which the file does not tell."""
+    found = identified(atmospheric_pressure_pa=ATMOSPHERE_PA - weather_pa)
+    gauge, (levels, file) = found.rubber.gauge, found.rubber.both
+    assert file.half_width == pytest.approx(2e3, rel=1e-3)
+    assert file.value == pytest.approx(GAUGE_PA + weather_pa, abs=3.0)
+    assert levels.low < GAUGE_PA < levels.high
+    assert gauge.low < GAUGE_PA < gauge.high
+    verdict = judge(found)
+    assert verdict.grade == "doubtful"
+    assert any("open chamber for ten seconds" in line for line in rubber_advice(found.rubber))
+
+
+def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
+    """Nothing tells which is wrong: the file's value stays, its interval holds both."""
+    found = identified(
+        gauge_pressure_pa=2000.0,
+        gauge_sigma_pa=20.0,
+        atmospheric_pressure_pa=ATMOSPHERE_PA + GAUGE_PA - 2000.0,
+    )
+    gauge, (levels, file) = found.rubber.gauge, found.rubber.both
+    assert found.rubber.contradicts_file and levels.low > file.high
+    assert gauge.value == pytest.approx(2000.0, abs=40.0)
+    assert gauge.high >= levels.value - 1.0
+    verdict = judge(found)
+    assert verdict.grade == "doubtful"
+    (said,) = (line for line in verdict.advice if "one of them is wrong" in line)
+    assert f"{levels.value:.0f} Pa" in said and "2000 Pa" in said and "(--vented)" in said
+
+
+def test_force_of_presses_after_levels(tmp_path):
+    """From levels to force: right where the gauge pressure is known, else within its interval."""
+    dome = rubber_truth("dome_ball")
+    camera = camera_of()
+    rest, low, high = (
+        render("dome", camera, at_rest(shape, FRAMES), dome["triangles"], pressure, seed=k)
+        for k, (shape, pressure) in enumerate(
+            [
+                (dome["rest_m"], GAUGE_PA),
+                (dome["level_m"][0], dome["level_pa"][0]),
+                (dome["level_m"][1], dome["level_pa"][1]),
+            ]
+        )
+    )
+    presses = render(
+        "press", camera, dome["nodes_m"], dome["triangles"], dome["gauge_pressure_pa"], seed=9
+    )
+    given = dome_sensor(camera)
+    for sigma in (0.01 * GAUGE_PA, None):
+        section = given.pneumatics.model_copy(update={"gauge_sigma_pa": sigma})
+        sensor = given.model_copy(update={"pneumatics": section})
+        found = identify(rest, sensor, range(FRAMES), nodes=1000)
+        levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
+        saved = write_sensor(with_rubber(found, levels), tmp_path / f"{sigma}.toml")
+        pipeline = Pipeline.of(load_sensor(tmp_path / f"{sigma}.toml"))
+        assert saved.pneumatics.gauge_sigma_pa is not None
+        for k in range(len(presses)):
+            estimate = pipeline.process(presses[k], frozenset({"estimate"})).estimate
+            error = estimate.force_n - dome["force_n"][k]
+            size = np.linalg.norm(dome["force_n"][k])
+            if sigma is not None:
+                assert np.linalg.norm(error) < 0.05 * size
+            else:
+                assert abs(error[2]) < 1.96 * estimate.force_sigma_n[2]
+                assert estimate.force_sigma_n[2] > 0.05 * size
+
+
+@pytest.fixture(scope="module")
+def rest_samples():
+    dome = twin()
+    return collect(shown(dome, dome["rest_m"], GAUGE_PA, 1), dome_sensor(SMALL), range(FRAMES))
+
+
+def told(**pneumatics):
+    sensor = dome_sensor(SMALL)
+    section = sensor.pneumatics.model_copy(update=pneumatics)
+    return sensor.model_copy(update={"pneumatics": section})
+
+
+def test_gauge_pressure_at_rest_and_how_well_it_is_known(rest_samples):
+    """The file's σ holds for its own inflation and weather; another one leaves the difference."""
+    weather = told(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
+    assert rest_gauge_pressure(rest_samples, weather) == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
+    assert rest_gauge_sigma(rest_samples, weather) == pytest.approx(WEATHER)
+    known = told(gauge_sigma_pa=50.0)
+    assert rest_gauge_pressure(rest_samples, known) == GAUGE_PA
+    assert rest_gauge_sigma(rest_samples, known) == pytest.approx(50.0, abs=0.2)
+    moved = told(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
+    assert rest_gauge_pressure(rest_samples, moved) == GAUGE_PA
+    assert rest_gauge_sigma(rest_samples, moved) == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
+    far = told(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 9000.0)
+    assert rest_gauge_sigma(rest_samples, far) == pytest.approx(np.hypot(50.0, WEATHER))
+    silent = replace(rest_samples, gas_pressure_pa=None)
+    assert rest_gauge_sigma(silent, told()) is None
+    assert rest_gauge_sigma(silent, known) == 50.0
+    gauge_only = replace(rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA)
+    with pytest.raises(InputError, match="no atmospheric pressure; record the absolute one"):
+        rest_gauge_pressure(gauge_only, known)
+
+
+def test_open_chamber_takes_the_place_of_what_the_file_knew():
+    vented = Vented("vented", ATMOSPHERE_PA, 1.0).set_in(told(gauge_sigma_pa=50.0))
+    assert vented.pneumatics.gauge_sigma_pa is None
+    assert vented.pneumatics.atmospheric_pressure_pa == ATMOSPHERE_PA
+
+
+def test_another_gauge_pressure_by_hand_is_known_no_better_than_nothing():
+    sensor = told(gauge_sigma_pa=50.0)
+    assert edited(sensor, {"membrane.nodes": 300}).pneumatics.gauge_sigma_pa == 50.0
+    assert (
+        edited(sensor, {"pneumatics.gauge_pressure_pa": 4000.0}).pneumatics.gauge_sigma_pa is None
+    )
+    both = {"pneumatics.gauge_pressure_pa": 4000.0, "pneumatics.gauge_sigma_pa": 10.0}
+    assert edited(sensor, both).pneumatics.gauge_sigma_pa == 10.0
