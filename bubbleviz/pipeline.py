@@ -199,7 +199,7 @@ class Pipeline:
         start: Any = None  # of the estimator's own kind
         before = np.zeros(0)
         for _ in range(SETTLED_WITHIN):
-            estimate, start = self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa, start)
+            estimate, start = self._estimated(frame, start)
             pressure = estimate.contact_pressure_pa
             if before.size and np.abs(pressure - before).max() <= SETTLED * pressure.max():
                 break
@@ -215,7 +215,11 @@ class Pipeline:
             The image is not of the camera's size.
         """
         self._check_size(frame)
-        return self.estimator.estimate(frame.depth_m, frame.gas_pressure_pa, self._start)[0]
+        return self._estimated(frame, self._start)[0]
+
+    def _estimated(self, frame: Frame, start: Any) -> tuple[Estimate, Any]:
+        pressure, sigma = frame.gas_pressure_pa, frame.gas_sigma_pa
+        return self.estimator.estimate(frame.depth_m, pressure, start, sigma)
 
     def prepare(self, products: frozenset[Product]) -> None:
         """Build the solvers now, so that the first frame does not wait for them."""
@@ -325,10 +329,11 @@ class Pipeline:
 
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame
-        estimate, self._start = self.estimator.estimate(
-            frame.depth_m, frame.gas_pressure_pa, self._start
-        )
-        return replace(result, estimate=estimate)
+        estimate, self._start = self._estimated(frame, self._start)
+        if frame.gas_sigma_pa and estimate.trusted:  # what comes after counts from the found zero
+            found = self.model.gas.P0 + estimate.gas_pressure_change_pa
+            frame = replace(frame, gas_pressure_pa=found, gas_sigma_pa=0.0)
+        return replace(result, estimate=estimate, frame=frame)
 
     def _fine_contact_stage(self, result: Result, options: FrameOptions) -> Result:
         estimate = _made(result.estimate)

@@ -15,7 +15,8 @@ from bubbleviz.api.connecting import Stream
 from bubbleviz.api.frame_result import FrameResult
 from bubbleviz.api.held_frames import HeldFrames
 from bubbleviz.api.run import Run
-from bubbleviz.commands.estimate import patch_options, recorded_zero, solved
+from bubbleviz.calibration.pressure_zero import zero_of
+from bubbleviz.commands.estimate import patch_options, solved
 from bubbleviz.commands.pose import followed
 from bubbleviz.commands.watch import Watcher
 from bubbleviz.errors import InputError
@@ -46,7 +47,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
-    zero_gas: bool | None = None,
+    zero_gas: bool = True,
 ) -> FrameResult: ...
 @overload
 def estimate(
@@ -55,7 +56,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
-    zero_gas: bool | None = None,
+    zero_gas: bool = True,
 ) -> Run: ...
 @overload
 def estimate(
@@ -64,7 +65,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
-    zero_gas: bool | None = None,
+    zero_gas: bool = True,
 ) -> Iterator[FrameResult]: ...
 def estimate(
     frames: Frame | Sequence[Frame] | Stream,
@@ -72,7 +73,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
-    zero_gas: bool | None = None,
+    zero_gas: bool = True,
 ) -> FrameResult | Run | Iterator[FrameResult]:
     """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
 
@@ -89,9 +90,10 @@ def estimate(
     solver : str, optional
         `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear`, `osqp`
         and `clarabel`: constant tension; `fast`: linear on a coarse mesh.
-    zero_gas : bool, optional
-        Shift the measured gas pressure so that the first rest is the sensor file's; by default of
-        streams only.
+    zero_gas : bool
+        Shift the measured gas pressure so that at a rest it is the sensor file's; without a rest
+        it is known within the weather's ±2 kPa, which the force's interval holds. If not, it is
+        believed as it is.
 
     Returns
     -------
@@ -117,14 +119,14 @@ def estimate(
             frames.uri,
             _sensor_of_stream(frames, sensor),
             solver=solver,
-            zero=zero_gas is not False,
+            zero=zero_gas,
             options=options,
         )
         return _watched(watcher)
     chosen = _as_frames(frames)
     with OneBlasThread():
         pipeline = _pipeline(chosen, sensor, solver)
-        zero = recorded_zero(chosen.source, pipeline) if zero_gas else None
+        zero = zero_of(chosen.source, pipeline) if zero_gas else None
         results = solved(chosen.source, chosen.chosen, pipeline, PRODUCTS, options, zero)
         return _found(frames, results, pipeline)
 
@@ -224,7 +226,9 @@ def track(
     with OneBlasThread():
         pipeline = _pipeline(chosen, sensor, solver)
         pipeline.follow(obj, start)
-        found = _found(frames, followed(chosen.source, chosen.chosen, pipeline), pipeline)
+        zero = zero_of(chosen.source, pipeline)
+        results = followed(chosen.source, chosen.chosen, pipeline, zero=zero)
+        found = _found(frames, results, pipeline)
     assert isinstance(found, Run)
     return found
 

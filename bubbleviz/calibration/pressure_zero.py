@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import HALF_95
+from bubbleviz.sensor import WEATHER_SIGMA_PA
 
 ENOUGH = 15
 """Contact-free frames whose median is a zero: half a second at 30 Hz."""
+FEWEST = 3
+"""Contact-free frames in a row that a recording's zero is taken from where it has no more: one by
+itself may be a failed image."""
+PLACES = 20
+"""Where a recording is looked at for a rest."""
 PASSED = 6
 """Live frames after one with contact that are not asked about."""
 
@@ -21,8 +28,9 @@ class PressureZero:
     """Shifts the measured gas pressure so that its contact-free level is the sensor file's.
 
     The sensor file has the gauge pressure and the atmospheric pressure of the day it was made.
-    Another day's weather (±3 kPa) and the offset of a pressure sensor would be read as contact.
-    What is constant without contact says nothing, hence it is taken away.
+    Another day's weather (±2 kPa) and the offset of a pressure sensor would be read as contact.
+    What is constant without contact says nothing, hence it is taken away. Until it is known, frames
+    have the weather's standard deviation in `gas_sigma_pa`.
 
     Parameters
     ----------
@@ -33,11 +41,14 @@ class PressureZero:
     ----------
     offset_pa : float or None
         Taken from every measured pressure, Pa; None until it is known, and nothing is shifted.
+    frames : int
+        Contact-free ones that it was taken from.
     """
 
     def __init__(self, reference_pa: float) -> None:
         self.reference_pa = reference_pa
         self.offset_pa: float | None = None
+        self.frames = 0
         self._free: list[float] = []
         self._asked = True
         self._passing = 0
@@ -91,8 +102,24 @@ class PressureZero:
             return
         self._free.append(raw_pressure_pa)
         if len(self._free) >= ENOUGH:
-            self.offset_pa = float(np.median(self._free)) - self.reference_pa
-            self._free, self._asked = [], False
+            self.take(self._free)
+
+    def take(self, pressures_pa: Sequence[float]) -> None:
+        """Take the zero from the measured pressures of contact-free frames, Pa."""
+        self.offset_pa = float(np.median(pressures_pa)) - self.reference_pa
+        self.frames = len(pressures_pa)
+        self._free, self._asked = [], False
+
+    @property
+    def words(self) -> str:
+        """What was done, in one line."""
+        if self.offset_pa is None:
+            weather = 1e-3 * HALF_95 * WEATHER_SIGMA_PA
+            return (
+                "gas pressure zero: unknown without contact-free frames, within the weather's"
+                f" ±{weather:.0f} kPa (95 %)"
+            )
+        return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 
     def wants_next(self) -> bool:
         """Whether the next frame should be tested for contact, which may cost another estimate.
@@ -103,9 +130,11 @@ class PressureZero:
         return self._asked and self._passing == 0
 
     def applied(self, frame: Frame) -> Frame:
-        """The frame with its gas pressure shifted."""
-        if self.offset_pa is None or frame.gas_pressure_pa is None:
+        """The frame with its gas pressure shifted, or with how far it may be off."""
+        if frame.gas_pressure_pa is None:
             return frame
+        if self.offset_pa is None:
+            return replace(frame, gas_sigma_pa=WEATHER_SIGMA_PA)
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
 
 
@@ -125,22 +154,32 @@ def zeroed(frame: Frame, zero: PressureZero, pipeline: Pipeline) -> Frame:
     return zero.applied(frame)
 
 
-def zero_of(frames: Iterable[Frame], pipeline: Pipeline, name: str) -> PressureZero:
-    """Zero of a recording, from its first rest.
+def zero_of(source: FrameSource, pipeline: Pipeline) -> PressureZero | None:
+    """Zero of a recording, from a rest of it; None where it has no gas pressure.
 
-    Raises
-    ------
-    InputError
-        It has no gas pressure, or no rest that is long enough.
+    The start is looked at first, then places spread over it: solving contact takes time. Without a
+    rest the zero stays unknown.
     """
+    if source[0].gas_pressure_pa is None:
+        return None
     zero = PressureZero(pipeline.model.gas.P0)
-    for frame in frames:
-        if frame.gas_pressure_pa is None:
-            raise InputError(f"{name}: no gas pressure was recorded; leave --zero-gas out")
-        zero.learn(frame.gas_pressure_pa, contact_free=untouched(frame, pipeline))
-        if not zero.waiting:
-            return zero
-    raise InputError(
-        f"{name}: no {ENOUGH} contact-free frames in a row to take the gas pressure's zero from; "
-        "leave --zero-gas out, or record with a rest at the start"
-    )
+    longest: list[float] = []
+    places = np.unique(np.linspace(0, len(source) - FEWEST, PLACES).astype(int))
+    for place in places[places >= 0]:
+        longest = max(longest, _rest_from(source, int(place), pipeline), key=len)
+        if len(longest) == ENOUGH:
+            break
+    if len(longest) >= FEWEST:
+        zero.take(longest)
+    return zero
+
+
+def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[float]:
+    """Gas pressures of the contact-free frames in a row from one on."""
+    rest: list[float] = []
+    for index in range(start, min(start + ENOUGH, len(source))):
+        frame = source[index]
+        if frame.gas_pressure_pa is None or not untouched(frame, pipeline):
+            break
+        rest.append(frame.gas_pressure_pa)
+    return rest

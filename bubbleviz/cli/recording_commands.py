@@ -110,7 +110,11 @@ def simulate(
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="RESULT.npz.")
 @click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="RESULT.csv.")
-@click.option("--zero-gas", is_flag=True, help="Zero the gas pressure on the first rest.")
+@click.option(
+    "--zero-gas/--no-zero-gas",
+    default=True,
+    help="Zero the gas pressure on contact-free frames (default), or believe it as it is.",
+)
 @click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
 @click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")

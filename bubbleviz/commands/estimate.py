@@ -64,6 +64,8 @@ class EstimateSummary(Summary):
         |force| with friction over the frames where that is known, and half of its 95 % interval, N.
     texture : str or None
         What its flow is measured from, and what of the colour camera is taken for granted.
+    gas_zero : str or None
+        Where the zero of the gas pressure was taken from; None without, or where it is believed.
     warning : str or None
         What is missing, or does not fit together, but was solved all the same.
     """
@@ -89,6 +91,7 @@ class EstimateSummary(Summary):
     median_traction_force_n: float | None
     median_traction_half_width_n: float | None
     texture: str | None
+    gas_zero: str | None
     warning: str | None
 
     def to_text(self) -> str:
@@ -105,6 +108,8 @@ class EstimateSummary(Summary):
                 f"        {self.median_contact_measured_force_n:.3g} N median in contact by the "
                 "wrench, less its contact-free bias"
             )
+        if self.gas_zero is not None:
+            lines.append(self.gas_zero)
         if self.traction_status is not None:
             lines += [self._of_shear(), f"        {self.texture}"]
         if self.median_total_ms is not None:
@@ -136,7 +141,7 @@ def estimate_recording(
     kappa: float | None = None,
     solver: str | None = None,
     frames: str | None = None,
-    zero_gas: bool = False,
+    zero_gas: bool = True,
     shear: bool = False,
     friction: float | None = None,
 ) -> EstimateSummary:
@@ -153,7 +158,8 @@ def estimate_recording(
     frames : str, optional
         As in `parse_frames`.
     zero_gas : bool
-        Shift the measured gas pressure so that the recording's first rest is the sensor file's.
+        Shift the measured gas pressure so that at a rest of the recording it is the sensor file's;
+        without a rest it is known within the weather. If not, it is believed as it is.
     shear : bool
         Traction with friction and slip, too, from the recording's colour images.
     friction : float, optional
@@ -178,14 +184,14 @@ def estimate_recording(
             "version": bubbleviz.__version__,
             "solver": solver or pipeline.estimator.solver_name,
         }
-        zero = recorded_zero(source, pipeline) if zero_gas else None
+        zero = zero_of(source, pipeline) if zero_gas else None
         known_pa = pipeline.model.gas.P0
-        if zero is None:
+        if zero is None or zero.rest_pa is None:
             gas = gas_warning(source[chosen[0]].gas_pressure_pa, known_pa)
         else:
             gas = gas_warning(zero.rest_pa, known_pa, "without contact in the recording")
         warning = "; ".join(filter(None, (source.bag.note, gas)))
-        if zero is not None:
+        if zero is not None and zero.offset_pa is not None:
             made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
         products = PRODUCTS | SHEAR if shear else PRODUCTS
         rows = _solve(source, chosen, pipeline, products, options, out, csv, made_by, zero)
@@ -196,6 +202,7 @@ def estimate_recording(
         solver=made_by["solver"],
         kappa=kappa,
         texture=texture,
+        gas_zero=None if zero is None else zero.words,
         warning=warning or None,
         **_statistics(rows),
     )
@@ -287,11 +294,6 @@ def _check_outputs(out: Path, csv: Path | None) -> None:
         refuse_existing(path)
     if csv is not None and csv.absolute() == out.absolute():
         raise InputError(f"{out}: given for both --out and --csv; choose two names")
-
-
-def recorded_zero(source: FrameSource, pipeline: Pipeline) -> PressureZero:
-    """Gas pressure zero of a whole recording, whichever frames are solved; see `zero_of`."""
-    return zero_of((source[k] for k in range(len(source))), pipeline, shown_name(source))
 
 
 def _solve(

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from tqdm import tqdm
 
+from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
 from bubbleviz.commands.estimate import parse_frames
 from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
@@ -145,9 +146,10 @@ def _follow(
     source: Recording, chosen: range, pipeline: Pipeline, out: Path, *, object_patch: bool
 ) -> list[PoseRow]:
     rows, products = [], OF_OBJECT if object_patch else PRODUCTS
+    zero = zero_of(source, pipeline)
     with whole_file(out) as temporary, PoseCsvWriter(temporary, areas=object_patch) as writer:
         shown = tqdm(chosen, unit="frame", disable=None)  # only on a terminal
-        for result in followed(source, shown, pipeline, products):
+        for result in followed(source, shown, pipeline, products, zero):
             row = PoseRow.of(result)
             writer.add(row)
             rows.append(row)
@@ -159,8 +161,11 @@ def followed(
     chosen: Iterable[int],
     pipeline: Pipeline,
     products: frozenset[Product] = PRODUCTS,
+    zero: PressureZero | None = None,
 ) -> Iterator[Result]:
     """Results of frames with the pose of the object that a pipeline follows.
+
+    A zero is taken from the measured gas pressures.
 
     Raises
     ------
@@ -169,7 +174,8 @@ def followed(
     """
     statuses: Counter[PoseStatus] = Counter()
     for index in chosen:
-        result = pipeline.process(source[index], products)
+        frame = source[index] if zero is None else zero.applied(source[index])
+        result = pipeline.process(frame, products)
         if result.pose is not None:
             statuses[result.pose.status] += 1
         yield result

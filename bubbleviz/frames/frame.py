@@ -39,6 +39,9 @@ class Frame:
         Finds the colour image of this time plus a lag in s: nothing is read for who needs none.
     no_colour : str
         Why there is no `find_colour`, in a few words.
+    gas_sigma_pa : float
+        Standard deviation of the zero of the gas pressure, Pa: the weather's where that of the
+        sensor file's day is not known to hold, see `PressureZero`.
     """
 
     index: int
@@ -51,6 +54,7 @@ class Frame:
     arrival_ns: int = 0
     find_colour: Callable[[float], ColourImage | None] | None = None
     no_colour: str = NO_COLOUR
+    gas_sigma_pa: float = 0.0
 
     @property
     def colour(self) -> ColourImage | None:

@@ -235,6 +235,7 @@ class Estimator:
         depth_m: np.ndarray,
         gas_pressure_pa: float | None = None,
         start: WarmStart | None = None,
+        gas_sigma_pa: float = 0.0,
     ) -> tuple[Estimate, WarmStart]:
         """Solve one frame; also what the next one starts from.
 
@@ -246,10 +247,14 @@ class Estimator:
             Measured absolute gas pressure.
         start : WarmStart, optional
             Of the frame before; from rest when None.
+        gas_sigma_pa : float
+            Standard deviation of the zero of the gas pressure, Pa. Where it is not 0 the pressure
+            is left alone and follows from the volume: here a measured one has no error.
         """
         start = start or self._cold
         gas = None
-        if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
+        measured = gas_pressure_pa is not None and not np.isnan(gas_pressure_pa)
+        if gas_pressure_pa is not None and measured and not gas_sigma_pa:
             change = gas_pressure_pa - self.gas.P0
             if beyond := reason_against_gas(change, self.gas):
                 return self._nothing("implausible", beyond), WarmStart(start.model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from copy import copy
 from dataclasses import dataclass
 from math import log
 
@@ -32,6 +33,7 @@ from bubbleviz.inverse.friction import friction_loads
 from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
 from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
+from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh_graph import parts_with
 from bubbleviz.result import Status
 
@@ -265,6 +267,12 @@ class GaussNewton:
         self._view_at_rest = observer.around(rest)
         self._detection_at_rest()
 
+    def with_gas(self, gas: Gas) -> GaussNewton:
+        """The same for a gas whose pressure is measured with another error."""
+        other = copy(self)
+        other.equilibrium = self.equilibrium.with_gas(gas)
+        return other
+
     def _detection_at_rest(self) -> None:
         """τ of the L1 term by what the camera says of the membrane at rest."""
         mesh, view = self.mesh, self._view_at_rest
@@ -472,6 +480,8 @@ class GaussNewton:
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support, rounds)
         change = self.equilibrium.gas_at(state.x)[0] if gas is None else gas
+        if self.equilibrium.gas.zero_sigma_pa:  # what was measured may be far off: as found so far
+            change = state.gas
         least = self.equilibrium.membrane.gauge_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:

@@ -99,7 +99,8 @@ def contradicts_gas(
 
 def gas_sigma(gas: Gas, measured_pa: float) -> float:
     """Standard deviation of a measured p_v, and of what the exact membrane makes of it, Pa."""
-    return float(np.hypot(GAS_NOISE * gas.P0, GAS_MODEL_ERROR * measured_pa))
+    parts = GAS_NOISE * gas.P0, GAS_MODEL_ERROR * measured_pa, gas.zero_sigma_pa
+    return float(np.linalg.norm(parts))
 
 
 def contradicts_measured_gas(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -43,6 +44,12 @@ class RubberEquilibrium:
         self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
         self._load = membrane.gauge_pressure_pa * float(membrane.mesh.areas.mean())
         self._longest_m = membrane.mesh.edge_length
+
+    def with_gas(self, gas: Gas) -> RubberEquilibrium:
+        """The same membrane over another gas of the same volume."""
+        other = copy(self)
+        other.gas = gas
+        return other
 
     def gas_at(self, x: np.ndarray) -> tuple[float, float]:
         """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -91,6 +92,7 @@ class RubberEstimator:
         depth_m: np.ndarray,
         gas_pressure_pa: float | None = None,
         start: RubberStart | None = None,
+        gas_sigma_pa: float = 0.0,
     ) -> tuple[Estimate, RubberStart]:
         """Solve one frame; also what the next one starts from.
 
@@ -102,8 +104,12 @@ class RubberEstimator:
             Measured absolute gas pressure.
         start : RubberStart, optional
             Of the frame before; from rest when None.
+        gas_sigma_pa : float
+            Standard deviation of the zero of the gas pressure, Pa.
         """
-        start = start or RubberStart()
+        start, newton = start or RubberStart(), self._newton
+        if gas_sigma_pa:
+            newton = newton.with_gas(replace(self.gas, zero_sigma_pa=gas_sigma_pa))
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
             gas = gas_pressure_pa - self.gas.P0
@@ -111,7 +117,7 @@ class RubberEstimator:
                 return self._nothing("implausible", beyond), RubberStart()
         measured = self.observer.measure(depth_m)
         try:
-            answer = self._newton.solve(measured, gas, start)
+            answer = newton.solve(measured, gas, start)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = FailedFrame("not_converged")
         if isinstance(answer, FailedFrame):

@@ -25,6 +25,8 @@ class Gas:
         Eq. 9 has A/3, which under-reports p_v threefold and is kept for comparison.
     lowest_change_pa, highest_change_pa : float
         Range of p_v that a membrane can cause: from no gauge pressure left to the cap pressed flat.
+    zero_sigma_pa : float
+        Standard deviation of the zero from which a measured p_v counts, Pa.
     """
 
     P0: float
@@ -32,6 +34,7 @@ class Gas:
     dV_du: np.ndarray
     lowest_change_pa: float = -np.inf
     highest_change_pa: float = np.inf
+    zero_sigma_pa: float = 0.0
 
     @classmethod
     def of(cls, pneumatics: Pneumatics, mesh: MembraneMesh) -> Gas:

@@ -147,8 +147,7 @@ def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     arrays = dict(np.load(files / "what_is_true.npz"))
     np.savez(other, **{**arrays, "time_s": 1.5 * arrays["time_s"]})
     drop(driver, other)
-    driver.wait(message.isVisible)
-    assert "other.npz: is the truth of another recording" in message.label.text()
+    driver.wait(lambda: "other.npz: is the truth of another recording" in message.label.text())
     assert driver.state.facts.frames == FRAMES and driver.state.frame == 2
     menu = driver.window.shortcuts.actions["File › Open truth of a simulation"]
     menu.trigger()

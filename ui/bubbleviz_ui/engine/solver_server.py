@@ -6,7 +6,7 @@ import time
 import traceback
 from dataclasses import dataclass, field, replace
 
-from bubbleviz.calibration.pressure_zero import zeroed
+from bubbleviz.calibration.pressure_zero import PressureZero, zero_of, zeroed
 from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of, patch_numbers
 from bubbleviz.diagnostics.inspector import Inspection, Inspector
 from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
@@ -52,6 +52,8 @@ WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""
 SLICE_S = 0.03
 """How long frames nobody looks at may keep the one somebody asks for waiting."""
+TOLD_PA = 50.0
+"""Zero of a recording's gas pressure below which nothing is said: 1 % of a usual gauge pressure."""
 PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 """What a kept estimate tells at another κ."""
 
@@ -60,7 +62,8 @@ PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 class Session:
     """An open source and what is made of its frames; only the solver thread changes it.
 
-    `beside` solves the newest frames of one of two cameras on another core.
+    `beside` solves the newest frames of one of two cameras on another core; `zero` is that of a
+    recording's gas pressure.
     """
 
     number: int
@@ -71,6 +74,12 @@ class Session:
     shear: ShearReference
     kept: KeptEstimates = field(default_factory=KeptEstimates)
     beside: PipelineProcess | None = None
+    zero: PressureZero | None = None
+
+    def frame(self, index: int) -> Frame:
+        """Frame of the source; a recorded one's gas pressure is zeroed."""
+        frame = self.source[index]
+        return frame if self.zero is None else self.zero.applied(frame)
 
     def close(self) -> None:
         """Let go of the source, and end the process beside."""
@@ -134,7 +143,7 @@ class Server:
             self.session = None
 
     def _solve(self, session: Session, request: FrameRequest) -> Solved:
-        frame = session.source[request.index]
+        frame = session.frame(request.index)
         if isinstance(request, CollectRequest):
             session.shear.forget()
         return self._solved(session, request, frame)
@@ -199,7 +208,7 @@ class Server:
         session.side_by_side.keep([options for options, _ in request.settings])
         if not request.settings:
             return None
-        frame, truth = session.source[request.index], truth_of(session.source, request.index)
+        frame, truth = session.frame(request.index), truth_of(session.source, request.index)
         if isinstance(session.source, LiveFrames):
             frame = session.source.zero.applied(frame)
         bench, settled, measured = session.side_by_side, request.settled, list[Measured | str]()
@@ -226,6 +235,10 @@ class Server:
             shear = ShearReference()
             products = shear.products(source, pipeline, frame.index, request.demand)
             pipeline.prepare(products)  # apart: says nothing about a frame
+            zero = zero_of(source, pipeline) if isinstance(source, Recording) else None
+            measured_pa = frame.gas_pressure_pa
+            if zero is not None:
+                frame, measured_pa = zero.applied(frame), zero.rest_pa or measured_pa
             result = _process(source, pipeline, shear, frame, request.demand)
         except BaseException:
             source.close()
@@ -240,13 +253,14 @@ class Server:
         inspector = Inspector(pipeline)
         beside = _beside(source, pipeline)
         session = Session(
-            request.session, source, pipeline, inspector, settings, shear, beside=beside
+            request.session, source, pipeline, inspector, settings, shear, beside=beside, zero=zero
         )
         self.session = session
         grows = isinstance(source, LiveFrames)
         remarks = [str(getattr(source, "remark", ""))]  # recordings have one
         if not grows:  # else its zero tells, once it is known
-            remarks.append(gas_warning(frame.gas_pressure_pa, pipeline.model.gas.P0))
+            remarks.append(gas_warning(measured_pa, pipeline.model.gas.P0))
+            remarks.append(_told(zero))
         remark = " ".join(f"{text}." for text in remarks if text)
         marks = source.marks() if isinstance(source, Recording) else ()
         opener = request.open_source
@@ -275,7 +289,8 @@ def _numbers(session: Session, request: AnalyseRequest, index: int) -> Numbers |
     if request.kept_only:
         return None
     try:
-        result = _process(session.source, pipeline, session.shear, session.source[index], demand)
+        frame = session.frame(index)
+        result = _process(session.source, pipeline, session.shear, frame, demand)
     except InputError:
         return Numbers()  # it says so when somebody looks at it
     return _kept_numbers(session, result)
@@ -342,6 +357,13 @@ def _lost(session: Session, beside: PipelineProcess) -> str:
         f"{session.source.name}: the process that solved its frames has ended ({beside.lost}); "
         "they are solved in the window's own from now on, which may be slower"
     )
+
+
+def _told(zero: PressureZero | None) -> str:
+    """What to say of a recording's zero; nothing of one that the sensor's noise would explain."""
+    if zero is None or (zero.offset_pa is not None and abs(zero.offset_pa) < TOLD_PA):
+        return ""
+    return zero.words
 
 
 def _in_words(error: Exception) -> str:
