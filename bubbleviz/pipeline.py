@@ -157,7 +157,7 @@ class Pipeline:
         self._check_size(frame)
         options, needed = options or FrameOptions(), stages(products)
         times: dict[str, float] = {}
-        result = Result(frame)
+        result = Result(self.paired(frame))
 
         def run(name: Product, result: Result) -> Result:
             with self._timed(name, times):
@@ -178,6 +178,11 @@ class Pipeline:
         if name == "fine_contact":
             return options.fine_contact and self._refiner is not None
         return name not in OF_OBJECT or self.tracker is not None
+
+    def paired(self, frame: Frame) -> Frame:
+        """Frame whose colour image is that of the sensor's delay of colour."""
+        delay_s = self.model.sensor.camera.colour_delay_s
+        return frame if frame.colour_delay_s == delay_s else replace(frame, colour_delay_s=delay_s)
 
     def restart(self) -> None:
         """Forget the warm start: the next frame is solved from rest."""

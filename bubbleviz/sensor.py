@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
 from bubbleviz.files.output_files import whole_file
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.files.toml_files import checked, named_file, read_toml
@@ -102,6 +103,9 @@ class Camera(_Section):
     position_m: Vector3
     quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
     noise_relative: float = Field(default=0.01, ge=LEAST_NOISE, lt=1.0)
+    colour_delay_s: float = Field(default=0.0, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S)
+    """Stamp of a colour image minus that of the depth image of the same moment, s: negative where
+    colour leads depth, as beside a depth camera that filters in time."""
 
     @model_validator(mode="after")
     def _plausible_pose(self) -> Camera:
@@ -226,6 +230,14 @@ def edited(sensor: Sensor, values: Mapping[str, Any]) -> Sensor:
                 calibration.pop(told, None)
     there = Path(sensor.file or sensor.name)
     return checked(Sensor, {**data, "folder": sensor.folder, "file": sensor.file}, there, "sensor")
+
+
+def with_colour_delay(sensor: Sensor, colour_delay_s: float | None) -> Sensor:
+    """Sensor with another delay of colour, s, which then is of no file; as it is for None."""
+    if colour_delay_s in (None, sensor.camera.colour_delay_s):
+        return sensor
+    camera = sensor.camera.model_copy(update={"colour_delay_s": colour_delay_s})
+    return sensor.model_copy(update={"camera": camera, "file": ""})
 
 
 def save_sensor(sensor: Sensor, path: str | Path) -> None:

@@ -17,6 +17,8 @@ from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.live.live_session import LiveSession
+from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import Sensor
 
 HEAVY = (
@@ -229,6 +231,26 @@ def test_the_windows_exit_code_is_the_commands(
     monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
     assert CliRunner().invoke(main, []).exit_code == 3
     assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
+
+
+def test_open_takes_a_delay_of_colour_for_a_recording_and_a_live_source(
+    windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
+) -> None:
+    opened: list[Sensor] = []
+
+    def window(sensor: Sensor, *_: object, live: SessionPreset | None = None, **__: object) -> int:
+        opened.append(sensor if live is None else LiveSession(live).sensors[0].sensor)
+        return 0
+
+    monkeypatch.setattr("bubbleviz_ui.app.run_window", window)
+    delay = ["--colour-delay", "-0.055"]
+    source = ["--source", f"replay:{pico_recording}", "--sensor", "pico_flexx_75mm"]
+    for what in ([str(pico_recording)], source):
+        assert CliRunner().invoke(main, ["open", *what]).exit_code == 0
+        assert CliRunner().invoke(main, ["open", *what, *delay]).exit_code == 0
+    assert [each.camera.colour_delay_s for each in opened] == [0.0, -0.055] * 2
+    refused = CliRunner().invoke(main, ["open", "--session", "dual_nut", *delay])
+    assert refused.exit_code == 2 and "session file" in refused.output
 
 
 def test_open_chooses_the_preset_that_fits_and_says_so(

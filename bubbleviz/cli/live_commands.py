@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bubbleviz.cli.shared_options import report, solver_option
+from bubbleviz.cli.shared_options import colour_delay_option, report, solver_option
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
 
@@ -56,6 +56,7 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
 @click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
 @click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
+@colour_delay_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
     """Solve a live source without a window, and publish or record the results.
@@ -65,10 +66,13 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
     from bubbleviz.commands.watch import WatchOptions, watch_source
     from bubbleviz.live.sources.auto_sensor import sensor_for_source
     from bubbleviz.live.sources.open_stream import patience_s
-    from bubbleviz.sensor import load_sensor
+    from bubbleviz.sensor import load_sensor, with_colour_delay
 
+    delay_s = choices["colour_delay_s"]
     if choices["friction"] is not None and not choices["shear"]:
         raise click.UsageError("--friction bounds shear; give --shear, too")
+    if delay_s is not None and not choices["shear"]:
+        raise click.UsageError("--colour-delay is of the images that --shear takes; give it, too")
     options = WatchOptions(
         out=choices["out"],
         publish=_zenoh_place("--publish", choices["publish"], choices["publish_to"], choices),
@@ -80,7 +84,7 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
         friction=choices["friction"],
     )
     name = sensor_for_source(source, sensor, patience_s(source))
-    summary = watch_source(source, load_sensor(name), options)
+    summary = watch_source(source, with_colour_delay(load_sensor(name), delay_s), options)
     report(summary, summary.warning, as_json=as_json)
 
 

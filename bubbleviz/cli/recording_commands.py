@@ -8,12 +8,12 @@ from typing import Literal
 
 import click
 
-from bubbleviz.cli.shared_options import report, solver_option
+from bubbleviz.cli.shared_options import colour_delay_option, report, solver_option
 
 
 @click.command()
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@click.option("--lag", is_flag=True, help="Tell how much the colour images lead the depth images.")
+@click.option("--lag", is_flag=True, help="Tell the delay of the colour images that is seen.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def info(recording: Path, lag: bool, as_json: bool) -> None:
     """Show topics, frames, rate, duration, size and gaps of a recording."""
@@ -117,6 +117,7 @@ def simulate(
 )
 @click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
 @click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
+@colour_delay_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def estimate(
     recording: Path,
@@ -129,11 +130,14 @@ def estimate(
     zero_gas: bool,
     shear: bool,
     friction: float | None,
+    colour_delay_s: float | None,
     as_json: bool,
 ) -> None:
     """Contact pressure, patch and force of every frame of a recording."""
     if friction is not None and not shear:
         raise click.UsageError("--friction bounds shear; give --shear, too")
+    if colour_delay_s is not None and not shear:
+        raise click.UsageError("--colour-delay is of the images that --shear takes; give it, too")
     from bubbleviz.commands.estimate import estimate_recording
 
     summary = estimate_recording(
@@ -147,6 +151,7 @@ def estimate(
         zero_gas=zero_gas,
         shear=shear,
         friction=friction,
+        colour_delay_s=colour_delay_s,
     )
     report(summary, summary.warning, as_json=as_json)
 

@@ -5,12 +5,21 @@ from __future__ import annotations
 import click
 
 from bubbleviz.commands.summary import Summary
+from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
 
 solver_option = click.option(
     "--solver",
     help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and the "
     "paper's osqp and clarabel: constant tension; rubber-base, linear-base: without the finer "
     "mesh at the contact; fast: linear on a coarse mesh.",
+)
+colour_delay_option = click.option(
+    "--colour-delay",
+    "colour_delay_s",
+    metavar="S",
+    type=click.FloatRange(-MOST_COLOUR_DELAY_S, MOST_COLOUR_DELAY_S),
+    help="Stamp of a colour image minus that of the depth image of the same moment, s: negative "
+    "where colour leads depth. The sensor file's by default, else 0.",
 )
 
 

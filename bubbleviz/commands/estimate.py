@@ -26,7 +26,7 @@ from bubbleviz.frames.sensor_matching import fitting_sensor, gas_warning
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.result import Result, Status
-from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.sensor import sensor_to_toml, with_colour_delay
 from bubbleviz.shear.recorded_texture import watch_recorded_texture
 from bubbleviz.wording import count_of
 
@@ -144,6 +144,7 @@ def estimate_recording(
     zero_gas: bool = True,
     shear: bool = False,
     friction: float | None = None,
+    colour_delay_s: float | None = None,
 ) -> EstimateSummary:
     """Solve the frames of a recording and write RESULT.npz, and RESULT.csv where asked for.
 
@@ -164,6 +165,9 @@ def estimate_recording(
         Traction with friction and slip, too, from the recording's colour images.
     friction : float, optional
         Coulomb's bound μ of the traction along the membrane over that across it.
+    colour_delay_s : float, optional
+        Stamp of a colour image minus that of the depth image of the same moment, s: negative where
+        colour leads depth. By default the sensor file's.
 
     Raises
     ------
@@ -174,6 +178,7 @@ def estimate_recording(
     options = patch_options(kappa)
     with Recording(recording) as source:
         sensor_name, sensor = fitting_sensor(source, sensor_name)
+        sensor = with_colour_delay(sensor, colour_delay_s)
         chosen = parse_frames(frames, len(source), str(source.path))
         pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
         texture = None

@@ -11,6 +11,7 @@ from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.recorded_colour import RecordedColour
 from bubbleviz.colour.temporal_lag import TemporalLag, temporal_lag
 from bubbleviz.commands.summary import Summary
+from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Topic
 from bubbleviz.frames.gaps import Gap, find_gaps, usual_step
 from bubbleviz.frames.recording import Recording
@@ -35,7 +36,9 @@ class ColourInfo:
     remark : str
         What of its camera was not recorded and is taken for granted.
     lag : TemporalLag or None
-        None where it was not asked for.
+        Delay of the images that is seen; None where it was not asked for or is not seen.
+    no_lag : str
+        Why it is not seen; empty where it is, or was not asked for.
     """
 
     topic: str
@@ -47,11 +50,18 @@ class ColourInfo:
     intrinsics: Intrinsics | None
     T_D_C: list[list[float]]
     remark: str
-    lag: TemporalLag | None
+    lag: TemporalLag | None = None
+    no_lag: str = ""
 
     @classmethod
-    def of(cls, colour: RecordedColour, lag: TemporalLag | None) -> ColourInfo:
+    def of(cls, recording: Recording, colour: RecordedColour, *, lag: bool) -> ColourInfo:
         """Facts of the colour images of an open recording."""
+        seen, unseen = None, ""
+        if lag:
+            try:
+                seen = temporal_lag(recording)
+            except InputError as error:  # a recording that does not show it is none the worse
+                unseen = str(error).removeprefix(f"{recording.path}: ")
         camera = colour.camera
         return cls(
             colour.topic.name,
@@ -62,7 +72,8 @@ class ColourInfo:
             camera.intrinsics,
             camera.T_D_C.tolist(),
             camera.remark,
-            lag,
+            seen,
+            unseen,
         )
 
     def to_text(self) -> str:
@@ -72,6 +83,7 @@ class ColourInfo:
             count_of(self.images, "image") + (f", {_hertz(self.rate_hz)}" if self.rate_hz else ""),
         ]
         parts.append(self.lag.to_text() if self.lag else "")
+        parts.append(f"no colour delay seen: {self.no_lag}" if self.no_lag else "")
         return "; ".join(part for part in (*parts, self.remark) if part)
 
 
@@ -179,18 +191,17 @@ def recording_info(recording: Recording | str | Path, *, lag: bool = False) -> R
     ----------
     recording : Recording or path-like
     lag : bool
-        Estimate the lag of its colour images, which reads the images of the first contact.
+        Look for the delay of its colour images, which reads the images of the first contact.
 
     Raises
     ------
     InputError
-        The recording cannot be read, or the lag was asked for and cannot be told.
+        The recording cannot be read.
     """
     if not isinstance(recording, Recording):
         with Recording(recording) as opened:
             return recording_info(opened, lag=lag)
-    found = temporal_lag(recording) if lag else None
-    times = recording.times_s
+    colour, times = recording.colour, recording.times_s
     gaps = find_gaps(times)
     pressures = recording.gas_pressures_pa()
     extremes = (float(pressures.min()), float(pressures.max())) if len(pressures) else None
@@ -210,7 +221,7 @@ def recording_info(recording: Recording | str | Path, *, lag: bool = False) -> R
         intrinsics=recording.intrinsics,
         gas_pressure_pa=extremes,
         wrench=recording.has_wrench,
-        colour=None if recording.colour is None else ColourInfo.of(recording.colour, found),
+        colour=None if colour is None else ColourInfo.of(recording, colour, lag=lag),
         note=recording.bag.note,
     )
 

@@ -6,3 +6,5 @@ TRUTH_SUFFIX = ".npz"
 """Of files that hold the truth behind a simulated recording."""
 SESSION_SUFFIX = ".bubbleviz"
 """Of files that hold a session of the window."""
+MOST_COLOUR_DELAY_S = 0.5
+"""Largest difference between stamps of colour and depth of one moment; chosen: 15 frames."""

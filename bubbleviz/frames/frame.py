@@ -36,7 +36,11 @@ class Frame:
     arrival_ns : int
         When a live frame arrived here, ns since 1970; 0 for a recording's.
     find_colour : callable or None
-        Finds the colour image of this time plus a lag in s: nothing is read for who needs none.
+        Finds the colour image whose stamp is nearest to this frame's plus a time in s; nothing is
+        read before it is asked for.
+    colour_delay_s : float
+        Stamp of a colour image minus that of the depth image of the same moment, s: negative where
+        colour leads depth. Live streams and `Pipeline` set the sensor's; else 0.
     no_colour : str
         Why there is no `find_colour`, in a few words.
     gas_sigma_pa : float
@@ -53,14 +57,11 @@ class Frame:
     stamp_ns: int = 0
     arrival_ns: int = 0
     find_colour: Callable[[float], ColourImage | None] | None = None
+    colour_delay_s: float = 0.0
     no_colour: str = NO_COLOUR
     gas_sigma_pa: float = 0.0
 
     @property
     def colour(self) -> ColourImage | None:
-        """What the colour camera saw at this time; None where it saw nothing, or there is none."""
-        return self.colour_after(0.0)
-
-    def colour_after(self, lag_s: float) -> ColourImage | None:
-        """The same a lag later, s, which is negative where colour leads depth (`TemporalLag`)."""
-        return None if self.find_colour is None else self.find_colour(lag_s)
+        """Colour image of the moment of the depth image, by `colour_delay_s`; None without one."""
+        return None if self.find_colour is None else self.find_colour(self.colour_delay_s)

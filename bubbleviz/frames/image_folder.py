@@ -154,9 +154,9 @@ class ImageFolder:
     def close(self) -> None:
         """Nothing stays open."""
 
-    def _colour_after(self, index: int, lag_s: float) -> ColourImage | None:
-        """Colour image a lag after the time of a frame, within half a period."""
-        off_s = np.abs(self.times_s - self.times_s[index] - lag_s)
+    def _colour_after(self, index: int, after_s: float) -> ColourImage | None:
+        """Colour image nearest to a time after that of a frame, within half a period."""
+        off_s = np.abs(self.times_s - self.times_s[index] - after_s)
         nearest = int(off_s.argmin())
         half_s = 0.5 * (usual_step(np.diff(self.times_s)) or 0.0)
         if self._colour is None or off_s[nearest] > half_s:

@@ -154,11 +154,7 @@ class Recording:
             self.bag.close()
 
     def colour_at(self, time_s: float) -> ColourImage | None:
-        """Colour image nearest to a time of the frames, within half a period; None without one.
-
-        That of what the depth image of a frame shows is `frame.colour_after(lag.lag_s)`; see
-        `bubbleviz.colour.temporal_lag`.
-        """
+        """Colour image nearest to a time of the frames, within half a period; None without one."""
         index = int(np.abs(self.times_s - time_s).argmin())
         return self._colour_near(index, time_s - float(self.times_s[index]))
 
@@ -190,13 +186,13 @@ class Recording:
                 for k in range(len(messages))
             )
 
-    def _colour_near(self, index: int, lag_s: float) -> ColourImage | None:
-        """Colour image a lag after the time of a frame."""
+    def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
+        """Colour image nearest to a time after that of a frame."""
         if self.colour is None:
             return None
-        key = int(self._keys[index]) + round(1e9 * lag_s)
-        log = int(self._images.log_ns[self._order[index]]) + round(1e9 * lag_s)
-        time_s = float(self.times_s[index]) + lag_s
+        key = int(self._keys[index]) + round(1e9 * after_s)
+        log = int(self._images.log_ns[self._order[index]]) + round(1e9 * after_s)
+        time_s = float(self.times_s[index]) + after_s
         with self._lock, damage(self.path, f"the colour image at {time_s:.3f} s"):
             return self.colour.nearest(key, log, self._half_period_ns, time_s)
 

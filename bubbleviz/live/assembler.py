@@ -80,6 +80,9 @@ class FrameAssembler:
     lag_s : float
         How much later than the depth images' the stamps of gas pressure and wrench are for the
         same moment, s.
+    colour_delay_s : float
+        Stamp of a colour image minus that of the depth image of the same moment, s; where it is
+        positive a frame waits so much longer for the image.
 
     Attributes
     ----------
@@ -97,9 +100,10 @@ class FrameAssembler:
         size: tuple[int, int] | None = None,
         camera: Intrinsics | None = None,
         lag_s: float = 0.0,
+        colour_delay_s: float = 0.0,
     ) -> None:
         self.counters = Counters()
-        self._lag_s = lag_s
+        self._lag_s, self._colour_delay_s = lag_s, colour_delay_s
         self._names = names or TopicNames()
         self.size, self._camera = size, camera
         self.other_size: tuple[int, int] | None = None
@@ -188,8 +192,11 @@ class FrameAssembler:
         return None if self._pending is None else self._deadline(self._pending)
 
     def _deadline(self, pending: _Pending) -> int:
-        wait = WAIT_NS if self._colour.covers(pending.time_ns) else COLOUR_WAIT_NS
-        return pending.frame.arrival_ns + wait + round(max(self._lag_s, 0.0) * 1e9)
+        if self._has_colour(pending):
+            wait, late_s = WAIT_NS, self._lag_s
+        else:
+            wait, late_s = COLOUR_WAIT_NS, max(self._lag_s, self._colour_delay_s)
+        return pending.frame.arrival_ns + wait + round(max(late_s, 0.0) * 1e9)
 
     # -- which messages ---------------------------------------------------------------------
 
@@ -279,6 +286,7 @@ class FrameAssembler:
             intrinsics=self._intrinsics((depth.shape[1], depth.shape[0])),
             stamp_ns=message.stamp_ns,
             arrival_ns=message.arrival_ns,
+            colour_delay_s=self._colour_delay_s,
         )
         step = NEAREST_NS if self._last_ns is None else time_ns - self._last_ns
         self._last_ns = time_ns
@@ -319,11 +327,15 @@ class FrameAssembler:
         if pending is None:
             return []
         series = self._series.values()
-        if self._colour.covers(pending.time_ns) and all(
+        if self._has_colour(pending) and all(
             each.samples.covers(self._time_for(each, pending)) for each in series
         ):
             return self.flush()
         return self.flush(now_ns)
+
+    def _has_colour(self, pending: _Pending) -> bool:
+        """Whether the colour image of a frame is here, or none is expected."""
+        return self._colour.covers(pending.time_ns + round(1e9 * self._colour_delay_s))
 
     def _time_for(self, series: _Series, pending: _Pending) -> int:
         """A frame's time on the clock of a series, ns."""

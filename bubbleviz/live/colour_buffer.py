@@ -15,14 +15,15 @@ from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImag
 from bubbleviz.colour.colour_topics import belongs_to, colour_camera, size_of
 from bubbleviz.colour.static_poses import StaticPoses
 from bubbleviz.errors import InputError
+from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
 from bubbleviz.frames.depth_topics import common_prefix
 from bubbleviz.frames.time_series import NEAREST_NS
 from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.stamps import StampClock, Verdict
 
-KEPT_NS = 500_000_000
-"""Images kept: those of the longest lag of depth."""
+KEPT_NS = round(1e9 * MOST_COLOUR_DELAY_S) + NEAREST_NS
+"""Images kept: those of the longest delay, and of a frame that is behind them."""
 
 
 class _Arrived(NamedTuple):
@@ -89,7 +90,7 @@ class ColourBuffer:
         depth: DepthPlace,
         infos: dict[str, Intrinsics],
     ) -> Callable[[float], ColourImage | None]:
-        """What finds the image of a frame after a lag, s, among those that are here now.
+        """What finds the image nearest to a time after a frame, s, among those here now.
 
         Parameters
         ----------
@@ -115,8 +116,8 @@ class _Moment:
     depth: DepthPlace
     infos: dict[str, Intrinsics]
 
-    def image(self, lag_s: float) -> ColourImage | None:
-        wanted_ns = self.time_ns + round(1e9 * lag_s)
+    def image(self, after_s: float) -> ColourImage | None:
+        wanted_ns = self.time_ns + round(1e9 * after_s)
         nearest = min(self.arrived, key=lambda a: abs(a.time_ns - wanted_ns), default=None)
         if nearest is None or abs(nearest.time_ns - wanted_ns) > self.within_ns:
             return None

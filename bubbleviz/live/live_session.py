@@ -9,7 +9,7 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.live.sinks.recorder import Recorder
 from bubbleviz.live.sources.open_stream import open_stream
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,6 @@ class LiveSession:
 
 
 def _open(place: SensorPlace) -> LiveSensor:
-    sensor = load_sensor(place.sensor)
+    sensor = with_colour_delay(load_sensor(place.sensor), place.colour_delay_s)
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     return LiveSensor(place, sensor, open_stream(place.source, sensor), zero)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.files.toml_files import checked, named_file, read_toml
 
@@ -34,6 +35,8 @@ class SensorPlace(_Strict):
         T_W_B.
     colour : str
         Of what is drawn of it, as #rrggbb.
+    colour_delay_s : float or None
+        In place of the sensor file's `camera.colour_delay_s`.
     """
 
     name: str = Field(min_length=1)
@@ -42,6 +45,9 @@ class SensorPlace(_Strict):
     position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     quaternion_xyzw: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
     colour: str = Field(default="#4f8fd0", pattern="^#[0-9a-fA-F]{6}$")
+    colour_delay_s: float | None = Field(
+        default=None, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S
+    )
 
     @model_validator(mode="after")
     def _unit(self) -> SensorPlace:

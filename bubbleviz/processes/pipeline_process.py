@@ -71,7 +71,7 @@ class PipelineProcess:
             return self._pipeline.process(frame, products, options)  # raises what was raised there
         result: Result = outcome.value
         self._pipeline.counts.update(result.times_ms.keys())
-        return replace(result, frame=frame)
+        return replace(result, frame=self._pipeline.paired(frame))
 
     def end(self) -> None:
         """End the process, whatever it does, from any thread; what comes is solved here."""

@@ -9,7 +9,7 @@ from bubbleviz.colour.colour_image import ColourCamera
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Result
-from bubbleviz.shear.texture_flow import TextureFlow, flow_camera
+from bubbleviz.shear.texture_flow import TextureFlow, delay_text, flow_camera
 from bubbleviz.shear.traction_estimator import TractionOptions
 
 if TYPE_CHECKING:
@@ -88,11 +88,12 @@ class PassingTexture:
     def _learn(self, images: dict[int, np.ndarray], colour: ColourCamera) -> None:
         from bubbleviz.colour.optical_flow import OpticalFlow  # OpenCV, for shear alone
 
-        said = f"{len(images)} images without contact; the lag of colour behind depth is not known"
+        delay_s = self._pipeline.model.sensor.camera.colour_delay_s
+        said = f"{len(images)} images without contact{delay_text(delay_s)}"
         try:
             camera = flow_camera(colour, self._pipeline.camera, "colour camera")
             flow = OpticalFlow.of(images.values(), self._preset)
-            texture = TextureFlow(flow, learned_from=said, granted=colour.remark)
+            texture = TextureFlow(flow, said, colour.remark)
             texture.watched_by(self._pipeline, camera, self._options)
         except InputError as error:
             self.words = f"Depth alone: {error}"

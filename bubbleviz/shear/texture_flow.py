@@ -17,13 +17,11 @@ if TYPE_CHECKING:
 
 
 class TextureFlow:
-    """Flow of the colour image of a frame's moment.
+    """Flow of the colour image of a frame.
 
     Parameters
     ----------
     flow : OpticalFlow
-    lag_s : float, optional
-        Of colour behind depth, s.
     learned_from, granted : str, optional
         What it was learned from, and `ColourCamera.remark`.
 
@@ -33,10 +31,8 @@ class TextureFlow:
         Both in one line; or why it is of no use.
     """
 
-    def __init__(
-        self, flow: OpticalFlow, lag_s: float = 0.0, learned_from: str = "", granted: str = ""
-    ) -> None:
-        self._flow, self._lag_s = flow, lag_s
+    def __init__(self, flow: OpticalFlow, learned_from: str = "", granted: str = "") -> None:
+        self._flow = flow
         camera = f"colour camera: {granted}" if granted else ""
         self.remark = flow.problem or "; ".join(filter(None, (learned_from, camera)))
 
@@ -46,7 +42,7 @@ class TextureFlow:
         Empty, with the reason, where the image cannot be read or is of another size.
         """
         try:
-            colour = frame.colour_after(self._lag_s)
+            colour = frame.colour
             return None if colour is None else self._flow.measure(colour.grey())
         except InputError as error:
             return self._flow.nothing(str(error))
@@ -66,6 +62,11 @@ class TextureFlow:
         except InputError:
             pipeline.watch_texture(None, options=options)
             raise
+
+
+def delay_text(delay_s: float) -> str:
+    """How colour and depth are paired where that is not by equal stamps, to add to a sentence."""
+    return f", colour delay {delay_s:+.3f} s" if delay_s else ""
 
 
 def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCamera:

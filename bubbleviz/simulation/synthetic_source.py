@@ -160,9 +160,9 @@ class SyntheticSource:
         """What is true of frame `index`."""
         return Truth.of(self.contact(index), self._view)
 
-    def _find_colour(self, index: int, lag_s: float) -> ColourImage | None:
-        """Image of the frame nearest to a lag after another, within half a period."""
-        wanted_s = self.times_s[index] + lag_s
+    def _find_colour(self, index: int, after_s: float) -> ColourImage | None:
+        """Image of the frame nearest to a time after another, within half a period."""
+        wanted_s = self.times_s[index] + after_s
         nearest = int(np.abs(self.times_s - wanted_s).argmin())
         period_s = usual_step(np.diff(self.times_s)) or np.inf
         if abs(self.times_s[nearest] - wanted_s) > 0.5 * period_s:

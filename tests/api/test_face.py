@@ -20,6 +20,7 @@ from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.frames.recording import Recording
 from bubbleviz.membrane.forward_model import Contact
 from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import with_colour_delay
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
@@ -243,6 +244,22 @@ def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path: Path) -> None:
     with pytest.raises(bv.InputError, match=r"second\.npz: is not there any more"):
         bv.save_sensor(bv.load_sensor(tmp_path / "second.toml"), tmp_path / "third.toml")
     assert not list(tmp_path.glob("third*"))
+
+
+def test_a_saved_sensor_keeps_the_delay_of_colour(tmp_path: Path) -> None:
+    given = bv.load_sensor("pico_flexx_75mm")
+    assert given.camera.colour_delay_s == 0.0  # the file need not have it
+    own = with_colour_delay(given, -0.055)
+    assert with_colour_delay(own, None) is own and own.pneumatics == given.pneumatics
+    bv.save_sensor(own, tmp_path / "mine.toml")
+    assert bv.load_sensor(tmp_path / "mine.toml").camera == own.camera
+    text = (tmp_path / "mine.toml").read_text(encoding="utf-8")
+    assert "colour_delay_s = -0.055" in text
+    (tmp_path / "wrong.toml").write_text(text.replace("-0.055", "-55.0"), encoding="utf-8")
+    with pytest.raises(
+        bv.InputError, match=r"wrong\.toml: camera\.colour_delay_s = -55\.0: .*0\.5"
+    ):
+        bv.load_sensor(tmp_path / "wrong.toml")
 
 
 def test_pictures(frames: Frames, sensor: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,8 @@ from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.topic_names import TopicNames
-from bubbleviz.sensor import Sensor
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import Sensor, with_colour_delay
 from bubbleviz_ui.bench.live_soak import free_port
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
@@ -52,8 +54,8 @@ def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
     return found + assembler.flush()
 
 
-def level(frame: Frame, lag_s: float = 0.0) -> int | None:
-    image = frame.colour_after(lag_s)
+def level(frame: Frame, delay_s: float = 0.0) -> int | None:
+    image = replace(frame, colour_delay_s=delay_s).colour
     return None if image is None else int(image.grey()[5, 5])
 
 
@@ -112,6 +114,37 @@ def test_a_newer_frame_ends_the_wait_for_colour() -> None:
     assert assembler.push(depth(NOW + PERIOD, 1, topic="/cam/depth/image")) == []
     (frame,) = assembler.push(depth(NOW + 2 * PERIOD, 2, topic="/cam/depth/image"))
     assert frame.depth_m[0, 0] == pytest.approx(0.101)
+
+
+@pytest.mark.parametrize("ahead", [0, 2, 14])
+def test_a_delay_of_the_sensor_pairs_the_frames_of_one_moment(
+    ahead: int, small_sensor: Sensor
+) -> None:
+    """Colour shows the moment `ahead` frames later; up to half a second of images are kept."""
+    delay_s = -1e-9 * ahead * PERIOD
+    pipeline = Pipeline.of(with_colour_delay(small_sensor, delay_s))
+    assembler = FrameAssembler(colour_delay_s=delay_s)
+    assembler.follow_colour()
+    found = frames_of(assembler, *(m for k in range(20) for m in both(k)))
+    result = pipeline.process(replace(found[-1], colour_delay_s=0.0), frozenset({"cloud"}))
+    again = pipeline.process(result.frame, frozenset({"cloud"}))
+    for frame in (found[-1], result.frame, again.frame):
+        assert frame.colour is not None
+        assert int(frame.colour.grey()[5, 5]) == 19 - ahead
+
+
+def test_a_frame_waits_for_a_colour_image_that_is_late() -> None:
+    """Colour at twice the rate shows what depth showed 0.8 periods before."""
+    delay_s = 0.8e-9 * PERIOD
+    assembler = FrameAssembler(colour_delay_s=delay_s)
+    assembler.follow_colour()
+    for message in both(0):
+        assembler.push(message)
+    stamp = NOW + PERIOD
+    assert assembler.push(depth(stamp, 1, topic="/cam/depth/image")) == []
+    assert assembler.push(colour(stamp + PERIOD // 4, 11)) == []
+    (frame,) = assembler.push(colour(stamp + 3 * PERIOD // 4 + PERIOD // 16, 12))
+    assert level(frame, delay_s) == 12
 
 
 def test_a_frame_without_colour_in_half_a_period_has_none() -> None:

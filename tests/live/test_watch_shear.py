@@ -102,7 +102,7 @@ def test_force_torque_and_slip_are_those_of_the_puck() -> None:
         tally.add(result)
         said.append(watcher.texture.words)
     assert said[1].endswith(f"Collecting images without contact: 1 of {COLLECTED}")
-    assert watcher.texture.words.startswith(f"{COLLECTED - LAG} images without contact; the lag of")
+    assert watcher.texture.words.startswith(f"{COLLECTED - LAG} images without contact; colour")
     np.testing.assert_allclose(
         result.traction.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
     )
@@ -115,7 +115,6 @@ def test_force_torque_and_slip_are_those_of_the_puck() -> None:
     assert "N with friction, torque" in shear_line(result) and "slip 0 ±" in shear_line(result)
     text = summary.to_text()
     assert "± " in text and "its direction has not been verified" in text
-    assert "the lag of colour behind depth is not known" in text
 
 
 def test_images_before_a_contact_are_left_out_as_colour_shows_it_first() -> None:
@@ -150,6 +149,7 @@ def test_without_colour_it_is_depth_alone_and_says_so() -> None:
     ("options", "said"),
     [
         (["--friction", "0.5"], "--friction bounds shear; give --shear, too"),
+        (["--colour-delay", "-0.05"], "--colour-delay is of the images that --shear takes"),
         (["--shear"], "shear takes the exact membrane; choose --solver rubber"),
     ],
 )

@@ -12,7 +12,9 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.files.result_writer import ResultWriter, write_csv
+from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
+from tests.frames.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
 from tests.shear.texture_bag import FRAMES, HELD, images, write_texture_press
 from tests.small_press import write_press, write_small_sensor
@@ -52,6 +54,8 @@ def test_a_result_has_traction_and_slip(tmp_path: Path) -> None:
     [
         (["--shear"], "has no colour images; leave out --shear"),
         (["--friction", "0.5"], "--friction bounds shear; give --shear, too"),
+        (["--colour-delay", "-0.05"], "--colour-delay is of the images that --shear takes"),
+        (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
     ],
 )
 def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said: str) -> None:
@@ -97,6 +101,37 @@ def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path:
     assert summary["traction_status"]["depth_alone"] == 2
     assert "contact-free frames 0–" in summary["texture"]
     assert "colour camera: no camera info: that of the depth camera" in summary["texture"]
+
+
+def estimated(press: Path, sensor: Path, out: Path, *options: str) -> dict[str, np.ndarray]:
+    """Force with friction of frames that are pressed in and dragged, with what else is told."""
+    command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
+    found = CliRunner().invoke(main, [*command, "--frames", f"{HELD - 4}:{HELD}", *options])
+    assert found.exit_code == 0, found.output
+    with np.load(out) as result:
+        return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
+
+
+def test_colour_that_leads_by_frames_is_paired_by_the_delay_that_is_given(tmp_path: Path) -> None:
+    """By the option, which wins, or the sensor file; without either frames are paired by stamps."""
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    for folder, lead in (("alike", 0), ("led", 2)):
+        (tmp_path / folder).mkdir()
+        press, sensor = write_texture_press(tmp_path / folder, {}, lead)
+    alike = tmp_path / "alike" / press.name
+    delay_s = -2.0 * PERIOD / SECOND
+    wanted = estimated(alike, sensor, tmp_path / "wanted.npz")["traction_force_n"]
+    own = with_colour_delay(load_sensor(sensor), delay_s)
+    save_sensor(own, tmp_path / "own.toml")
+    by_file = estimated(press, tmp_path / "own.toml", tmp_path / "file.npz")
+    option = ("--colour-delay", f"{delay_s}")
+    by_option = estimated(press, sensor, tmp_path / "option.npz", *option)
+    np.testing.assert_array_equal(by_file["traction_force_n"], by_option["traction_force_n"])
+    size = np.linalg.norm(wanted, axis=1).max()
+    assert np.abs(by_option["traction_force_n"] - wanted).max() < 0.01 * size
+    assert f"colour_delay_s = {delay_s}" in str(by_option["sensor_toml"])
+    by_stamp = estimated(press, tmp_path / "own.toml", tmp_path / "s.npz", "--colour-delay", "0")
+    assert np.abs(by_stamp["traction_force_n"] - wanted).max() > 0.05 * size
 
 
 def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path: Path) -> None:

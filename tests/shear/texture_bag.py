@@ -35,13 +35,16 @@ def images() -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def write_texture_press(folder: Path, changed: Mapping[int, bytes]) -> tuple[Path, Path]:
-    """Recording and sensor file; `changed` are JPEG files by frame."""
+def write_texture_press(
+    folder: Path, changed: Mapping[int, bytes], lead: int = 0
+) -> tuple[Path, Path]:
+    """Recording, whose colour leads by `lead` frames, and sensor file; `changed`: JPEG by frame."""
     bag, own = BagMaker("mcap file"), sensor().camera
     matrix = np.array([own.fx, 0.0, own.cx, 0.0, own.fy, own.cy, 0.0, 0.0, 1.0])
     size = {"k": matrix, "height": own.height, "width": own.width}
-    for k, (depth, grey) in enumerate(images()):
+    for k, (depth, _) in enumerate(images()):
         stamp = START + k * PERIOD
+        grey = images()[min(k + lead, FRAMES - 1)][1]
         bag.image(stamp, depth)
         bag.camera_info(stamp, **size)
         jpeg = changed.get(k, encoded(grey, "jpeg"))

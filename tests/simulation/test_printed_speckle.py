@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,7 +106,7 @@ def test_a_simulated_recording_has_the_images(tmp_path: Path) -> None:
             np.testing.assert_array_equal(written.grey(), made.grey())
             assert written.camera.intrinsics == source.camera.intrinsics
             assert not written.camera.remark
-        before = recording[1].colour_after(-1.0 / 30.0)
+        before = replace(recording[1], colour_delay_s=-1.0 / 30.0).colour
         assert before is not None
         np.testing.assert_array_equal(before.grey(), source[0].colour.grey())  # type: ignore[union-attr]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from bubbleviz.cli.shared_options import colour_delay_option
 from bubbleviz.files.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
 from bubbleviz.files.preset_files import preset_names
 
@@ -35,6 +36,7 @@ def window(fresh: bool) -> int:
     type=click.Path(path_type=Path),
     help="TRUTH.npz of a simulated REC; by default the one beside it of the same name.",
 )
+@colour_delay_option
 @click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
 @_fresh
@@ -45,6 +47,7 @@ def open_recording(
     sensor: str | None,
     scene: str | None,
     truth: Path | None,
+    colour_delay_s: float | None,
     frame: int | None,
     screenshot: Path | None,
     fresh: bool,
@@ -55,15 +58,18 @@ def open_recording(
     if recording is None:
         if any(given is not None for given in (truth, frame, screenshot)):
             raise click.UsageError("--truth, --frame and --screenshot are for recordings")
-        return _open_live(source, session, sensor, scene, fresh=fresh)
+        return _open_live(source, session, sensor, scene, colour_delay_s, fresh=fresh)
     if recording.suffix.lower() == SESSION_SUFFIX:
-        if any(given is not None for given in (sensor, truth, frame, screenshot)):
-            raise click.UsageError("--sensor, --truth, --frame and --screenshot are for recordings")
+        if any(given is not None for given in (sensor, truth, colour_delay_s, frame, screenshot)):
+            raise click.UsageError(
+                "--sensor, --truth, --colour-delay, --frame and --screenshot are for recordings"
+            )
         return _open_saved(recording, scene, fresh=fresh)
     from bubbleviz_ui.startup_imports import import_the_backend
 
     import_the_backend()
     from bubbleviz.frames.sensor_matching import AUTO, checked_sensor
+    from bubbleviz.sensor import with_colour_delay
     from bubbleviz_ui.model.scene_presets import load_scene
 
     if screenshot is not None:
@@ -72,6 +78,7 @@ def open_recording(
         refuse_existing(screenshot)
     preset = None if scene is None else load_scene(scene)
     name, chosen = checked_sensor(recording, sensor)
+    chosen = with_colour_delay(chosen, colour_delay_s)
     if sensor in (None, AUTO):
         click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     from bubbleviz_ui import app
@@ -98,6 +105,7 @@ def _open_live(
     session: str | None,
     sensor: str | None,
     scene: str | None,
+    colour_delay_s: float | None,
     *,
     fresh: bool,
 ) -> int:
@@ -111,7 +119,12 @@ def _open_live(
 
     if session is not None and sensor is not None:
         raise click.UsageError("the sensors are named in the session file; leave --sensor out")
-    live = single(source, sensor or AUTO) if source is not None else load_session(session or "")
+    if session is not None and colour_delay_s is not None:
+        raise click.UsageError("colour_delay_s is of each sensor of the session file; set it there")
+    if source is not None:
+        live = single(source, sensor or AUTO, colour_delay_s)
+    else:
+        live = load_session(session or "")
     preset = None if scene is None else load_scene(scene)
     name = live.sensors[0].sensor  # a file that is not there is refused without a window
     first = load_sensor(SYNTHETIC_SENSOR if name == AUTO else name)

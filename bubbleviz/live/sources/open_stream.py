@@ -65,6 +65,7 @@ def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStr
         size=None if any_size else (camera.width, camera.height),
         camera=DepthCamera.of(camera).intrinsics,
         lag_s=options.lag,
+        colour_delay_s=camera.colour_delay_s,
     )
     return LiveStream(source, assembler)
 

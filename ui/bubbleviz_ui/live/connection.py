@@ -126,7 +126,7 @@ def _close(run: LiveRun | None) -> None:
         run.close()
 
 
-def single(source: str, sensor: str) -> SessionPreset:
+def single(source: str, sensor: str, colour_delay_s: float | None = None) -> SessionPreset:
     """Session of one sensor.
 
     Parameters
@@ -135,8 +135,10 @@ def single(source: str, sensor: str) -> SessionPreset:
         As `--source`.
     sensor : str
         Sensor file or preset.
+    colour_delay_s : float, optional
+        In place of the sensor file's, s.
     """
-    place = SensorPlace(name="sensor", sensor=sensor, source=source)
+    place = SensorPlace(name="sensor", sensor=sensor, source=source, colour_delay_s=colour_delay_s)
     return SessionPreset(title=source, sensors=(place,))
 
 

@@ -95,6 +95,8 @@ VALUES = (
           "m³", "volume"),
     Value("camera.noise_relative", "Depth noise", "Standard deviation of the range, relative to it",
           "of the range", "range_share"),
+    Value("camera.colour_delay_s", "Colour delay", "Stamp of a colour image minus that of the "
+          "depth image of the same moment; negative where colour leads depth", "s", "time"),
 )  # fmt: skip
 """In the order of the panel."""
 
