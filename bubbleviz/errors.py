@@ -11,5 +11,9 @@ class InputError(Exception):
     """
 
 
+class StreamStoppedError(InputError):
+    """A live source sent depth images and sends no more, though it has not ended."""
+
+
 class SolveError(Exception):
     """A well-formed problem that has no trustworthy answer (the status of the result says why)."""

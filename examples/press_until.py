@@ -3,7 +3,8 @@
     python examples/press_until.py zenoh:tcp/ROBOT:7447 mine.toml
 
 Without a window. The robot is moved by velocity commands that end by themselves, as those of most
-arms do: when the camera falls silent nothing renews them, and the robot stands still.
+arms do: when the camera falls silent nothing renews them, and the robot stands still. After a
+second without an image it is told to stop, too, and the program ends with the reason.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class PrintedRobot:
 def press_until(stream: Stream, robot: Robot, force_n: float) -> FrameResult | None:
     """Move on while the force is below `force_n`; the frame that ended it, None if none came.
 
-    A frame without a number to trust ends it, too: nobody presses on blindly.
+    A frame without a number to trust ends it, too: nobody presses on blindly. When the camera sends
+    no more the robot is stopped, and `StreamStoppedError` says so.
     """
     last = None
     try:
@@ -61,5 +63,8 @@ def press_until(stream: Stream, robot: Robot, force_n: float) -> FrameResult | N
 
 
 if __name__ == "__main__":
-    with bv.connect(sys.argv[1], sensor=sys.argv[2]) as connected:
-        print(press_until(connected, PrintedRobot(), force_n=3.0))
+    try:
+        with bv.connect(sys.argv[1], sensor=sys.argv[2]) as connected:
+            print(press_until(connected, PrintedRobot(), force_n=3.0))
+    except bv.InputError as error:
+        sys.exit(str(error))

@@ -11,14 +11,12 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.sensor import Sensor, load_sensor
 
-_LOOK_S = 0.1
-"""How often the end of the source is looked for while no frame comes."""
-
 
 class Stream:
     """The newest frames of a live source; a frame that nobody took in time is left out.
 
-    A context manager; iterating gives frames until the source ends.
+    A context manager; iterating gives frames until the source ends, and raises
+    `StreamStoppedError` where none comes for a second after the first.
 
     Parameters
     ----------
@@ -48,9 +46,7 @@ class Stream:
         return self.live.counters()
 
     def __iter__(self) -> Iterator[Frame]:
-        while (frame := self.take(_LOOK_S)) is not None or not self.ended:
-            if frame is not None:
-                yield frame
+        return self.live.each(self.take)
 
     def close(self) -> None:
         """Disconnect."""

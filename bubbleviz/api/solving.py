@@ -25,6 +25,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import AUTO, fitting_sensor, preset_of_size
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.live.source_status import STOPPED_AFTER_S
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
@@ -35,9 +36,6 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
 NO_IMAGE = np.empty((0, 0), np.float32)
 """In place of the depth images of a `Run`, which would fill the memory."""
 SensorName = str | Path | Sensor
-
-_LOOK_S = 0.1
-"""How often the end of a stream is looked for while no frame comes."""
 
 
 @overload
@@ -66,6 +64,7 @@ def estimate(
     kappa: float | None = None,
     solver: str | None = None,
     zero_gas: bool = True,
+    timeout_s: float | None = STOPPED_AFTER_S,
 ) -> Iterator[FrameResult]: ...
 def estimate(
     frames: Frame | Sequence[Frame] | Stream,
@@ -74,6 +73,7 @@ def estimate(
     kappa: float | None = None,
     solver: str | None = None,
     zero_gas: bool = True,
+    timeout_s: float | None = STOPPED_AFTER_S,
 ) -> FrameResult | Run | Iterator[FrameResult]:
     """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
 
@@ -94,6 +94,8 @@ def estimate(
         Shift the measured gas pressure so that at a rest it is the sensor file's; without a rest
         it is known within the weather's ±2 kPa, which the force's interval holds. If not, it is
         believed as it is.
+    timeout_s : float, optional
+        How long a frame of a stream may take, s; None waits for ever.
 
     Returns
     -------
@@ -105,6 +107,8 @@ def estimate(
     InputError
         Sensor and frames do not fit together, or no frame has data (in one line that says what to
         do).
+    StreamStoppedError
+        No frame of a stream came in `timeout_s` (an `InputError`, too).
 
     Examples
     --------
@@ -122,7 +126,7 @@ def estimate(
             zero=zero_gas,
             options=options,
         )
-        return _watched(watcher)
+        return _watched(watcher, timeout_s)
     chosen = _as_frames(frames)
     with OneBlasThread():
         pipeline = _pipeline(chosen, sensor, solver)
@@ -188,6 +192,7 @@ def track(
     init: str | np.ndarray | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    timeout_s: float | None = STOPPED_AFTER_S,
 ) -> Iterator[FrameResult]: ...
 def track(
     frames: Sequence[Frame] | Stream,
@@ -197,6 +202,7 @@ def track(
     init: str | np.ndarray | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    timeout_s: float | None = STOPPED_AFTER_S,
 ) -> Run | Iterator[FrameResult]:
     """Follow a known object through frames, as `bubbleviz pose` does.
 
@@ -205,6 +211,8 @@ def track(
     frames : sequence of Frame or Stream
     object, sensor, init, unit, solver
         As of `register`; `init` is of the first frame.
+    timeout_s : float, optional
+        As of `estimate`.
 
     Returns
     -------
@@ -221,7 +229,7 @@ def track(
     if isinstance(frames, Stream):
         own = _sensor_of_stream(frames, sensor)
         watcher = Watcher.on(frames.live, frames.uri, own, solver=solver, obj=obj, start=start)
-        return _watched(watcher)
+        return _watched(watcher, timeout_s)
     chosen = _as_frames(frames)
     with OneBlasThread():
         pipeline = _pipeline(chosen, sensor, solver)
@@ -267,13 +275,12 @@ def _sensor_of_stream(stream: Stream, sensor: SensorName) -> Sensor:
     return stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
 
 
-def _watched(watcher: Watcher) -> Iterator[FrameResult]:
+def _watched(watcher: Watcher, timeout_s: float | None) -> Iterator[FrameResult]:
     one_thread = OneBlasThread()
-    while True:
-        ended = watcher.ended  # looked at first: a frame may come before the end is seen
+
+    def step(wait_s: float) -> Result | None:
         with one_thread:
-            result = watcher.step(_LOOK_S)
-        if result is not None:
-            yield FrameResult(result, watcher.pipeline.model)
-        elif ended:
-            return
+            return watcher.step(wait_s)
+
+    for result in watcher.stream.each(step, timeout_s):
+        yield FrameResult(result, watcher.pipeline.model)

@@ -32,6 +32,7 @@ from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.recorder import Recorder
 from bubbleviz.live.sinks.result_messages import ResultMessages
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.source_status import STOPPED_AFTER_S
 from bubbleviz.live.sources.open_stream import open_stream, patience_s
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
@@ -311,6 +312,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
     forces: list[float] = []
     shear = None if watcher.texture is None else ShearTally()
     began = told = time.monotonic()
+    silent = False
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
         while not stop.is_set():
             if duration_s is not None and time.monotonic() - began >= duration_s:
@@ -329,6 +331,7 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
                 for message in out.messages.of(result):
                     out.send(message)
                 bar.update()
+            silent = _tell_silence(watcher.stream, silent)
             if time.monotonic() - told >= DIAGNOSTICS_S:
                 told = time.monotonic()
                 status, counters = watcher.stream.status(), watcher.stream.counters()
@@ -349,6 +352,17 @@ def _watch(watcher: Watcher, out: _Out, stop: Any, duration_s: float | None) -> 
         counters=watcher.stream.counters().as_dict(),
         warning=watcher.warning() or None,
     )
+
+
+def _tell_silence(stream: LiveStream, told: bool) -> bool:
+    """Say, once an outage, that no depth images come; whether they still do not."""
+    silent_s = stream.status().silent_s or 0.0
+    if silent_s < STOPPED_AFTER_S or stream.source.link() == "ended":
+        return False
+    if not told:
+        said = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"
+        tqdm.write(f"{said}; waiting for the next image", file=sys.stderr)
+    return True
 
 
 def _force_text(result: Result | None) -> str:

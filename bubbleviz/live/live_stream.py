@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import TypeVar
 
+from bubbleviz.errors import StreamStoppedError
 from bubbleviz.frames.frame import NO_COLOUR, Frame
 from bubbleviz.frames.sensor_matching import size_refusal
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.mailbox import Mailbox
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.source_status import STALE_AFTER_S, Status, status_of
+from bubbleviz.live.source_status import STALE_AFTER_S, STOPPED_AFTER_S, Status, status_of
 from bubbleviz.live.sources.live_source import LiveSource, OfferedTopic
 
+LOOK_S = 0.1
+"""How often the end of the source is looked for while a frame is waited for without end."""
 SEVERAL = 5
 """Images of another size that are no accident: not garbage, nor of a topic beside the depth's."""
 
+_T = TypeVar("_T")
 Listener = Callable[[RawMessage], None]
 Outage = tuple[int, int]
 """Arrival of the frames before and after, ns since 1970."""
@@ -128,10 +133,53 @@ class LiveStream:
         """How the source is doing now."""
         last = self._last_frame_ns
         silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
-        problem = self.source.problem() or self._size_refused()
+        problem = self._problem()
         if problem:  # of several sources, which
             problem = f"{problem} ({self.name})"
         return status_of(self.source.link(), silent, problem)
+
+    def each(
+        self, take: Callable[[float], _T | None], timeout_s: float | None = STOPPED_AFTER_S
+    ) -> Iterator[_T]:
+        """What is made of the newest frame, over and over, until the source ends.
+
+        Parameters
+        ----------
+        take : callable
+            Waits so long, s, for a frame and makes something of it; None when none came.
+        timeout_s : float, optional
+            How long a frame after the first may take, s; None waits for ever.
+
+        Raises
+        ------
+        StreamStoppedError
+            None came in that time.
+        """
+        wait_s = LOOK_S if timeout_s is None else timeout_s
+        while True:
+            ended = self.source.link() == "ended"  # first: a frame may come before the end is seen
+            asked_s = time.monotonic()
+            made = take(wait_s)
+            waited = time.monotonic() - asked_s >= wait_s
+            if made is not None:
+                yield made
+            elif ended:
+                return
+            elif timeout_s is not None and waited and self._last_frame_ns is not None:
+                raise StreamStoppedError(
+                    f"{self.silence()}; check the camera and its connection, or give a longer "
+                    "timeout_s"
+                )
+
+    def silence(self) -> str:
+        """That no depth image comes, for how long, and why where that is known."""
+        silent_s = self.status().silent_s
+        since = "" if silent_s is None else f" for {silent_s:.1f} s"
+        return "; ".join(filter(None, (f"{self.name}: no depth image{since}", self._problem())))
+
+    def _problem(self) -> str:
+        """Why none comes, where that is known."""
+        return self.source.problem() or self._size_refused()
 
     @property
     def outages(self) -> tuple[Outage, ...]:

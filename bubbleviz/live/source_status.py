@@ -11,6 +11,8 @@ State = Literal["connecting", "live", "stale", "reconnecting", "ended"]
 
 STALE_AFTER_S = 0.7
 """A source without a depth image for this long is stale: shown within a second."""
+STOPPED_AFTER_S = 1.0
+"""A source without a depth image for this long has stopped, for who waits for the next one."""
 
 
 @dataclass(frozen=True)

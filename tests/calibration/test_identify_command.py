@@ -16,7 +16,7 @@ from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml, with_colour_delay
 
 from .domes import GAUGE, sphere
 from .twin import make_twin, nominal_sensor
@@ -39,7 +39,7 @@ def made(tmp_path_factory):
     """Files of a sphere's identification, and the JSON it printed."""
     folder = tmp_path_factory.mktemp("sphere")
     dome = sphere(5, frames=20)
-    recording, given = recorded(dome, dome.sensor, folder)
+    recording, given = recorded(dome, with_colour_delay(dome.sensor, -0.055), folder)
     result = run(
         recording, "--sensor", given, "--contact-free", "0:20", "--out", folder / "mine.toml",
         "--report", folder / "report", "--nodes", 300, "--json",
@@ -51,6 +51,7 @@ def made(tmp_path_factory):
 def test_sensor_file_says_what_made_it(made):
     folder, numbers = made
     sensor = load_sensor(folder / "mine.toml")
+    assert sensor.camera.colour_delay_s == -0.055
     assert sensor.membrane.shape == "spherical_cap"
     assert sensor.membrane.rim_radius_m == pytest.approx(0.075, abs=2e-4)
     assert sensor.pneumatics.tension_n_per_m == pytest.approx(GAUGE * 0.08125 / 2.0, rel=0.01)

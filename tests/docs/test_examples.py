@@ -14,6 +14,7 @@ from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
 from bubbleviz.api.connecting import Stream
+from bubbleviz.errors import StreamStoppedError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.zenoh_session import SessionOptions
@@ -69,6 +70,22 @@ def test_the_robot_stops_when_there_is_no_number_to_trust(sensor: Path, tmp_path
         last = press_until.press_until(stream, robot, 3.0)
     assert last is not None and last.status == "no_data"
     assert robot.told == ["stop"]
+
+
+def test_the_robot_is_stopped_when_the_camera_dies(sensor: Path, tmp_path: Path) -> None:
+    """It would else press on for as long as nobody looks."""
+    press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
+    with RecordingWriter(tmp_path / "dies.mcap") as writer:
+        for k, time_s in enumerate((0.0, 0.1, 0.2, 0.3, 20.0)):
+            writer.write(replace(press[0], index=k, time_s=time_s, stamp_ns=0))
+    robot = Recorded()
+    with (
+        bv.connect(f"replay:{tmp_path / 'dies.mcap'}", sensor) as stream,
+        pytest.raises(StreamStoppedError, match="no depth image"),
+    ):
+        press_until.press_until(stream, robot, 3.0)
+    assert robot.told[0] == "move"
+    assert robot.told[-1] == "stop" and robot.told.count("stop") == 1
 
 
 @pytest.mark.long

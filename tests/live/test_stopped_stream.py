@@ -1,0 +1,106 @@
+"""A stream whose camera dies ends with one clear error; `watch` says so and waits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from small_press import small_source, write_small_sensor
+from test_zenoh import robot
+from wire import HEIGHT, WIDTH
+
+import bubbleviz as bv
+from bubbleviz.cli.command_line import main
+from bubbleviz.errors import StreamStoppedError
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.live.source_status import STOPPED_AFTER_S
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.bench.live_soak import free_port
+
+BEFORE, GAP_S = 4, 2.5
+"""Frames before and after each gap, and its length: more than twice the time that is waited."""
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def gaps(sensor: Path) -> Path:
+    """A press whose camera falls silent twice and comes back."""
+    frame, path = small_source(sensor)[0], sensor.with_name("gaps.mcap")
+    with RecordingWriter(path) as writer:
+        for k in range(3 * BEFORE):
+            time_s = 0.1 * k + GAP_S * (k // BEFORE)
+            writer.write(replace(frame, index=k, time_s=time_s, stamp_ns=0))
+    return path
+
+
+def test_estimating_a_stream_that_stops_ends_with_one_error(gaps: Path, sensor: Path) -> None:
+    found = []
+    with bv.connect(f"replay:{gaps}", sensor) as stream:
+        with pytest.raises(StreamStoppedError) as error:
+            for each in bv.estimate(stream):
+                found.append(each.time_s)
+        silent_s = stream.live.status().silent_s
+    assert found and max(found) < GAP_S
+    assert silent_s is not None and STOPPED_AFTER_S <= silent_s < GAP_S
+    said = str(error.value)
+    assert said.startswith(f"{stream.live.name}: no depth image for 1.")
+    assert "check the camera" in said and "timeout_s" in said and "\n" not in said
+    assert isinstance(error.value, bv.InputError)
+
+
+def test_frames_of_a_stream_and_poses_end_so_too(gaps: Path, sensor: Path) -> None:
+    for made in (
+        lambda stream: stream,
+        lambda stream: bv.track(stream, "cylinder", timeout_s=0.6),
+    ):
+        with (
+            bv.connect(f"replay:{gaps}", sensor) as stream,
+            pytest.raises(StreamStoppedError, match=r"no depth image for [01]\.\d s"),
+        ):
+            for _ in made(stream):
+                pass
+
+
+@pytest.mark.parametrize("timeout_s", [None, 2.0 * GAP_S])
+def test_who_is_patient_gets_the_frames_after_the_gap(
+    timeout_s: float | None, gaps: Path, sensor: Path
+) -> None:
+    with bv.connect(f"replay:{gaps}", sensor) as stream:
+        times_s = [found.time_s for found in bv.estimate(stream, timeout_s=timeout_s)]
+    assert times_s[-1] > 2.0 * GAP_S and stream.ended
+
+
+def test_a_robot_that_is_killed_ends_the_loop(sensor: Path) -> None:
+    port = free_port()
+    with (
+        robot(port, "rmw") as process,
+        bv.connect(f"zenoh:tcp/127.0.0.1:{port}", of_robot(sensor)) as stream,
+        pytest.raises(StreamStoppedError, match="no depth image for"),
+    ):
+        for count, _ in enumerate(bv.estimate(stream, timeout_s=0.5)):
+            if count == 3:
+                process.kill()
+
+
+def of_robot(sensor: Path) -> Sensor:
+    """The sensor with images of the robot's size."""
+    given = bv.load_sensor(sensor)
+    camera = given.camera.model_copy(update={"width": WIDTH, "height": HEIGHT})
+    return given.model_copy(update={"camera": camera})
+
+
+def test_watch_says_once_an_outage_that_nothing_comes_and_goes_on(gaps: Path, sensor: Path) -> None:
+    command = ["watch", "--source", f"replay:{gaps}", "--sensor", str(sensor), "--json"]
+    done = CliRunner().invoke(main, command)
+    assert done.exit_code == 0, done.output
+    warned = [line for line in done.stderr.splitlines() if "no depth image for 1." in line]
+    assert len(warned) == 2
+    assert all("waiting for the next image" in line for line in warned)
+    assert json.loads(done.stdout)["frames"] > 2 * BEFORE
