@@ -7,6 +7,7 @@ here is only reported: frames are paired by their stamps and `Frame.colour_delay
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ MOST_S = 0.3
 """Longest lag looked for: depth filters of some ten frames."""
 
 _STEP_S = 1e-3
-_LAGS_S = np.arange(-MOST_S, MOST_S + _STEP_S, _STEP_S)
+_LAGS_S = _STEP_S * np.arange(round(-MOST_S / _STEP_S), round(MOST_S / _STEP_S) + 1)
 _ALIKE = 0.9  # least correlation of the two curves; chosen: noise does not reach it
 _ONSET_S = 0.25
 """Time after the first contact in which the curves are compared. Depth and texture move in
@@ -128,53 +129,61 @@ def lag_between(
     ValueError
         They have too little time in common, or are not alike at any lag.
     """
-    colour_times_s, colour = _finite(colour_times_s, colour)
-    depth_times_s, depth = _finite(depth_times_s, depth)
-    if min(len(colour), len(depth)) < MIN_FRAMES:
+    texture = _Curve.of(colour_times_s, colour)
+    shape = _Curve.of(depth_times_s, depth)
+    if min(len(texture.values), len(shape.values)) < MIN_FRAMES:
         raise ValueError("texture or depth is not found again")
-    start, end = colour_times_s[0] + MOST_S, colour_times_s[-1] - MOST_S
-    period = float(np.median(np.diff(depth_times_s)))
-    # over two periods: else noise, which is less between samples than at them, draws the lag there
-    window = np.linspace(-period, period, 9)[:, None]
-
-    def smooth(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
-        return np.interp(times + window, known, values).mean(axis=0)
-
-    def fit(after_s: float) -> tuple[float, float, float]:
-        """Lag, its error by noise, s, and correlation, up to a time after the onset."""
-        times = depth_times_s[
-            (depth_times_s >= start) & (depth_times_s <= min(end, onset_s + after_s))
-        ]
-        if len(times) < 2 * MIN_FRAMES or times[-1] <= onset_s:
-            raise ValueError("colour and depth have too little time in common")
-        curve = smooth(times, depth_times_s, depth)
-        shifted = [smooth(times + lag, colour_times_s, colour) for lag in _LAGS_S]
-        alike = np.nan_to_num([_correlation(curve, each) for each in shifted])
-        best = int(np.clip(np.argmax(alike), 1, len(_LAGS_S) - 2))
-        slope, offset = np.polyfit(shifted[best], curve, 1)
-        left = curve - offset - slope * shifted[best]
-        rate = slope * (shifted[best + 1] - shifted[best - 1]) / (2.0 * _STEP_S)
-        noise = left @ left / (len(left) - 3) * mean_inflation(_autocorrelation(left))
-        sigma = float(np.sqrt(noise / max(rate @ rate, 1e-300)))
-        return float(_LAGS_S[best]), sigma, float(alike[best])
-
-    lag, sigma, alike = fit(_ONSET_S)
+    lag, sigma, alike = _fit(shape, texture, onset_s, _ONSET_S)
     if alike < _ALIKE or abs(lag) > MOST_S - 2.0 * _STEP_S:
         raise ValueError("colour and depth do not change together")
-    unlike = max(abs(fit(share * _ONSET_S)[0] - lag) for share in (0.5, 2.0))
+    others = [_fit(shape, texture, onset_s, share * _ONSET_S)[0] for share in (0.5, 2.0)]
+    unlike = max(abs(other - lag) for other in others)
     half = 1.96 * float(np.sqrt(sigma**2 + unlike**2 + _STEP_S**2))
     return TemporalLag(lag, (lag - half, lag + half))
+
+
+class _Curve(NamedTuple):
+    """How far something has changed at times, s."""
+
+    times_s: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, times_s: np.ndarray, values: np.ndarray) -> _Curve:
+        known = np.isfinite(values)
+        return cls(times_s[known], values[known])
+
+    def at(self, times_s: np.ndarray, window_s: np.ndarray) -> np.ndarray:
+        """Means over a window about each time."""
+        return np.interp(times_s + window_s[:, None], *self).mean(axis=0)
+
+
+def _fit(depth: _Curve, colour: _Curve, onset_s: float, after_s: float) -> tuple[float, ...]:
+    """Lag, its error by noise, s, and correlation, up to a time after the onset."""
+    start, end = colour.times_s[0] + MOST_S, colour.times_s[-1] - MOST_S
+    last = min(end, onset_s + after_s)
+    times = depth.times_s[(depth.times_s >= start) & (depth.times_s <= last)]
+    if len(times) < 2 * MIN_FRAMES or times[-1] <= onset_s:
+        raise ValueError("colour and depth have too little time in common")
+    # over two periods: else noise, which is less between samples than at them, draws the lag there
+    period = float(np.median(np.diff(depth.times_s)))
+    window = np.linspace(-period, period, 9)
+    curve = depth.at(times, window)
+    shifted = [colour.at(times + lag, window) for lag in _LAGS_S]
+    alike = np.nan_to_num([_correlation(curve, each) for each in shifted])
+    best = int(np.clip(np.argmax(alike), 1, len(_LAGS_S) - 2))
+    slope, offset = np.polyfit(shifted[best], curve, 1)
+    left = curve - offset - slope * shifted[best]
+    rate = slope * (shifted[best + 1] - shifted[best - 1]) / (2.0 * _STEP_S)
+    noise = left @ left / (len(left) - 3) * mean_inflation(_autocorrelation(left))
+    sigma = float(np.sqrt(noise / max(rate @ rate, 1e-300)))
+    return float(_LAGS_S[best]), sigma, float(alike[best])
 
 
 def _moved(flow: OpticalFlow, grey: np.ndarray) -> float:
     """How far the texture moved where it moved most, pixels; NaN where none is found."""
     moved = np.linalg.norm(flow.measure(grey).moved_px, axis=1)
     return float(np.quantile(moved, _MOVED_MOST)) if len(moved) else np.nan
-
-
-def _finite(times_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    known = np.isfinite(values)
-    return times_s[known], values[known]
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
