@@ -168,7 +168,7 @@ class Patch:
         Positive inside; its zero line, interpolated linearly, is the edge of the patch. By default
         it is the signed distance to the edge, m.
     force_n : (3,) array
-        Resultant of p_c on the membrane in B, N (points into the sensor).
+        Force of the contact on the membrane in B, N (points into the sensor).
     center_of_pressure_m : (3,) array
         Pressure-weighted centre of the patch in B, m; NaN without contact.
     area_m2 : float
@@ -184,6 +184,10 @@ class Patch:
         Pixels of the patch; None when `pixel_mask` was not requested.
     kappa : float or None
         Threshold over the mean contact pressure; None where the rule is automatic.
+    tangential_force_n : (3,) array
+        The part of the force that is friction, N; NaN of the linear membrane, which knows none.
+    torque_nm : (3,) array
+        Moment of the contact about the centre of pressure, N·m; NaN without contact.
     fine_level : (k,) array or None
         The level on the mesh of the estimate's `fine` contact; None where there is none, or the
         rule is the paper's.
@@ -198,6 +202,8 @@ class Patch:
     area_interval_m2: tuple[float, float] = (np.nan, np.nan)
     pixel_mask: np.ndarray | None = None
     kappa: float | None = None
+    tangential_force_n: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
+    torque_nm: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
     fine_level: np.ndarray | None = None
 
     def finest(

@@ -45,6 +45,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     zero_gas: bool = True,
 ) -> FrameResult: ...
 @overload
@@ -54,6 +55,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     zero_gas: bool = True,
 ) -> Run: ...
 @overload
@@ -63,6 +65,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     zero_gas: bool = True,
     timeout_s: float | None = STOPPED_AFTER_S,
 ) -> Iterator[FrameResult]: ...
@@ -72,6 +75,7 @@ def estimate(
     *,
     kappa: float | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     zero_gas: bool = True,
     timeout_s: float | None = STOPPED_AFTER_S,
 ) -> FrameResult | Run | Iterator[FrameResult]:
@@ -90,6 +94,9 @@ def estimate(
     solver : str, optional
         `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear`, `osqp`
         and `clarabel`: constant tension; `fast`: linear on a coarse mesh.
+    friction : float, optional
+        Coefficient of friction to expect of contacts with the exact membrane, 1 by default; 0 for
+        contacts without friction.
     zero_gas : bool
         Shift the measured gas pressure so that at a rest it is the sensor file's; without a rest
         it is known within the weather's ±2 kPa, which the force's interval holds. If not, it is
@@ -123,13 +130,14 @@ def estimate(
             frames.uri,
             _sensor_of_stream(frames, sensor),
             solver=solver,
+            friction=friction,
             zero=zero_gas,
             options=options,
         )
         return _watched(watcher, timeout_s)
     chosen = _as_frames(frames)
     with OneBlasThread():
-        pipeline = _pipeline(chosen, sensor, solver)
+        pipeline = _pipeline(chosen, sensor, solver, friction)
         zero = zero_of(chosen.source, pipeline) if zero_gas else None
         results = solved(chosen.source, chosen.chosen, pipeline, PRODUCTS, options, zero)
         return _found(frames, results, pipeline)
@@ -143,6 +151,7 @@ def register(
     init: str | np.ndarray | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    friction: float | None = None,
 ) -> FrameResult:
     """Find where a known object is in one frame, by dual-stage registration.
 
@@ -157,7 +166,7 @@ def register(
         T_B_O to about 5 mm and 10°, or "x y z qx qy qz qw"; searched for by default.
     unit : {"m", "mm"}, optional
         Of the object's file; by default millimetres where its name ends in `_mm`.
-    solver : str, optional
+    solver, friction
         As of `estimate`.
 
     Returns
@@ -170,7 +179,7 @@ def register(
     InputError
         Something given does not exist or does not fit together, or there is no pose.
     """
-    return track([frame], object, sensor, init=init, unit=unit, solver=solver)[0]
+    return track([frame], object, sensor, init=init, unit=unit, solver=solver, friction=friction)[0]
 
 
 @overload
@@ -182,6 +191,7 @@ def track(
     init: str | np.ndarray | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    friction: float | None = None,
 ) -> Run: ...
 @overload
 def track(
@@ -192,6 +202,7 @@ def track(
     init: str | np.ndarray | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     timeout_s: float | None = STOPPED_AFTER_S,
 ) -> Iterator[FrameResult]: ...
 def track(
@@ -202,6 +213,7 @@ def track(
     init: str | np.ndarray | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     timeout_s: float | None = STOPPED_AFTER_S,
 ) -> Run | Iterator[FrameResult]:
     """Follow a known object through frames, as `bubbleviz pose` does.
@@ -209,7 +221,7 @@ def track(
     Parameters
     ----------
     frames : sequence of Frame or Stream
-    object, sensor, init, unit, solver
+    object, sensor, init, unit, solver, friction
         As of `register`; `init` is of the first frame.
     timeout_s : float, optional
         As of `estimate`.
@@ -228,11 +240,13 @@ def track(
     obj = load_object(object, unit)
     if isinstance(frames, Stream):
         own = _sensor_of_stream(frames, sensor)
-        watcher = Watcher.on(frames.live, frames.uri, own, solver=solver, obj=obj, start=start)
+        watcher = Watcher.on(
+            frames.live, frames.uri, own, solver=solver, friction=friction, obj=obj, start=start
+        )
         return _watched(watcher, timeout_s)
     chosen = _as_frames(frames)
     with OneBlasThread():
-        pipeline = _pipeline(chosen, sensor, solver)
+        pipeline = _pipeline(chosen, sensor, solver, friction)
         pipeline.follow(obj, start)
         zero = zero_of(chosen.source, pipeline)
         results = followed(chosen.source, chosen.chosen, pipeline, zero=zero)
@@ -248,8 +262,10 @@ def _as_frames(frames: Frame | Sequence[Frame]) -> Frames:
     return held if isinstance(held, Frames) else Frames(HeldFrames(held))
 
 
-def _pipeline(frames: Frames, sensor: SensorName, solver: str | None) -> Pipeline:
-    options = EstimatorOptions.named(solver)
+def _pipeline(
+    frames: Frames, sensor: SensorName, solver: str | None, friction: float | None
+) -> Pipeline:
+    options = EstimatorOptions.named(solver, friction)
     source = frames.source
     if isinstance(source, Recording):
         return Pipeline.of(fitting_sensor(source, sensor)[1], source.intrinsics, options)

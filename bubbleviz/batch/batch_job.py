@@ -33,12 +33,15 @@ class Settings:
     solver : str or None
     frames : str or None
         As in `bubbleviz.commands.estimate.parse_frames`.
+    friction : float or None
+        Coefficient of friction to expect of contacts; None for the default.
     """
 
     sensor: str
     kappa: float | None = None
     solver: str | None = None
     frames: str | None = None
+    friction: float | None = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,7 @@ def _estimated(job: Job, sensor_name: str, key: str) -> Row:
             kappa=asked.kappa,
             solver=asked.solver,
             frames=asked.frames,
+            friction=asked.friction,
         )
         row = Row.of_result(job.name, sensor_name, folder / RESULT, summary.warning or "")
         said = f'{{"key": "{key}", "row": {row.to_json()}}}\n'

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bubbleviz.cli.shared_options import solver_option
+from bubbleviz.cli.shared_options import friction_option, solver_option
 
 if TYPE_CHECKING:
     from bubbleviz.batch.summary_row import Row
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 @click.option("--resume", is_flag=True, help="Go on in OUT; keep what is up to date.")
 @click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
 @solver_option
+@friction_option
 @click.option("--frames", help="A:B[:STEP] of each recording, B left out; all by default.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def batch(
@@ -33,6 +34,7 @@ def batch(
     resume: bool,
     kappa: float | None,
     solver: str | None,
+    friction: float | None,
     frames: str | None,
     as_json: bool,
 ) -> None:
@@ -47,7 +49,7 @@ def batch(
     from bubbleviz.batch.batch_job import Settings
     from bubbleviz.commands.batch import run_batch
 
-    settings = Settings(sensor, kappa, solver, frames)
+    settings = Settings(sensor, kappa, solver, frames, friction)
     with tqdm(unit="recording", leave=False, disable=None) as bar:  # only on a terminal
 
         def advance(row: Row, done: int, count: int) -> None:

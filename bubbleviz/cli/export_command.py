@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from bubbleviz.cli.shared_options import report, solver_option
+from bubbleviz.cli.shared_options import friction_option, report, solver_option
 
 
 @click.command()
@@ -28,6 +28,7 @@ from bubbleviz.cli.shared_options import report, solver_option
 @click.option("--poses", type=click.Path(path_type=Path), help="POSES.csv to join to the table.")
 @click.option("--kappa", type=float, help="Patch threshold over the mean contact pressure.")
 @solver_option
+@friction_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def export(
     recording: Path,
@@ -38,6 +39,7 @@ def export(
     poses: Path | None,
     kappa: float | None,
     solver: str | None,
+    friction: float | None,
     as_json: bool,
 ) -> None:
     """Tables, ParaView and PLY series, patch clouds, pictures and plots of a recording.
@@ -64,6 +66,7 @@ def export(
             frames=frames,
             kappa=kappa,
             solver=solver,
+            friction=friction,
             progress=advance,
         )
     report(summary, summary.warning, as_json=as_json)

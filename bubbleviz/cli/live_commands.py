@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bubbleviz.cli.shared_options import colour_delay_option, report, solver_option
+from bubbleviz.cli.shared_options import colour_delay_option, friction_option, report, solver_option
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
 
@@ -55,7 +55,7 @@ def record(source: str, out: Path, duration: float | None, sensor: str, as_json:
 @click.option("--object", "object_name", help="Object to track: a mesh or a preset.")
 @click.option("--zero/--no-zero", default=True, help="Zero the gas pressure at the start.")
 @click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
-@click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
+@friction_option
 @colour_delay_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -> None:
@@ -69,8 +69,6 @@ def watch(source: str, sensor: str, zero: bool, as_json: bool, **choices: Any) -
     from bubbleviz.sensor import load_sensor, with_colour_delay
 
     delay_s = choices["colour_delay_s"]
-    if choices["friction"] is not None and not choices["shear"]:
-        raise click.UsageError("--friction bounds shear; give --shear, too")
     if delay_s is not None and not choices["shear"]:
         raise click.UsageError("--colour-delay is of the images that --shear takes; give it, too")
     options = WatchOptions(

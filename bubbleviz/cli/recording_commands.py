@@ -8,7 +8,7 @@ from typing import Literal
 
 import click
 
-from bubbleviz.cli.shared_options import colour_delay_option, report, solver_option
+from bubbleviz.cli.shared_options import colour_delay_option, friction_option, report, solver_option
 
 
 @click.command()
@@ -116,7 +116,7 @@ def simulate(
     help="Zero the gas pressure on contact-free frames (default), or believe it as it is.",
 )
 @click.option("--shear", is_flag=True, help="Friction and slip, too, from the colour images.")
-@click.option("--friction", type=click.FloatRange(0.0, min_open=True), help="Bound μ on shear.")
+@friction_option
 @colour_delay_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms.")
 def estimate(
@@ -134,8 +134,6 @@ def estimate(
     as_json: bool,
 ) -> None:
     """Contact pressure, patch and force of every frame of a recording."""
-    if friction is not None and not shear:
-        raise click.UsageError("--friction bounds shear; give --shear, too")
     if colour_delay_s is not None and not shear:
         raise click.UsageError("--colour-delay is of the images that --shear takes; give it, too")
     from bubbleviz.commands.estimate import estimate_recording
@@ -163,6 +161,7 @@ def estimate(
 @click.option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
 @click.option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
 @solver_option
+@friction_option
 @click.option("--frames", help="A:B[:STEP], B left out; all by default.")
 @click.option(
     "--object-patch", is_flag=True, help="The contact patch by the object's surface, too: its area."
@@ -176,6 +175,7 @@ def pose(
     unit: Literal["m", "mm"] | None,
     init: str | None,
     solver: str | None,
+    friction: float | None,
     frames: str | None,
     object_patch: bool,
     out: Path,
@@ -192,6 +192,7 @@ def pose(
         init=init,
         unit=unit,
         solver=solver,
+        friction=friction,
         frames=frames,
         object_patch=object_patch,
     )

@@ -22,6 +22,14 @@ colour_delay_option = click.option(
     "where colour leads depth. The sensor file's by default, else 0.",
 )
 
+friction_option = click.option(
+    "--friction",
+    metavar="MU",
+    type=click.FloatRange(0.0),
+    help="Coefficient of friction to expect, 1 by default; 0: contacts have none. With --shear "
+    "it also bounds the shear.",
+)
+
 
 def report(summary: Summary, warning: str | None, *, as_json: bool) -> None:
     """Print a summary and, on standard error, what it warns of."""

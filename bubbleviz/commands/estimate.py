@@ -164,7 +164,8 @@ def estimate_recording(
     shear : bool
         Traction with friction and slip, too, from the recording's colour images.
     friction : float, optional
-        Coulomb's bound μ of the traction along the membrane over that across it.
+        Coefficient of friction to expect of contacts, 0 for none; with `shear` also the bound on
+        the traction along the membrane over that across it.
     colour_delay_s : float, optional
         Stamp of a colour image minus that of the depth image of the same moment, s: negative where
         colour leads depth. By default the sensor file's.
@@ -180,7 +181,7 @@ def estimate_recording(
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         sensor = with_colour_delay(sensor, colour_delay_s)
         chosen = parse_frames(frames, len(source), str(source.path))
-        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
+        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver, friction))
         texture = None
         if shear:
             texture = watch_recorded_texture(pipeline, source, friction)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bubbleviz.calibration.pressure_zero import zero_of
 from bubbleviz.commands.estimate import parse_frames, patch_options
 from bubbleviz.commands.summary import Summary
 from bubbleviz.export.export_plan import ExportPlan
@@ -14,7 +15,7 @@ from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.pipeline import FrameOptions, Pipeline
+from bubbleviz.pipeline import FrameOptions, Pipeline, stages
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.wording import count_of
 
@@ -59,6 +60,7 @@ def export_recording(
     frames: str | None = None,
     kappa: float | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     progress: Progress = quiet,
 ) -> ExportSummary:
     """Export frames of a recording; see `export_frames` and, for `frames`, `parse_frames`.
@@ -72,7 +74,7 @@ def export_recording(
     with Recording(recording) as source:
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
-        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
+        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver, friction))
         summary = export_frames(source, chosen, pipeline, options, plan, progress)
         return replace(summary, warning=source.bag.note or None)
 
@@ -112,13 +114,14 @@ def export_frames(
         exporters = plan.exporters(pipeline, temporary)
         products = frozenset().union(*(each.products for each in exporters))
         pipeline.prepare(products)  # set-up is not part of the first frame's time
+        zero = zero_of(source, pipeline) if "estimate" in stages(products) else None
         for done, index in enumerate(chosen, 1):
-            result = pipeline.process(source[index], products, options)
+            frame = source[index] if zero is None else zero.applied(source[index])
+            result = pipeline.process(frame, products, options)
             for each in exporters:
                 each.add(result)
             progress("exporting", done / len(chosen))
         for each in exporters:
             each.finish()
         files = len(list(temporary.iterdir())) if plan.is_folder else 1
-    stages = dict(pipeline.counts)
-    return ExportSummary(str(plan.out), plan.kinds, len(chosen), files, stages)
+    return ExportSummary(str(plan.out), plan.kinds, len(chosen), files, dict(pipeline.counts))

@@ -94,6 +94,7 @@ def pose_recording(
     init: str | None = None,
     unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
+    friction: float | None = None,
     frames: str | None = None,
     object_patch: bool = False,
 ) -> PoseSummary:
@@ -110,6 +111,8 @@ def pose_recording(
         Unit of the object's file.
     solver : str, optional
         Of the inverse problem.
+    friction : float, optional
+        Coefficient of friction to expect of contacts.
     frames : str, optional
         As in `parse_frames`.
     object_patch : bool, optional
@@ -126,7 +129,7 @@ def pose_recording(
     with Recording(recording) as source:
         sensor_name, sensor = fitting_sensor(source, sensor_name)
         chosen = parse_frames(frames, len(source), str(source.path))
-        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver))
+        pipeline = Pipeline.of(sensor, source.intrinsics, EstimatorOptions.named(solver, friction))
         pipeline.follow(obj, start)
         rows = _follow(source, chosen, pipeline, out, object_patch=object_patch)
         warning = source.bag.note or None

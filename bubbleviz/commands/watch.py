@@ -220,7 +220,7 @@ class Watcher:
         first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
         if first is None:
             raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
-        pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver))
+        pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver, friction))
         pipeline.prepare(PRODUCTS)
         pipeline.follow(obj, start)
         known = PressureZero(pipeline.model.gas.P0) if zero else None

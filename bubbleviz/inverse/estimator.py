@@ -92,14 +92,19 @@ class EstimatorOptions:
     friction: float = FRICTION
 
     @classmethod
-    def named(cls, name: str | None) -> EstimatorOptions:
-        """Options of a `--solver` name: `fast`, a solver's own, or None for the default."""
+    def named(cls, name: str | None, friction: float | None = None) -> EstimatorOptions:
+        """Options of a `--solver` name, and of a `--friction` in place of the default.
+
+        The name is `fast`, a solver's own, or None for the default.
+        """
+        mu = FRICTION if friction is None else friction
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
-            return cls(LINEAR, relinearisations=1, nodes=400, fine_contact=False)
+            return cls(LINEAR, relinearisations=1, nodes=400, fine_contact=False, friction=mu)
         if name in BASE_MESH:
-            return cls(BASE_MESH[name], fine_contact=False)
-        return cls(LINEAR if name == "active-set" else name)  # its name up to version 0.1
+            return cls(BASE_MESH[name], fine_contact=False, friction=mu)
+        # active-set: its name up to version 0.1
+        return cls(LINEAR if name == "active-set" else name, friction=mu)
 
 
 @dataclass(frozen=True)

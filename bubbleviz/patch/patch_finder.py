@@ -65,7 +65,11 @@ class PatchFinder:
         if kappa is None and estimate.fine is not None:
             patch = self._on_finer(estimate, estimate.fine)
             if patch.area_m2 > 0.0:
-                return patch
+                return self._with_wrench(patch, estimate)
+        return self._with_wrench(self._drawn(estimate, kappa), estimate)
+
+    def _drawn(self, estimate: Estimate, kappa: float | None) -> Patch:
+        """The patch without its force."""
         mesh, pressure = self._mesh, estimate.contact_pressure_pa
         change = estimate.gas_pressure_change_pa
         gas = self._held + (0.0 if isnan(change) else change)
@@ -87,7 +91,7 @@ class PatchFinder:
         return Patch(
             threshold_pa=threshold,
             level=level,
-            force_n=nodal_force(mesh, estimate).sum(axis=0),
+            force_n=np.full(3, np.nan),
             center_of_pressure_m=center,
             area_m2=area_m2,
             edge_half_width_m=band,
@@ -99,10 +103,20 @@ class PatchFinder:
         finder = PatchFinder(
             fine.mesh, self._held, fine.resolution_m, 0.5 * self._edge.edge_length_m
         )
-        patch = finder.find(fine.estimate(estimate))
+        patch = finder._drawn(fine.estimate(estimate), None)
         level = fine.on_whole(patch.level, len(self._mesh.nodes))
-        force = nodal_force(self._mesh, estimate).sum(axis=0)
-        return replace(patch, level=level, fine_level=patch.level, force_n=force)
+        return replace(patch, level=level, fine_level=patch.level)
+
+    def _with_wrench(self, patch: Patch, estimate: Estimate) -> Patch:
+        force = nodal_force(self._mesh, estimate)
+        arm = self._mesh.deformed(estimate.motion_m) - patch.center_of_pressure_m
+        friction = np.full((1, 3), np.nan) if estimate.friction_n is None else estimate.friction_n
+        return replace(
+            patch,
+            force_n=force.sum(axis=0),
+            tangential_force_n=friction.sum(axis=0),
+            torque_nm=np.cross(arm, force).sum(axis=0),
+        )
 
     def _contacts(
         self, estimate: Estimate, gas_pa: float, blur_m: float

@@ -45,7 +45,11 @@ class PassingTexture:
         preset: FlowPreset = "fast",
     ) -> None:
         self.words = ""
-        self._pipeline, self._options, self._preset = pipeline, TractionOptions(friction), preset
+        self._pipeline, self._options, self._preset = (
+            pipeline,
+            TractionOptions(friction or None),
+            preset,
+        )
         self._images: dict[int, np.ndarray] | None = {}  # while they are collected
         self._recent: dict[int, np.ndarray] = {}  # colour may show a contact before depth
         pipeline.watch_texture(None, options=self._options)

@@ -61,7 +61,7 @@ def watch_recorded_texture(
 
     if recording.colour is None:
         raise InputError(f"{recording.path}: has no colour images; leave out --shear")
-    options = TractionOptions(friction)
+    options = TractionOptions(friction or None)
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
     texture = recorded_texture(recording, preset, pipeline.model.sensor.camera.colour_delay_s)
     texture.watched_by(pipeline, camera, options)

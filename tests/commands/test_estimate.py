@@ -95,6 +95,7 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
         "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
         "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
+        "normal_force_n": (frames, 3), "tangential_force_n": (frames, 3), "torque_nm": (frames, 3),
         "patch_area_interval_m2": (frames, 2), "kappa": (frames,),
         "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip

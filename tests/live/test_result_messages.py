@@ -91,9 +91,11 @@ def test_patch_and_force_are_what_was_estimated(pipeline: Pipeline, pressed: Res
     force = stamped.wrench.force  # type: ignore[attr-defined]
     np.testing.assert_array_equal([force.x, force.y, force.z], patch.force_n)
     torque = stamped.wrench.torque  # type: ignore[attr-defined]
-    np.testing.assert_allclose(
-        [torque.x, torque.y, torque.z], np.cross(patch.center_of_pressure_m, patch.force_n)
-    )
+    # The moment of the pressure on the linear membrane, about the origin of B
+    mesh = pipeline.mesh
+    nodal = -(mesh.areas * estimate.contact_pressure_pa)[:, None] * mesh.normals
+    moment = np.cross(mesh.deformed(estimate.displacement_m), nodal).sum(axis=0)
+    np.testing.assert_allclose([torque.x, torque.y, torque.z], moment, atol=1e-12)
     for message in found.values():
         stamp = message.header.stamp  # type: ignore[attr-defined]
         assert (stamp.sec, stamp.nanosec) == (1_790_000_000, 123_456_789)

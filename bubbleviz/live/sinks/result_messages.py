@@ -122,7 +122,9 @@ class ResultMessages:
 def _wrench(patch: Patch) -> np.ndarray:
     """Force of the patch and its torque about B's origin, (6,); zero without contact."""
     center = patch.center_of_pressure_m
-    torque = np.cross(center, patch.force_n) if np.isfinite(center).all() else np.zeros(3)
+    torque = np.zeros(3)
+    if np.isfinite(center).all():
+        torque = patch.torque_nm + np.cross(center, patch.force_n)
     return np.concatenate([patch.force_n, torque])
 
 
