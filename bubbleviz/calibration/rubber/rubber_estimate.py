@@ -11,7 +11,7 @@ import numpy as np
 from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.rubber.press_fit import HeldPress
-from bubbleviz.calibration.rubber.rubber_fit import RubberFit, fit_rubber
+from bubbleviz.calibration.rubber.rubber_fit import LARGEST_Q, SMALLEST_Q, RubberFit, fit_rubber
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.tension.tension_estimate import Quantity, TensionEstimate
 from bubbleviz.errors import InputError, SolveError
@@ -198,21 +198,30 @@ def _weighed(fit: RubberFit, by_file: Quantity, known: RubberEstimate) -> Rubber
     if found.contradicts_file:
         sigma = max(sigma, *(abs(each.value - gauge) / HALF_95 for each in (by_shapes, by_file)))
     found = replace(found, gauge=Quantity.normal(gauge, sigma))
-    return _judged(fit.under(gauge, sigma), found, known)
+    return _judged(fit, found, known)
 
 
 def _judged(fit: RubberFit, found: RubberEstimate, before: RubberEstimate) -> RubberEstimate:
-    """What was found with its λ, or what was known before and why nothing was found."""
-    q = Quantity.of(fit.q, fit.q_errors)
+    """What was found with its λ, or what was known before and why nothing was found.
+
+    Whether λ is determined is asked at the gauge pressure that was found; its interval then holds
+    that one's deviation, as far as there is rubber.
+    """
     if fit.rms_m > _UNEXPLAINED * fit.change_rms_m:
         why = (
             f"rubber of this shape misses by {1e3 * fit.rms_m:.2g} mm what changes by"
             f" {1e3 * fit.change_rms_m:.2g} mm"
         )
         return replace(before, fit=fit, why_not=why)
+    held = fit
+    if found.both is not None and (gauge := found.gauge) is not None:
+        held, fit = fit.under(gauge.value, 0.0), fit.under(gauge.value, gauge.sigma)
+    q = Quantity.of(held.q, held.q_errors)
     if not 0.0 < q.low <= q.high < 1.0:
         what = "press is too shallow" if found.press else "levels differ too little"
         why = f"the {what}, or constant tension explains as much"
         return replace(found, fit=fit, why_not=why)
-    prestretch = Quantity(*(x ** (-1.0 / 6.0) for x in (q.value, q.high, q.low)))
+    wide = Quantity.of(fit.q, fit.q_errors)
+    low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
+    prestretch = Quantity(*(x ** (-1.0 / 6.0) for x in (q.value, high, low)))
     return replace(found, fit=fit, prestretch=prestretch)
