@@ -39,8 +39,9 @@ SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which is as good as constant tension, to 1.005."""
 LEAST_RISE = 0.01
 """Change of the gauge pressure, over itself, below which a level says nothing."""
-_STARTS = (0.35, 0.05)
-"""λ of 1.19 to begin with; where that cannot hold the levels, 1.65."""
+_STARTS = (0.35, 0.7, 0.05)
+"""λ of 1.19 to begin with; 1.06 and 1.65 where that cannot hold the levels, or slides down to
+constant tension, as it may from a gauge pressure that is far too low."""
 _STEPS = 12
 _SMALL = 1e-4
 STEP_OF_Q = 1e-3
@@ -321,10 +322,14 @@ class _Fit:
         return np.where(steady, statistics.range_m, np.nan).ravel()[self._pixels]
 
     def solve(self, gauge_pa: float, free: tuple[bool, bool]) -> _State:
+        slid: _State | None = None
         for q in _STARTS:
             state = self._descend(q, gauge_pa, free)
-            if state is not None:
+            if state is not None and state.q > SMALLEST_Q:
                 return state
+            slid = slid or state
+        if slid is not None:
+            return slid
         raise InputError(
             f"{self._base.source_name}: the levels' pressures are beyond what rubber of this shape"
             " holds; check the gas pressures and the atmospheric pressure"
