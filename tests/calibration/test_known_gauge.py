@@ -123,6 +123,29 @@ def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
     assert f"{levels.value:.0f} Pa" in said and "2000 Pa" in said and "(--vented)" in said
 
 
+def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
+    """Of an oval dome; the fit must not slide down to constant tension at 44 kPa."""
+    oval = InflatedRubber.moulded_dome((0.0557, 0.0396), 0.0235, 330.0, 1.0001, GAUGE_PA)
+    rest, low, high = (
+        render(
+            "oval",
+            SMALL,
+            at_rest(oval.shape(share * GAUGE_PA).nodes, FRAMES),
+            oval.rest.triangles,
+            share * GAUGE_PA,
+            seed=k,
+        )
+        for k, share in enumerate((1.0, 0.85, 1.15), 1)
+    )
+    sensor = told(atmospheric_pressure_pa=ATMOSPHERE_PA + 1500.0)
+    found = identify(rest, sensor, range(FRAMES), nodes=NODES)
+    levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
+    rubber = with_rubber(found, levels).rubber
+    assert rubber.both[0].low < GAUGE_PA < rubber.both[0].high
+    assert rubber.gauge.low < GAUGE_PA < rubber.gauge.high
+    assert rubber.gauge.low > 0.0 and rubber.gauge.high < 2.0 * GAUGE_PA
+
+
 def test_force_of_presses_after_levels(tmp_path):
     """From levels to force: right where the gauge pressure is known, else within its interval."""
     dome = rubber_truth("dome_ball")
