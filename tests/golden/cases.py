@@ -1,0 +1,68 @@
+"""Answers that must not change while code only moves: `python -m tests.golden.cases` writes them.
+
+Status, force, area and pose of the real press and of three simulated ones. On the processor and
+with the libraries that they were made with, they are equal to the last digit.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+from threadpoolctl import threadpool_info
+
+import bubbleviz as bv
+
+FILE = Path(__file__).parent / "golden.json"
+PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
+SIMULATED = {
+    "ball": ("punyo_oval_d405", "sphere", "0.004 0.002 0.025 0 0 0 1", {"noise_sigma_m": 1e-4}),
+    "cylinder": ("pico_flexx_75mm", "cylinder", "0 0 0.042 0 0 0 1", {"noise_relative": 0.003}),
+    "dragged": ("punyo_oval_d405", "sphere", "0 0 0.025 0 0 0 1", {"friction": 0.8, "drag_m": 2e-3}),
+}
+
+
+def made_with() -> str:
+    """Processor and libraries, on which the last digits depend."""
+    kernels = sorted({str(pool.get("architecture")) for pool in threadpool_info()})
+    return " ".join([platform.machine(), *kernels, np.__version__, scipy.__version__])
+
+
+def real_press() -> list[dict[str, Any]]:
+    """Rows of the real press, frames 0 to 89 played."""
+    return _rows(bv.estimate(bv.open(PRESS)[:90], "punyo_oval_d405"))
+
+
+def simulated(name: str) -> list[dict[str, Any]]:
+    """Rows of a simulated press; the cylinder's have its pose."""
+    sensor, obj, pose, options = SIMULATED[name]
+    frames = 10 if "drag_m" in options else 4
+    press = bv.simulate(sensor, obj, pose, frames=frames, seed=1, **options)
+    if name == "cylinder":
+        return _rows(bv.track(press, obj, sensor, init=pose))
+    return _rows(bv.estimate(press, sensor))
+
+
+def _rows(run: Any) -> list[dict[str, Any]]:
+    rows = []
+    for each in run:
+        row = {"status": each.status, "force_n": each.force_n.tolist()}
+        row["area_m2"] = float(each.result.patch.area_m2)
+        if each.result.pose is not None:
+            row["T_B_O"] = each.result.pose.T_B_O.tolist()
+        rows.append(row)
+    return rows
+
+
+def main() -> None:
+    answers = {name: simulated(name) for name in SIMULATED}
+    golden = {"made_with": made_with(), "real": real_press(), **answers}
+    FILE.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""Answers of the real press and three simulated ones are those of `golden.json`."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.golden.cases import FILE, PRESS, SIMULATED, made_with, real_press, simulated
+
+GOLDEN = json.loads(FILE.read_text(encoding="utf-8"))
+
+
+def compare(rows, golden):
+    """Exactly where the last digits are the same arithmetic, else closely."""
+    exact = made_with() == GOLDEN["made_with"]
+    assert [row["status"] for row in rows] == [row["status"] for row in golden]
+    for row, known in zip(rows, golden, strict=True):
+        assert row.keys() == known.keys()
+        for key in row.keys() - {"status"}:
+            if exact:
+                np.testing.assert_array_equal(row[key], known[key])
+            else:
+                np.testing.assert_allclose(row[key], known[key], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_a_simulated_press(name):
+    compare(simulated(name), GOLDEN[name])
+
+
+def test_the_real_press():
+    if not PRESS.is_dir():
+        pytest.skip("punyo_press_a is not on this machine")
+    compare(real_press(), GOLDEN["real"])
