@@ -14,7 +14,8 @@ from bubbleviz.membrane.mesh_graph import connected_parts
 
 FRICTION = 1.0
 """Standard deviation of the amplitudes: dry latex on common materials has coefficients of friction
-between 0.5 and 1.5. Half of it gives the same forces to 0.3 %."""
+between 0.5 and 1.5. On rubber dragged and twisted by another solver, half and twice of it change
+the force by 0.2 % in the median and 2.4 % at most at 1 % of depth noise."""
 
 _LEAST_SHARE = 0.25
 """Share of the load from which a contact has amplitudes of its own. While the real press is being

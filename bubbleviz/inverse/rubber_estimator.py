@@ -30,9 +30,10 @@ from bubbleviz.result import Estimate, Status
 class RubberEstimator:
     """Solves the inverse problem of the exact membrane frame by frame, each started from the last.
 
-    Contact presses along the current normals on the support that an L1 term finds; everywhere else
-    the membrane is in equilibrium by construction. A connected part of the support that nowhere
-    reaches the gas pressure is no contact: what lies on something flat or convex carries that.
+    Contact presses along the current normals on the support that an L1 term finds, and drags along
+    the membrane as `friction_loads` says; everywhere else the membrane is in equilibrium by
+    construction. A connected part of the support that nowhere reaches the gas pressure is no
+    contact: what lies on something flat or convex carries that. Nor is one without `evident` load.
 
     Parameters
     ----------

@@ -22,7 +22,12 @@ PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
 SIMULATED = {
     "ball": ("punyo_oval_d405", "sphere", "0.004 0.002 0.025 0 0 0 1", {"noise_sigma_m": 1e-4}),
     "cylinder": ("pico_flexx_75mm", "cylinder", "0 0 0.042 0 0 0 1", {"noise_relative": 0.003}),
-    "dragged": ("punyo_oval_d405", "sphere", "0 0 0.025 0 0 0 1", {"friction": 0.8, "drag_m": 2e-3}),
+    "dragged": (
+        "punyo_oval_d405",
+        "sphere",
+        "0 0 0.025 0 0 0 1",
+        {"friction": 0.8, "drag_m": 2e-3},
+    ),
 }
 
 
