@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.window.__main__ import bench
 from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.frames.frame import Frame
@@ -56,7 +57,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_every_command_has_help() -> None:
     names = main.list_commands(click.Context(main))
-    assert {"bench", "open", "window"} < set(names)
+    assert {"open", "window"} < set(names)
     for name in names:
         done = CliRunner().invoke(main, [name, "--help"])
         assert done.exit_code == 0
@@ -86,7 +87,7 @@ def test_the_windows_commands_have_help_without_qt() -> None:
 INSTALL = '[window]"'
 
 
-@pytest.mark.parametrize("words", [[], ["open", "x.mcap"], ["bench", "window", "--synthetic"]])
+@pytest.mark.parametrize("words", [[], ["open", "x.mcap"]])
 def test_without_the_window_one_line_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, words: list[str]
 ) -> None:
@@ -101,7 +102,7 @@ def test_without_the_window_one_line_says_what_to_install(
 def test_without_a_library_of_the_window_one_line_says_what_to_install(library: str) -> None:
     code = (
         f"import sys; sys.modules[{library!r}] = None\n"
-        "from bubbleviz.cli.command_line import main; main(['bench', 'window', '--synthetic'])"
+        "from bubbleviz.cli.command_line import main; main(['--fresh'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
@@ -193,8 +194,8 @@ def pico_recording(tmp_path: Path) -> Path:
 @pytest.fixture
 def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ...]]]:
     """What the commands ask of the window and its benchmark, in place of doing it."""
+    import benchmarks.window.replay_rate
     import bubbleviz_ui.app
-    import bubbleviz_ui.bench.replay_rate
 
     asked: list[tuple[str, tuple[object, ...]]] = []
 
@@ -211,7 +212,7 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
     monkeypatch.setattr(bubbleviz_ui.app, "run_window", record("window", 0))
     monkeypatch.setattr(bubbleviz_ui.app, "screenshot", record("screenshot", None))
     measured = {"median_fps": 31.25, "solve_ms": float("nan")}
-    monkeypatch.setattr(bubbleviz_ui.bench.replay_rate, "replay_fps", record("bench", measured))
+    monkeypatch.setattr(benchmarks.window.replay_rate, "replay_fps", record("bench", measured))
     return asked
 
 
@@ -317,10 +318,10 @@ def test_screenshot_onto_an_existing_file_is_refused_at_once(
 
 
 def test_bench_window(windows: Asked, pico_recording: Path) -> None:
-    words = ["bench", "window", str(pico_recording), "--seconds", "2", "--json"]
-    done = CliRunner().invoke(main, words)
+    words = ["window", str(pico_recording), "--seconds", "2", "--json"]
+    done = CliRunner().invoke(bench, words)
     assert json.loads(done.stdout) == {"median_fps": 31.25, "solve_ms": None}
-    done = CliRunner().invoke(main, ["bench", "window", "--synthetic"])
+    done = CliRunner().invoke(bench, ["window", "--synthetic"])
     assert "31.25" in done.stdout
     name = "soft-bubble pico flexx"
     assert windows == [("bench", (name, pico_recording, 2.0)), ("bench", (name, None, 8.0))]
@@ -329,11 +330,24 @@ def test_bench_window(windows: Asked, pico_recording: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["bench"], "Missing command; see bubbleviz bench --help"),
+        ([], "Missing command"),
+        (["window"], "either REC or --synthetic"),
+        (["window", "x.mcap", "--synthetic"], "either REC or --synthetic"),
+        (["window", "--synthetic", "--seconds", "0"], "--seconds"),
+    ],
+)
+def test_wrong_usage_of_the_benchmark(windows: Asked, words: list[str], told: str) -> None:
+    done = CliRunner().invoke(bench, words)
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert told in done.stderr
+    assert not windows
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["bench", "window", "x.mcap"], "python -m benchmarks.window in a checkout"),
         (["study"], "Missing command; see bubbleviz study --help"),
-        (["bench", "window"], "either REC or --synthetic"),
-        (["bench", "window", "x.mcap", "--synthetic"], "either REC or --synthetic"),
-        (["bench", "window", "--synthetic", "--seconds", "0"], "--seconds"),
         (["open", "x.mcap", "--frame", "-1"], "--frame"),
     ],
 )

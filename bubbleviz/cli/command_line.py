@@ -24,7 +24,9 @@ from bubbleviz.wording import how_to_install
 
 WINDOW_GROUP = "bubbleviz.commands"
 """Entry points of the commands that the window brings."""
-WINDOW_COMMANDS = ("bench", "open", "window")
+WINDOW_COMMANDS = ("open", "window")
+MOVED = {"bench": "python -m benchmarks.window"}
+"""Commands of version 0.2 that a checkout has, and what does their work there."""
 WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
 INSTALL = f"is not installed; run {how_to_install('window')}"
 
@@ -97,10 +99,12 @@ class AllCommands(OneLineErrors):
         Raises
         ------
         InputError
-            It is a command of the window, which is not installed.
+            It is a command of the window, which is not installed, or one that is elsewhere now.
         """
         if name in self.commands:
             return self.commands[name]
+        if name in MOVED:
+            raise InputError(f"{name} is no command since version 0.3: {MOVED[name]} in a checkout")
         for entry in entry_points(group=WINDOW_GROUP, name=name):
             command: click.Command = entry.load()
             return command

@@ -13,12 +13,12 @@ import ros2_without_ros
 from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
+from benchmarks.window.live_soak import free_port
 from bubbleviz.api.connecting import Stream
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz_ui.bench.live_soak import free_port
 
 WRENCH = "/bubbleviz/contact_wrench"
 DEEPER = (0.060, 0.060, 0.048, 0.046, 0.044, 0.043, 0.042, 0.041, 0.040)

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,32 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from notebooks import TUTORIALS
-from pages import FENCE, KINDS, NEEDS, PAGES, Command, blocks, local_links, name_of
+from pages import FENCE, KINDS, NEEDS, PAGES, REPOSITORY, Command, blocks, local_links, name_of
 from small_press import small_source, write_press, write_small_sensor
 
+from benchmarks.window.__main__ import bench
+from benchmarks.window.live_soak import free_port
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz_ui.bench.live_soak import free_port
 from tests.frames.bagmaker import BagMaker, fill
 
 CAPITALS = re.compile(r"\b(REC|S|FOLDER|PORT)\b")
 """What the reader puts in, in commands."""
-BUBBLEVIZ = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
+PROGRAMS: dict[tuple[str, ...], click.Group] = {
+    ("bubbleviz",): main,
+    ("python", "-m", "benchmarks.window"): bench,
+}
+"""What the commands of the pages begin with."""
+
+
+def program_of(command: Command) -> tuple[click.Group, list[str]] | None:
+    """The program of a command, and what it is given; None where it is none of ours."""
+    words = [Path(command.words[0]).name, *command.words[1:]]
+    for start, group in PROGRAMS.items():
+        if tuple(words[: len(start)]) == start:
+            return group, words[len(start) :]
+    return None
 
 
 def pages_with(*kinds: str) -> list[Path]:
@@ -57,7 +72,8 @@ def test_blocks_of_a_page_run(page: Path, folder: Path) -> None:
         for command in block.commands():
             data = [word for word in command.words if word.startswith("../shared/")]
             if all((folder / path).exists() for path in data):
-                run(command.place, command.words if "TEST_ALL" in os.environ else fewer(command))
+                full = "TEST_ALL" in os.environ
+                run(command if full else replace(command, words=fewer(command)))
 
 
 def fewer(command: Command) -> list[str]:
@@ -68,11 +84,12 @@ def fewer(command: Command) -> list[str]:
     return [*words, "--frames", "78:82"] if real else words
 
 
-def run(place: str, words: list[str]) -> None:
+def run(command: Command) -> None:
     """Run a command of ours."""
-    assert words[0] == "bubbleviz", f"{place}: mark what this needs"
-    done = CliRunner().invoke(main, words[1:], catch_exceptions=False)
-    assert done.exit_code == 0, f"{place}: {' '.join(words)}\n{done.output}"
+    ours = program_of(command)
+    assert ours is not None, f"{command.place}: mark what this needs"
+    done = CliRunner().invoke(*ours, catch_exceptions=False)
+    assert done.exit_code == 0, f"{command.place}: {' '.join(command.words)}\n{done.output}"
 
 
 def made(folder: Path) -> dict[str, str]:
@@ -104,7 +121,8 @@ def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
     given = made(folder)
     for command in chosen:
         given["PORT"] = str(free_port())
-        run(command.place, [CAPITALS.sub(lambda m: given[m[0]], word) for word in command.words])
+        words = [CAPITALS.sub(lambda m: given[m[0]], word) for word in command.words]
+        run(replace(command, words=words))
 
 
 SHORT = {"--minutes": "0.1"}
@@ -132,18 +150,21 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_commands_that_open_the_window(command: Command, folder: Path, simulated: Path) -> None:
     """What would stay open writes a picture and ends; measurements are cut short."""
     shutil.copytree(simulated, folder, dirs_exist_ok=True)
-    words = ["press.mcap" if word == "REC" else word for word in command.words[1:]]
+    ours = program_of(command)
+    assert ours is not None
+    words = ["press.mcap" if word == "REC" else word for word in ours[1]]
     words = [SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)]
     if words[:1] == ["open"] and not {"--screenshot", "--session"} & {*words}:
         words = [*words, "--screenshot", "a.png"]
     display = {} if words else {"DISPLAY": ""}  # without one, pictures of the example are written
     stays = "--session" in words  # a live source has no picture: it is interrupted
+    code = f"from {ours[0].callback.__module__} import {ours[0].name} as main; main()"
     process = subprocess.Popen(
-        [*BUBBLEVIZ, *words],
+        [sys.executable, "-c", code, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        env={**os.environ, **display},
+        env={**os.environ, **display, "PYTHONPATH": str(REPOSITORY)},
     )
     try:
         said, _ = process.communicate(timeout=20.0 if stays else 240.0)
@@ -157,14 +178,14 @@ def test_commands_that_open_the_window(command: Command, folder: Path, simulated
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_command_exists_with_its_options(page: Path) -> None:
     for command in (c for block in blocks(page, "sh", "console") for c in block.commands()):
-        program, *words = command.words
-        if Path(program).name != "bubbleviz":
+        ours = program_of(command)
+        if ours is None:
             assert command.needs, f"{command.place}: only commands of ours run"
             continue
         try:
-            parse(main, words)
+            parse(*ours)
         except click.UsageError as error:
-            pytest.fail(f"{command.place}: {' '.join(words)}: {error.format_message()}")
+            pytest.fail(f"{command.place}: {' '.join(command.words)}: {error.format_message()}")
 
 
 def parse(command: click.Command, words: list[str], parent: click.Context | None = None) -> None:

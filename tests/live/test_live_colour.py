@@ -16,6 +16,7 @@ from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, 
 from wire import image as wire_image
 from zenoh import ext
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.colour.static_poses import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
@@ -29,7 +30,6 @@ from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor, with_colour_delay
-from bubbleviz_ui.bench.live_soak import free_port
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
 

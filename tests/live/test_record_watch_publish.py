@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from small_press import small_source
 
 import bubbleviz as bv
+from benchmarks.window.live_soak import free_port, sequences, soak
 from bubbleviz.cli.command_line import main
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.commands.info import recording_info
@@ -31,7 +32,6 @@ from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.bench.live_soak import free_port, sequences, soak
 
 Eventually = Callable[[Callable[[], object]], None]
 ENTRY = "from bubbleviz.cli.command_line import main; main()"

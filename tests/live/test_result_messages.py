@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from wire import CLOUD, STORE, WRENCH
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero
 from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.commands.watch import PRODUCTS, Watcher
@@ -32,7 +33,6 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path
-from bubbleviz_ui.bench.live_soak import free_port
 
 Eventually = Callable[[Callable[[], object]], None]
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from wire import STORE
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.live.sinks.result_messages import ResultMessages
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
-from bubbleviz_ui.bench.live_soak import free_port
 from tests.shear.drag import Eyes, stuck
 
 Eventually = Callable[[Callable[[], object]], None]

@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 from robot import KEYS, TOKENS, attachment, open_session
 from wire import HEIGHT, IMAGE, WIDTH, compressed_depth, image, number_of
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
@@ -30,7 +31,6 @@ from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.live.sources.zenoh_credentials import Credentials
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.bench.live_soak import free_port
 
 Eventually = Callable[[Callable[[], object]], None]
 SHORT, FULL = 2, 20

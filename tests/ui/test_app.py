@@ -33,7 +33,7 @@ from pathlib import Path
 from fakes import small_sensor
 from bubbleviz.errors import InputError
 from bubbleviz_ui.app import run_window, screenshot
-from bubbleviz_ui.bench.replay_rate import replay_fps
+from benchmarks.window.replay_rate import replay_fps
 try:
     {what}
 except InputError as error:
@@ -213,7 +213,7 @@ def test_a_recording_that_cannot_be_opened_never_becomes_a_window(tmp_path: Path
 
 @pytest.mark.long
 def test_benchmark_counts_renders() -> None:
-    short = "import bubbleviz_ui.bench.replay_rate as bench; bench.WARM_UP_S = 0.2; "
+    short = "import benchmarks.window.replay_rate as bench; bench.WARM_UP_S = 0.2; "
     done = run(short + "print(sorted(replay_fps(small_sensor(), None, 1.0).items()))")
     assert done.returncode == 0, done.stderr
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout

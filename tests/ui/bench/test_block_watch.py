@@ -7,7 +7,7 @@ import threading
 from PySide6.QtCore import QTimer
 from pytestqt.qtbot import QtBot
 
-from bubbleviz_ui.bench.block_watch import BLOCKED_S, BlockWatch
+from benchmarks.window.block_watch import BLOCKED_S, BlockWatch
 
 
 def test_the_calls_of_a_blocked_thread_are_told(qtbot: QtBot) -> None:

@@ -1,4 +1,4 @@
-"""A short run of the monkey; the long one is `bubbleviz bench monkey`."""
+"""A short run of the monkey; the long one is `python -m benchmarks.window monkey`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PROGRAM = """
 import json, sys
 sys.path.insert(0, {here!r})
 from fakes import small_sensor
-from bubbleviz_ui.bench.monkey import monkey_run
+from benchmarks.window.monkey import monkey_run
 report = monkey_run(small_sensor(), None, {seconds}, seed={seed}, memory=False)
 print(json.dumps([report.actions, report.problems]))
 """

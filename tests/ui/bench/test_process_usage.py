@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 
-from bubbleviz_ui.bench.process_usage import process_seconds, thread_seconds
+from benchmarks.window.process_usage import process_seconds, thread_seconds
 
 ENOUGH_S = 0.05
 

@@ -18,7 +18,7 @@ from bubbleviz_ui.model.source_facts import SourceFacts
 REST_MS = 20
 PROGRAM = """
 import numpy as np
-from bubbleviz_ui.bench.process_usage import resident_mib
+from benchmarks.window.process_usage import resident_mib
 from bubbleviz_ui.engine.memory_release import release_memory
 
 before = resident_mib()

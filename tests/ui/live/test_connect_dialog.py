@@ -10,10 +10,10 @@ from live_bench import Open, record_dents, robot, sensor_file
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialogButtonBox, QFileDialog, QLabel
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.live.sources.zenoh_credentials import Credentials
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
-from bubbleviz_ui.bench.live_soak import free_port
 from tests.frames.bagmaker import BagMaker, fill
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from live_bench import IMAGE, Open, connected, contents, record_dents, robot, sensor_file
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.live.source_status import STALE_AFTER_S
-from bubbleviz_ui.bench.live_soak import free_port
 from bubbleviz_ui.engine.request_slots import RequestDelay
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
@@ -62,7 +62,7 @@ def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path
 
 
 def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None:
-    """Once or three times; `bubbleviz bench restarts` does it twenty times and measures."""
+    """Once or three times; `python -m benchmarks.window restarts` does it twenty times."""
     bench = open_bench()
     port, name = free_port(), sensor_file(bench.folder)
     with robot(port):

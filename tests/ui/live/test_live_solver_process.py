@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from live_bench import SYNTHETIC, Bench, Open, robot, sensor_file, two
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.calibration.pressure_zero import PressureZero
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.bench.live_soak import free_port
 from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.live.connection import single

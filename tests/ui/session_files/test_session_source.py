@@ -18,12 +18,12 @@ from live_bench import sensor_file
 from PySide6.QtCore import Qt
 from window_driver import Driver
 
+from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz.study.object_shapes import ply_bytes
-from bubbleviz_ui.bench.live_soak import free_port
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (

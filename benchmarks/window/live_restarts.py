@@ -1,4 +1,4 @@
-"""The work of `bubbleviz bench restarts`: a publisher that dies and comes back."""
+"""A publisher that dies and comes back."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
+from benchmarks.window.bench_window import live_window, recorded_run
+from benchmarks.window.live_soak import Publisher, depth_images
+from benchmarks.window.replay_rate import run_for
 from bubbleviz.commands.summary import Summary
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz_ui.bench.bench_window import live_window, recorded_run
-from bubbleviz_ui.bench.live_soak import Publisher, depth_images
-from bubbleviz_ui.bench.replay_rate import run_for
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.window_session import WindowSession
 
 
 @dataclass(frozen=True)
 class RestartReport(Summary):
-    """What `bench restarts` saw.
+    """What `restarts` saw.
 
     Attributes
     ----------

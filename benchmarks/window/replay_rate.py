@@ -11,8 +11,8 @@ from statistics import median, quantiles
 
 from PySide6.QtCore import QEventLoop, Qt, QTimer
 
+from benchmarks.window.bench_window import SIZE, bench_window
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.bench.bench_window import SIZE, bench_window
 from bubbleviz_ui.window_session import WindowSession
 
 WARM_UP_S = 2.0  # s that are not counted

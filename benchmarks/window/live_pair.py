@@ -1,4 +1,4 @@
-"""The work of `bubbleviz bench pair`: two cameras over Zenoh into one window that records them.
+"""Two cameras over Zenoh into one window that records them.
 
 Their images are simulated and encoded before the first is sent, and replayed: what sending them
 costs is told apart from the window.
@@ -15,14 +15,14 @@ from multiprocessing import active_children
 from pathlib import Path
 from statistics import quantiles
 
+from benchmarks.window.bench_window import live_window, recorded_run
+from benchmarks.window.live_soak import Publisher, gaps_in, resized_file, sequences
+from benchmarks.window.process_usage import process_seconds, resident_bytes, thread_seconds
+from benchmarks.window.replay_rate import beats, run_for
 from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.bench.bench_window import live_window, recorded_run
-from bubbleviz_ui.bench.live_soak import Publisher, gaps_in, resized_file, sequences
-from bubbleviz_ui.bench.process_usage import process_seconds, resident_bytes, thread_seconds
-from bubbleviz_ui.bench.replay_rate import beats, run_for
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession
 
@@ -33,7 +33,7 @@ SHARE_SHOWN = 0.002
 
 @dataclass(frozen=True)
 class PairReport(Summary):
-    """What `bench pair` measured.
+    """What `pair` measured.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ def _count_pair(
         run_for(seconds)
     after, ages = _Counts.now(session, run, publishers), session.window.picture_age.report()
     if ages is None:
-        raise InputError("bench pair: no picture was drawn")
+        raise InputError("no picture was drawn")
     live.close()
     counts = [sequences(path, f"/{place.name}") for place in run.preset.sensors]
     gaps = [gaps_in(count) for count in counts]

@@ -1,4 +1,4 @@
-"""The work of `bubbleviz bench live --window`: the soak with the window open."""
+"""The soak with the window open."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import quantiles
 
-from bubbleviz.commands.summary import Summary
-from bubbleviz.errors import InputError
-from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.bench.bench_window import live_window, recorded_run
-from bubbleviz_ui.bench.live_soak import (
+from benchmarks.window.bench_window import live_window, recorded_run
+from benchmarks.window.live_soak import (
     Measured,
     Publisher,
     SoakReport,
@@ -22,8 +19,11 @@ from bubbleviz_ui.bench.live_soak import (
     report_of,
     resized_file,
 )
-from bubbleviz_ui.bench.process_usage import resident_bytes
-from bubbleviz_ui.bench.replay_rate import beats, run_for
+from benchmarks.window.process_usage import resident_bytes
+from benchmarks.window.replay_rate import beats, run_for
+from bubbleviz.commands.summary import Summary
+from bubbleviz.errors import InputError
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.window_session import WindowSession
 
@@ -32,7 +32,7 @@ STEP_S = 1.0  # s between readings
 
 @dataclass(frozen=True)
 class WindowSoak(Summary):
-    """What `bench live --window` measured.
+    """What `live --window` measured.
 
     Attributes
     ----------
@@ -130,6 +130,6 @@ def _soak(
     drain(stream)
     state = live.recording.state()
     if state is None:
-        raise InputError("bench live: the recording ended early")
+        raise InputError("the recording ended early")
     live.close()
     return Measured(solved, skipped, ages, memory, state.status, sent), pictures_hz

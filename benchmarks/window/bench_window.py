@@ -53,7 +53,7 @@ def recorded_run(session: WindowSession, path: Path) -> LiveRun:
 
     session.wait_for(shown, "connecting")
     if live.run is None:
-        raise InputError("bench live: nothing is connected")
+        raise InputError("nothing is connected")
     live.recording.start(live.run.session.recorder, path)
     session.wait_for(lambda: live.recording.state() is not None, "the recording")
     return live.run

@@ -28,12 +28,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from benchmarks.window.bench_window import bench_window
+from benchmarks.window.block_watch import BlockWatch
+from benchmarks.window.memory_at_rest import Rest
+from benchmarks.window.process_usage import resident_mib
+from benchmarks.window.replay_rate import beats
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.bench.bench_window import bench_window
-from bubbleviz_ui.bench.block_watch import BlockWatch
-from bubbleviz_ui.bench.memory_at_rest import Rest
-from bubbleviz_ui.bench.process_usage import resident_mib
-from bubbleviz_ui.bench.replay_rate import beats
 from bubbleviz_ui.window_session import WindowSession
 
 REST_EVERY_S = 60.0

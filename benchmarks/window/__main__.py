@@ -1,4 +1,4 @@
-"""The commands `bubbleviz bench …`: one thin function each, heavy imports inside."""
+"""`python -m benchmarks.window …`: one thin function a command, heavy imports inside."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bubbleviz.cli.command_line import OneLineErrors
 from bubbleviz.cli.shared_options import report
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
@@ -14,9 +15,9 @@ if TYPE_CHECKING:
     from bubbleviz.sensor import Sensor
 
 
-@click.group()
+@click.group(cls=OneLineErrors)
 def bench() -> None:
-    """Measure how fast this machine is."""
+    """Measure how fast the window is on this machine."""
 
 
 @bench.command("window")
@@ -31,7 +32,7 @@ def bench_window(
     """Replay with membrane and cloud shown, and count the rendered frames."""
     if synthetic == (recording is not None):
         raise click.UsageError("give either REC or --synthetic")
-    from bubbleviz_ui.bench.replay_rate import replay_fps
+    from benchmarks.window.replay_rate import replay_fps
 
     _print_measured(replay_fps(_sensor_for(recording, sensor), recording, seconds), as_json)
 
@@ -43,8 +44,8 @@ def bench_window(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -> None:
     """Time from starting a process to its first picture of a recording."""
+    from benchmarks.window.start_times import start_times
     from bubbleviz.frames.sensor_matching import checked_sensor
-    from bubbleviz_ui.bench.start_times import start_times
 
     checked_sensor(recording, sensor)
     _print_measured(start_times(recording, sensor, runs), as_json)
@@ -57,7 +58,7 @@ def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -> None:
     """Time from a seek anywhere in a recording to the new picture."""
-    from bubbleviz_ui.bench.start_times import seek_times
+    from benchmarks.window.start_times import seek_times
 
     _print_measured(seek_times(_sensor_for(recording, sensor), recording, seeks), as_json)
 
@@ -75,7 +76,7 @@ def bench_monkey(
 
     Memory is compared in runs of a minute and more.
     """
-    from bubbleviz_ui.bench.monkey import REST_EVERY_S, monkey_run
+    from benchmarks.window.monkey import REST_EVERY_S, monkey_run
 
     seconds = 60.0 * minutes
     with_memory = seconds >= REST_EVERY_S
@@ -115,12 +116,12 @@ def bench_live(
     if size is not None and not window:
         raise click.UsageError("--size goes with --window")
     if window:
-        from bubbleviz_ui.bench.window_soak import window_soak
+        from benchmarks.window.window_soak import window_soak
 
         whole = window_soak(sensor, 60.0 * minutes, rate, out, size)
         report(whole, None, as_json=as_json)
         return whole.soak.exit_code
-    from bubbleviz_ui.bench.live_soak import soak
+    from benchmarks.window.live_soak import soak
 
     soaked = soak(sensor, 60.0 * minutes, rate, out)
     report(soaked, None, as_json=as_json)
@@ -137,8 +138,8 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
 
     The window records them meanwhile; exit code 1 when a frame is missing in the file.
     """
+    from benchmarks.window.live_pair import pair_bench
     from bubbleviz.live.session_preset import load_session
-    from bubbleviz_ui.bench.live_pair import pair_bench
 
     measured = pair_bench(load_session(session), seconds, rate)
     report(measured, None, as_json=as_json)
@@ -152,7 +153,7 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
 def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
     """Kill and restart a publisher under a recording window; exit code 1 after a loss."""
-    from bubbleviz_ui.bench.live_restarts import restart_bench
+    from benchmarks.window.live_restarts import restart_bench
 
     seen = restart_bench(sensor, times, seed)
     report(seen, None, as_json=as_json)
@@ -180,3 +181,7 @@ def _print_measured(measured: dict[str, float], as_json: bool) -> None:
         return
     for key, value in measured.items():
         click.echo(f"{key:<16} {value:.4g}")
+
+
+if __name__ == "__main__":
+    bench(prog_name="python -m benchmarks.window")

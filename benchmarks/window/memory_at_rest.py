@@ -9,9 +9,9 @@ import gc
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+from benchmarks.window.process_usage import resident_mib
+from benchmarks.window.replay_rate import run_for
 from bubbleviz.calibration.draft import Step
-from bubbleviz_ui.bench.process_usage import resident_mib
-from bubbleviz_ui.bench.replay_rate import run_for
 from bubbleviz_ui.engine.memory_release import release_memory
 from bubbleviz_ui.shell.dock import Dock
 

@@ -13,16 +13,16 @@ from statistics import median
 import numpy as np
 from PySide6.QtCore import QEventLoop
 
+from benchmarks.window.bench_window import SIZE, bench_window
+from benchmarks.window.first_picture import FIRST
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.bench.bench_window import SIZE, bench_window
-from bubbleviz_ui.bench.first_picture import FIRST
 from bubbleviz_ui.engine.requests import Failed
 from bubbleviz_ui.window_session import WindowSession
 
 CHILD = (
-    "from bubbleviz_ui.bench.first_picture import first_picture; "
+    "from benchmarks.window.first_picture import first_picture; "
     "first_picture({recording!r}, {sensor!r})"
 )
 

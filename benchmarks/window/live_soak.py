@@ -1,4 +1,4 @@
-"""The work of `bubbleviz bench live`: a stream over Zenoh recorded and solved, for minutes.
+"""A stream over Zenoh recorded and solved, for minutes.
 
 The publisher is a process of its own. Every depth image must be in the file, counted by the
 publisher's own sequence; memory must not grow; what is solved must be young.
@@ -20,6 +20,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.records import Message
 
+from benchmarks.window.process_usage import resident_bytes
 from bubbleviz.commands.summary import Summary
 from bubbleviz.commands.watch import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
@@ -29,7 +30,6 @@ from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
-from bubbleviz_ui.bench.process_usage import resident_bytes
 
 WARM_UP_S = 20.0
 """Until then memory may grow: one round of the press, every buffer filled once."""
@@ -38,7 +38,7 @@ _START_S = 60.0  # s until the first frame, at most
 
 @dataclass(frozen=True)
 class SoakReport(Summary):
-    """What `bench live` measured.
+    """What `live` measured.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ def _run(sensor: Sensor, seconds: float, path: Path, publisher: Publisher) -> Me
         with stream:
             first = stream.take(_START_S)
             if first is None:
-                raise InputError(f"bench live: nothing arrived: {stream.status().text}")
+                raise InputError(f"nothing arrived: {stream.status().text}")
             pipeline = Pipeline.of(sensor, first.intrinsics)
             pipeline.prepare(PRODUCTS)
             watcher = Watcher(stream, pipeline, None)
@@ -268,7 +268,7 @@ def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) ->
     ages = np.array(measured.ages_s)
     if not (len(count) and len(ages)):
         raise InputError(
-            f"bench live: {len(count)} images recorded and {len(ages)} solved within "
+            f"{len(count)} images recorded and {len(ages)} solved within "
             f"{seconds:g} s: nothing to report; ask for more --minutes"
         )
     warm_up = min(WARM_UP_S, 0.5 * seconds)

@@ -1,0 +1,1 @@
+"""What measures the window, and what judges methods; not installed."""
