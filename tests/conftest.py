@@ -28,7 +28,16 @@ os.environ["XDG_CONFIG_HOME"] = _SETTINGS.name  # not the user's own session
 os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder there
 
 REPOSITORY = Path(__file__).parents[1]
-LONG = ("study", "calibration", "ui/bench", "ui/calibration", "ui/live", "batch", "live")
+LONG = (
+    "study",
+    "benchmarks",
+    "calibration",
+    "ui/bench",
+    "ui/calibration",
+    "ui/live",
+    "batch",
+    "live",
+)
 """Rooms whose files take longest: they begin first, so that no process ends on one of them.
 
 After them come the other windows, and last the rooms without.

@@ -346,8 +346,10 @@ def test_wrong_usage_of_the_benchmark(windows: Asked, words: list[str], told: st
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["bench", "window", "x.mcap"], "python -m benchmarks.window in a checkout"),
+        (["bench", "window", "x.mcap"], "in a checkout: python -m benchmarks.window"),
         (["study"], "Missing command; see bubbleviz study --help"),
+        (["study", "shear", "--quick"], "in a checkout: python -m benchmarks shear"),
+        (["study", "accuracy", "--edge"], "in a checkout: python -m benchmarks edge"),
         (["open", "x.mcap", "--frame", "-1"], "--frame"),
     ],
 )

@@ -4,29 +4,68 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from bubbleviz.errors import InputError
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:
-    from bubbleviz.commands.study import Findings
     from bubbleviz.simulation.synthetic_source import Model
+    from bubbleviz.study.harness import Study
+
+MOVED = {"identification": "coverage", "shear": "shear", "--edge": "edge", "--stages": "stages"}
+"""Studies of version 0.2 that a checkout has, and their names in `python -m benchmarks`."""
 
 
-@click.group()
+class Studies(click.Group):
+    """Studies; one that is elsewhere now says so."""
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        """Command of a name.
+
+        Raises
+        ------
+        InputError
+            It is elsewhere now.
+        """
+        if name in MOVED:
+            _moved(name)
+        return super().get_command(context, name)
+
+
+def _moved(name: str) -> NoReturn:
+    where = f"python -m benchmarks {MOVED[name]}"
+    raise InputError(f"study {name} is not installed since version 0.3; in a checkout: {where}")
+
+
+def _elsewhere(option: str) -> Callable[..., Any]:
+    """A hidden option that is elsewhere now."""
+
+    def say(_context: click.Context, _option: click.Parameter, given: bool) -> None:
+        if given:
+            _moved(option)
+
+    return click.option(option, is_flag=True, hidden=True, expose_value=False, callback=say)
+
+
+@click.group(cls=Studies)
 def study() -> None:
-    """Measure error against run time, speed, stability, identification, pose and shear."""
+    """Measure error against run time, numerical stability, speed and pose."""
 
 
-_sensor = click.option(
+sensor_option = click.option(
     "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
+)
+seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise."
 )
 
 
-def _common(function: Callable[..., None]) -> Callable[..., None]:
+def report_options(function: Callable[..., None]) -> Callable[..., None]:
     """Options of every study."""
     options = [
         click.option("--out", type=click.Path(path_type=Path), help="Folder for the report."),
@@ -36,12 +75,17 @@ def _common(function: Callable[..., None]) -> Callable[..., None]:
     return functools.reduce(lambda f, option: option(f), reversed(options), function)
 
 
+def run(study: Study, out: Path | None, as_json: bool) -> None:
+    """Run a study, write its report where a folder is given, and print it."""
+    report = study.run(out)
+    click.echo(report.to_json() if as_json else report.to_text())
+
+
 @study.command()
-@_common
-@_sensor
-@click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
+@report_options
+@sensor_option
+@seed_option
 @click.option("--shipped-only", is_flag=True, help="The whole grid, with the shipped default only.")
-@click.option("--edge", is_flag=True, help="Only the edge of the patch, on more objects.")
 @click.option(
     "--model",
     type=click.Choice(("rubber", "linear")),
@@ -49,6 +93,7 @@ def _common(function: Callable[..., None]) -> Callable[..., None]:
     show_default=True,
     help="Membrane that makes the truth: the exact one, or the paper's linear one.",
 )
+@_elsewhere("--edge")
 def accuracy(
     out: Path | None,
     as_json: bool,
@@ -56,107 +101,65 @@ def accuracy(
     sensor: str,
     seed: int,
     shipped_only: bool,
-    edge: bool,
     model: Model,
 ) -> None:
     """Error of force, patch and shape of the exact, the linear and the paper's estimator.
 
-    Over press depth, run time, noise and membranes, of known rubber and of rubber identified from
-    inflation levels. With --out a stopped study goes on where it was.
+    Over press depth, run time, noise and membranes. With --out a stopped study goes on where it
+    was.
     """
-    from bubbleviz.commands.study import study_accuracy, study_edge
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz.study.accuracy import accuracy_study, full_grid, quick_grid
 
-    if edge and (shipped_only or model != "rubber"):
-        raise click.UsageError("--edge has a grid of its own: leave out --shipped-only and --model")
-    if edge:
-        found = study_edge(sensor, out, quick=quick, seed=seed)
-    else:
-        found = study_accuracy(
-            sensor, out, quick=quick, seed=seed, shipped_only=shipped_only, model=model
-        )
-    _print(found, as_json)
+    grid = replace(quick_grid(model) if quick else full_grid(model), seed=seed)
+    if shipped_only:
+        grid = replace(grid, setups=grid.setups[:1])
+    parts = None if out is None else out / "accuracy_parts"
+    run(accuracy_study(load_sensor(sensor), grid, parts), out, as_json)
 
 
 @study.command()
-@_common
-@_sensor
+@report_options
+@sensor_option
 @click.option(
     "--recording",
     type=click.Path(exists=True, path_type=Path),
     help="A real press to measure the exact and the linear membrane on, too.",
 )
-@click.option(
-    "--stages",
-    is_flag=True,
-    help="Only the table of stages, from decoding to export: time, floor and growth.",
-)
+@_elsewhere("--stages")
 def speed(
-    out: Path | None,
-    as_json: bool,
-    quick: bool,
-    sensor: str,
-    recording: Path | None,
-    stages: bool,
+    out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
 ) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
-    from bubbleviz.commands.study import study_speed, study_stages
+    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz.study.speed import contact_runs, full_runs, quick_runs, speed_study
 
-    if stages and recording is not None:
-        raise click.UsageError("--stages measures a simulated press: leave --recording out")
-    if stages:
-        _print(study_stages(sensor, out, quick=quick), as_json)
-        return
-    _print(study_speed(sensor, out, quick=quick, recording=recording), as_json)
+    if recording is not None:
+        checked_sensor(recording, None)
+    runs = quick_runs() if quick else full_runs()
+    runs += contact_runs(recording, frames=6 if quick else 40)
+    run(speed_study(load_sensor(sensor), runs), out, as_json)
 
 
 @study.command()
-@_common
+@report_options
 @click.option("--case", "pattern", default="", help="Only cases with this in their name.")
 def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> None:
     """Stiff and extreme cases: each solved within its tolerance, or refused with a reason."""
-    from bubbleviz.commands.study import study_stability
+    from bubbleviz.study.stability import stability_study
 
-    _print(study_stability(pattern, out, quick=quick), as_json)
-
-
-@study.command()
-@_common
-@click.option(
-    "--seeds", type=click.IntRange(1), help="Identifications of every rubber; 50 by default."
-)
-def identification(out: Path | None, as_json: bool, quick: bool, seeds: int | None) -> None:
-    """Coverage of the truth by the intervals of rubber identified from inflation levels.
-
-    With --out a stopped study goes on where it was.
-    """
-    from bubbleviz.commands.study import study_identification
-
-    _print(study_identification(out, quick=quick, seeds=seeds), as_json)
+    run(stability_study(pattern, quick=quick), out, as_json)
 
 
 @study.command()
-@_common
-@_sensor
-@click.option("--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise.")
+@report_options
+@sensor_option
+@seed_option
 def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
-    """Pose error against run time and other libraries; on rubber pressed by the exact model."""
-    from bubbleviz.commands.study import study_pose
+    """Pose error against run time, on rubber pressed by the exact model."""
+    from bubbleviz.sensor import load_sensor
+    from bubbleviz.study.pose import Grid, pose_study, quick_grid
 
-    _print(study_pose(sensor, out, quick=quick, seed=seed), as_json)
-
-
-@study.command()
-@_common
-@click.option("--seed", type=click.IntRange(0), default=7, help="Seed of the noise.")
-def shear(out: Path | None, as_json: bool, quick: bool, seed: int) -> None:
-    """Error of force, torque and displacement with friction over drag, twist and flow noise.
-
-    Flow is also found in images of a rendered texture, by each preset.
-    """
-    from bubbleviz.commands.study import study_shear
-
-    _print(study_shear(out, quick=quick, seed=seed), as_json)
-
-
-def _print(found: Findings, as_json: bool) -> None:
-    click.echo(found.to_json() if as_json else found.to_text())
+    grid = replace(quick_grid() if quick else Grid(), seed=seed)
+    run(pose_study(load_sensor(sensor), grid), out, as_json)

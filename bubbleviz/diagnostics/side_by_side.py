@@ -9,6 +9,7 @@ import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.diagnostics.frame_numbers import numbers_of
+from bubbleviz.diagnostics.overlap import iou
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.membrane.mesh import MembraneMesh
@@ -16,7 +17,6 @@ from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.truth import Truth
-from bubbleviz.study.error_metrics import iou
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 

@@ -19,12 +19,13 @@ from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.membrane.rubber_model.inflation import Inflation
 from bubbleviz.membrane.rubber_model.prestress import prestressed
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz.study.axial_mesh import swept_mesh
-from bubbleviz.study.inflated_rubber import ATMOSPHERE_PA, InflatedRubber
-from bubbleviz.study.rubber_oracle import AxialRubber
+from bubbleviz.simulation.inflated_rubber import ATMOSPHERE_PA
+from tests.oracles.axial_mesh import swept_mesh
+from tests.oracles.round_sheet import round_sheet
+from tests.oracles.rubber_oracle import AxialRubber
 
 G = 2500.0
-SHEET = InflatedRubber.round_sheet(0.045, 110.0, 1.15, G)
+SHEET = round_sheet(0.045, 110.0, 1.15, G)
 WIDTH, FRAMES, NODES = 80, 10, 500
 
 

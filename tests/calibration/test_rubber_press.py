@@ -21,8 +21,8 @@ from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inve
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.simulation.inflated_rubber import ATMOSPHERE_PA, CAMERA_NOISE
 from bubbleviz.simulation.inflated_sensor import InflatedSensor
-from bubbleviz.study.inflated_rubber import ATMOSPHERE_PA, CAMERA_NOISE
 
 RIM, HEIGHT, G = (0.045, 0.038), 0.022, 4000.0
 STRETCH, MU_H = 1.2, 90.0

@@ -20,6 +20,7 @@ from notebooks import TUTORIALS
 from pages import FENCE, KINDS, NEEDS, PAGES, REPOSITORY, Command, blocks, local_links, name_of
 from small_press import small_source, write_press, write_small_sensor
 
+from benchmarks.__main__ import benchmarks
 from benchmarks.window.__main__ import bench
 from benchmarks.window.live_soak import free_port
 from bubbleviz.cli.command_line import main
@@ -31,6 +32,7 @@ CAPITALS = re.compile(r"\b(REC|S|FOLDER|PORT)\b")
 """What the reader puts in, in commands."""
 PROGRAMS: dict[tuple[str, ...], click.Group] = {
     ("bubbleviz",): main,
+    ("python", "-m", "benchmarks"): benchmarks,
     ("python", "-m", "benchmarks.window"): bench,
 }
 """What the commands of the pages begin with."""

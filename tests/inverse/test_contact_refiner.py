@@ -27,7 +27,7 @@ from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor
-from bubbleviz.study.rubber_oracle import AxialRubber
+from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE, CHAMBER, STRETCH = 0.045, 0.020, 2500.0, 3e-4, 1.2
 RADIUS = (A**2 + H**2) / (2 * H)

@@ -27,7 +27,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
 from bubbleviz.simulation.refined_press import refined_press
-from bubbleviz.study.rubber_oracle import AxialRubber
+from tests.oracles.rubber_oracle import AxialRubber
 
 EVERY = 1 if "TEST_ALL" in os.environ else 2
 """Of like cases and seeds, which one is tried."""

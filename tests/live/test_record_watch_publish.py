@@ -1,4 +1,4 @@
-"""The commands, as processes: record, watch, publish, bench live."""
+"""The commands, as processes: record, watch, publish; a soak."""
 
 from __future__ import annotations
 
@@ -404,7 +404,7 @@ def test_publishing_is_refused_in_one_line() -> None:
 
 
 def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:
-    """Every image in the file, counted by the publisher; `bench live --minutes 10` is the whole."""
+    """Every image in the file, by the publisher's count; `benchmarks.window live` takes longer."""
     out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5
     report = soak(str(small_sensor_file), seconds, 60.0, out)
     assert (report.missing, report.repeated, report.stalls) == (0, 0, 0)

@@ -13,8 +13,8 @@ from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
-from bubbleviz.study.object_shapes import puck
-from bubbleviz.study.rubber_oracle import AxialRubber
+from bubbleviz.simulation.object_shapes import puck
+from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
 TENSION = GAUGE * (A**2 + H**2) / (4 * H)

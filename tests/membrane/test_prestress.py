@@ -22,8 +22,8 @@ from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
-from bubbleviz.study.axial_mesh import swept_mesh
-from bubbleviz.study.rubber_oracle import AxialRubber
+from tests.oracles.axial_mesh import swept_mesh
+from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE = 0.045, 0.020, 2500.0
 BALL = 0.015  # of the preset

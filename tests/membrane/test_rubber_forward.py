@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_bubble import Bubble, axial_contact
 from plate import plate
 
 from bubbleviz.errors import SolveError
@@ -15,8 +14,9 @@ from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.rigid_object import load_object
-from bubbleviz.study.axial_mesh import swept_mesh
-from bubbleviz.study.rubber_oracle import AxialRubber
+from tests.oracles.axial_mesh import swept_mesh
+from tests.oracles.exact_bubble import Bubble, axial_contact
+from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
 TENSION = GAUGE * (A**2 + H**2) / (4 * H)

@@ -14,7 +14,7 @@ from bubbleviz.pose.start_finder import touching_directions
 from bubbleviz.pose.symmetry import symmetries
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
-from bubbleviz.study.presses import made
+from bubbleviz.simulation.presses import made
 
 
 def test_closest_places_on_a_ball_are_radial():

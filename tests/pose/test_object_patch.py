@@ -13,8 +13,8 @@ from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.presses import made
 from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.study.presses import made
 
 RADIUS_M = 0.012  # of the cylinder's flat face
 

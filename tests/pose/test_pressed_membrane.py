@@ -19,8 +19,8 @@ from bubbleviz.pose.pose_options import ImageOptions, PressOptions
 from bubbleviz.pose.rigid_motion import moved, way_at
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.presses import made
 from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.study.presses import made
 
 PRECISE = PressOptions(settled_m=1e-6, newton_steps=60)
 

@@ -13,7 +13,7 @@ from bubbleviz.pose.observability import directions, open_axes
 from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.pose.start_finder import StartFinder
-from bubbleviz.study.presses import made
+from bubbleviz.simulation.presses import made
 from tests.membrane.plate import plate
 
 PRECISION = Precision(1e12, 3e-3)

@@ -16,8 +16,8 @@ from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.presses import made
 from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.study.presses import made
 
 PRODUCTS = frozenset({"pose"})
 FRAMES = 6

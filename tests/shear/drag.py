@@ -11,9 +11,8 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.shear.traction_estimator import TractionOptions
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.study.shear.flow_sighting import FlowSighting, sighting
-from bubbleviz.study.shear.shear_study import pressed, shear_sensor
-from bubbleviz.study.shear.stuck_press import Motion, ShearTruth, StuckPress
+from tests.oracles.flow_sighting import FlowSighting, sighting
+from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, shear_sensor
 
 NOISE = DepthNoise(absolute_m=5e-5)
 FLOW_PX = 0.03

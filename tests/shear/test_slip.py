@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.result import Slip
-from bubbleviz.study.shear.stuck_press import Motion
+from tests.oracles.stuck_press import Motion
 from tests.shear.drag import Eyes, press
 
 STEP_M = 2.5e-4

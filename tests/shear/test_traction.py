@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.shear import along_error_m
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.shear import traction_problem
 from bubbleviz.shear.friction_cone import within_cone
 from bubbleviz.shear.traction_estimator import TractionOptions
-from bubbleviz.study.shear.shear_study import along_error_m
-from bubbleviz.study.shear.stuck_press import Motion
+from tests.oracles.stuck_press import Motion
 from tests.shear.drag import Eyes, press, sensor, stuck
 
 CASES = [

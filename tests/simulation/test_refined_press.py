@@ -11,7 +11,7 @@ from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation.refined_press import EDGE_RADIUS_M, refined_press
-from bubbleviz.study.rubber_oracle import AxialRubber
+from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
 CAP = spherical_cap(A, H)

@@ -12,7 +12,7 @@ from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.rigid_object import load_object
-from bubbleviz.study.rubber_oracle import AxialRubber
+from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE, DEPTH, BALL = 0.045, 0.020, 2500.0, 0.006, 0.015
 CAP = spherical_cap(A, H)

@@ -1,4 +1,4 @@
-"""The pose study: judge, rivals, structure, screw motion and report."""
+"""The pose study: judge, small run and report."""
 
 import csv
 import json
@@ -13,20 +13,16 @@ from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.rigid_motion import moved
 from bubbleviz.pose.tracker import precision_of
 from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.presses import Press, made
+from bubbleviz.simulation.sensor_variants import with_nodes
 from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.study.pose import pose_report
-from bubbleviz.study.pose.cloud_registration import CloudRegistration, has_small_gicp
-from bubbleviz.study.pose.pose_errors import PoseJudge
-from bubbleviz.study.pose.pose_study import BOTH, WHOLE_CLOUD, PoseGrid, run_pose_study
-from bubbleviz.study.pose.rubber_poses import RubberGrid, run_rubber_study
-from bubbleviz.study.pose.screw_motion import run_screw, screw_path, screw_source
-from bubbleviz.study.presses import Press, made
+from bubbleviz.study.pose import Grid, pose_study
+from bubbleviz.study.pose_errors import PoseJudge
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""
-GRID = PoseGrid(
-    objects=("cross",), poses=2 if LONG else 1, noises_relative=(0.01,), truth_nodes=1_500, seed=5
-)
+OBJECTS = ("cylinder", "two_spheres") if LONG else ("two_spheres",)
+"""What is pressed into rubber; a flat face takes as long again."""
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +31,18 @@ def sensor():
 
 
 @pytest.fixture(scope="module")
-def study(sensor):
-    return run_pose_study(sensor, GRID)
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("pose")
+
+
+@pytest.fixture(scope="module")
+def study(sensor, folder):
+    """A pair of balls, and a cylinder, on a coarse sensor; truth by the exact forward model."""
+    grid = Grid(
+        objects=OBJECTS, presses=1, starts=1, truth_nodes=1_500 if LONG else 600, seed=11,
+        noise_relative=0.003,
+    )  # fmt: skip
+    return pose_study(with_nodes(sensor, 1_200 if LONG else 400), grid).run(folder)
 
 
 def test_judge_of_a_flat_face(sensor):
@@ -44,7 +50,9 @@ def test_judge_of_a_flat_face(sensor):
     true_pose = Press("frustum", 0.012, False).pose(pipeline.mesh, 5)
     source = SyntheticSource(sensor, made("frustum"), true_pose[None], nodes=1_500)
     judge = PoseJudge(ObjectModel(made("frustum")), precision_of(pipeline.estimator))
-    true = judge.contact(source)
+    truth = source.truth(0)
+    touched = source.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
+    true = judge.touching(*touched, true_pose)
     center = true.center
     assert true.directions.determined.sum() == 3
     exact = judge.errors(true_pose, true)
@@ -66,95 +74,23 @@ def test_judge_of_a_flat_face(sensor):
     assert not errors.success
 
 
-def test_rivals_find_a_whole_surface_again():
-    model = ObjectModel(made("frustum"))
-    points, _ = model.sample(2_000, seed=8)
-    T = np.eye(4)
-    T[:3, 3] = [0.01, 0.0, 0.04]
-    start = moved(T, np.array([1e-3, 1e-3, -1e-3, 0.03, 0.02, -0.03]), T[:3, 3])
-    rival = CloudRegistration(model, 0.01)
-    there = points + T[:3, 3]
-    ways = [rival.open3d, *([rival.small_gicp] if has_small_gicp() else [])]
-    for way in ways:
-        assert np.abs(way(there, start) - T).max() < 5e-3
-
-
-def test_structure(study):
-    methods = {trial.method for trial in study.trials}
-    assert {WHOLE_CLOUD, "stage one", BOTH, "patch, Open3D"} <= methods
-    assert len(study.trials) == GRID.poses * len(methods)
-    own = [trial for trial in study.trials if trial.method == BOTH]
-    for trial in own:
-        assert trial.status == "ok"
-        assert trial.start_m <= 5e-3
-        assert trial.start_rad <= np.radians(10.0)
-        assert trial.error_m < 1e-3
-        assert trial.error_rad < np.radians(2.0)
-        assert trial.total_ms > 0.0
+@pytest.mark.long
+def test_on_rubber_flat_faces_and_balls_are_where_they_are(study):
     assert study.omitted == []
+    for row in study.rows:
+        assert row.status == "ok"
+        assert row.depth_m >= 7e-3
+        assert row.seen_m < 1e-3
+        assert row.seen_rad < np.radians(3.0)
 
 
-@pytest.fixture(scope="module")
-def screw(sensor):
-    """The first frames of the nut that is turned."""
-    if not LONG:
-        sensor = with_nodes(sensor, 400)
-    source = screw_source(sensor, nodes=2_000 if LONG else 800)
-    source.poses = source.poses[:4]
-    return run_screw(sensor, source, 3, blanked=False)
-
-
-@pytest.mark.long
-def test_the_nut_turns_by_sixty_degrees(screw):
-    poses = screw_path(0.05, 0.013, 120)
-    turned = Rotation.from_matrix(poses[-1][:3, :3] @ poses[0][:3, :3].T)
-    assert np.degrees(turned.magnitude()) == pytest.approx(60.0)
-    assert screw.status == {"ok": 4}
-    assert screw.recovered_after is None
-    assert screw.rotation_error_rad_end < np.radians(6.0)
-
-
-def with_nodes(sensor, nodes):
-    membrane = sensor.membrane.model_copy(update={"nodes": nodes})
-    return sensor.model_copy(update={"membrane": membrane})
-
-
-OBJECTS = ("cylinder", "two_spheres") if LONG else ("two_spheres",)
-"""What is pressed into rubber; a flat face takes as long again."""
-
-
-@pytest.fixture(scope="module")
-def rubber(sensor):
-    """A pair of balls, and a flat puck, on a coarse sensor, truth by the exact forward model."""
-    grid = RubberGrid(
-        objects=OBJECTS, presses=1, starts=1, truth_nodes=1_500 if LONG else 600, seed=11,
-        noise_relative=0.003,
-    )  # fmt: skip
-    return run_rubber_study(with_nodes(sensor, 1_200 if LONG else 400), grid)
-
-
-@pytest.mark.long
-def test_on_rubber_flat_faces_and_balls_are_where_they_are(rubber):
-    assert rubber.omitted == []
-    for trial in rubber.trials:
-        assert trial.status == "ok"
-        assert trial.depth_m >= 7e-3
-        assert trial.seen_m < 1e-3
-        assert trial.seen_rad < np.radians(3.0)
-
-
-def test_report(study, rubber, screw, tmp_path):
-    report = pose_report.PoseReport(study, rubber, [screw])
-    paths = pose_report.write(report, tmp_path)
-    assert [path.name for path in paths] == list(pose_report.FILES)
-    data = json.loads(paths[2].read_text())
-    assert {"targets", "points", "screws", "trials", "grid"} <= set(data)
+def test_report(study, folder):
+    data = json.loads((folder / "pose.json").read_text())
+    assert {"targets", "points", "rows", "grid"} <= set(data)
     names = [target["name"] for target in data["targets"]]
-    assert "cross, 1 %: better than whole cloud" in names
-    assert "screw, 1 runs: largest rotation error in °, worst run" in names
-    with paths[0].open() as file:
-        assert len(list(csv.DictReader(file))) == len(study.trials)
-    assert f"rubber, {len(OBJECTS)} starts: worst error in mm" in names
-    text = pose_report.to_text(report)
-    assert "both stages" in text
-    assert "cross" in text
+    assert f"{len(OBJECTS)} starts: worst error in mm" in names
+    with (folder / "pose.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["object_name"] for row in rows] == list(OBJECTS)
+    assert all(float(row["next_ms"]) > 0.0 for row in rows)
+    assert "two_spheres" in study.to_text()

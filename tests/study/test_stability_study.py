@@ -13,10 +13,9 @@ from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes.worker_process import WorkerProcess
-from bubbleviz.study.stability.case import Case, FailedError, RefusedError, attempt
-from bubbleviz.study.stability.stability_cases import all_cases, quick_cases
-from bubbleviz.study.stability.stability_study import run_stability, summary
-from bubbleviz.study.stability.stability_trial import Streak, Trial
+from bubbleviz.study.stability import attempt, stability_study
+from bubbleviz.study.stability_cases import all_cases
+from bubbleviz.study.stability_trial import Extreme, FailedError, RefusedError, Streak, Trial
 
 
 def test_there_are_enough_cases_of_every_kind():
@@ -33,16 +32,16 @@ def test_there_are_enough_cases_of_every_kind():
         "rubber, half unseen",
     ):  # fmt: skip
         assert any(word in name for name in names), word
-    assert 10 <= len(quick_cases()) < len(names) / 2
+    assert 10 <= sum(case.quick for case in all_cases()) < len(names) / 2
 
 
 def test_quick_cases_all_pass_or_are_refused():
     every = 4 if "TEST_ALL" in os.environ else 24
-    cases = quick_cases()[::every]  # all of them: bubbleviz study stability --quick
-    found = summary(run_stability(cases))
+    study = stability_study(quick=True)  # all of them: bubbleviz study stability --quick
+    found = replace(study, cases=study.cases[::every]).run().to_dict()
     wrong = [f"{r['name']}: {r['detail']}" for r in found["results"] if r["verdict"] == "failed"]
     assert wrong == []
-    assert found["cases"] == found["passed"] + found["refused"] == len(cases)
+    assert found["cases"] == found["passed"] + found["refused"] == len(study.cases[::every])
 
 
 SMALL = Trial({"membrane": {"nodes": 300}}, truth_nodes=1_500, repeats=1)
@@ -141,8 +140,7 @@ RUBBER_MUTANTS = {
 
 
 def spoilt(spoil):
-    kind = type("Spoilt", (Broken,), {"spoil": staticmethod(spoil)})
-    return lambda sensor, options: kind.of(sensor, options=options)
+    return type("Spoilt", (Broken,), {"spoil": staticmethod(spoil)})
 
 
 @pytest.mark.parametrize("spoil", RUBBER_MUTANTS)
@@ -152,7 +150,7 @@ def test_a_broken_estimator_of_the_exact_membrane_fails(spoil):
 
 
 def test_the_same_rubber_passes_unbroken():
-    verdict, detail = attempt(Case("whole", SMALL_RUBBER, "solve"))
+    verdict, detail = attempt(Extreme("whole", SMALL_RUBBER, "solve"))
     assert verdict == "passed", detail
 
 
@@ -163,7 +161,7 @@ def test_a_broken_estimator_fails(spoil):
 
 
 def test_the_same_trial_passes_unbroken():
-    verdict, detail = attempt(Case("whole", SMALL, "solve"))
+    verdict, detail = attempt(Extreme("whole", SMALL, "solve"))
     assert verdict == "passed", detail
 
 
@@ -176,8 +174,8 @@ def test_a_pipeline_that_remembers_too_much_fails():
             pipeline.first = pipeline.first or estimate
             return pipeline.first
 
-    streak = Streak((0.012, -0.01), make=lambda sensor, options: Stuck.of(sensor, options=options))
-    assert attempt(Case("stuck", streak))[0] == "failed"
+    streak = Streak((0.012, -0.01), make=Stuck)
+    assert attempt(Extreme("stuck", streak))[0] == "failed"
 
 
 def refuse():
@@ -200,7 +198,7 @@ def bad_input():
     ],
 )
 def test_verdicts(run, must, verdict):
-    assert attempt(Case("a", run, must))[0] == verdict
+    assert attempt(Extreme("a", run, must))[0] == verdict
 
 
 def divide():
@@ -225,7 +223,7 @@ def divide_by(x):
 
 def test_errors_outside_the_contract_are_not_caught():
     with pytest.raises(ZeroDivisionError):
-        attempt(Case("a", divide))
+        attempt(Extreme("a", divide))
 
 
 def test_command(tmp_path):

@@ -15,7 +15,7 @@ from window_driver import Driver, idle
 
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.rigid_object import load_object
-from bubbleviz.study.object_shapes import ply_bytes
+from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene

@@ -12,6 +12,7 @@ from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtWidgets import QApplication, QLabel
 from window_driver import Driver, canvas, hover, texts
 
+from bubbleviz.diagnostics.overlap import iou
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.patch.components import components, without_small
@@ -19,7 +20,6 @@ from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.truth import truth_of
-from bubbleviz.study.error_metrics import iou
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
 

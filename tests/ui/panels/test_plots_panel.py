@@ -20,6 +20,7 @@ from window_driver import Driver, canvas, hover
 
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.diagnostics.kappa_curve import KAPPAS, kappa_curve
+from bubbleviz.diagnostics.overlap import iou
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.gaps import find_gaps
@@ -27,7 +28,6 @@ from bubbleviz.patch.patch_finder import PatchFinder
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
-from bubbleviz.study.error_metrics import iou
 from bubbleviz_ui.engine.source_openers import CachedSource
 from bubbleviz_ui.model.frame_history import thinned
 from bubbleviz_ui.model.source_facts import SourceFacts

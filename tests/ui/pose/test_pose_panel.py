@@ -19,8 +19,8 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.study.object_shapes import ply_bytes
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.pose import pose_panel

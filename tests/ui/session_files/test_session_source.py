@@ -23,7 +23,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
-from bubbleviz.study.object_shapes import ply_bytes
+from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (

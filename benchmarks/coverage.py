@@ -1,0 +1,202 @@
+"""Known rubber identified from inflation levels with seed after seed of noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.calibration.identification import identify, with_rubber
+from bubbleviz.calibration.rest.rest_frames import collect
+from bubbleviz.calibration.rubber.vented import Vented
+from bubbleviz.calibration.tension.tension_estimate import Quantity
+from bubbleviz.simulation.inflated_rubber import ATMOSPHERE_PA, InflatedRubber
+from bubbleviz.simulation.inflated_sensor import InflatedSensor
+from bubbleviz.study.harness import (
+    Case,
+    Column,
+    Record,
+    Report,
+    Study,
+    Table,
+    Target,
+    at_least,
+    groups,
+)
+from tests.oracles.round_sheet import round_sheet
+
+GAUGE_PA = 2_500.0
+_OVAL_M, _ROUND_M = (0.0557, 0.0396), (0.045, 0.045)  # semi-axes of the rim, the Punyo's first
+_WEATHER_PA = 300.0
+"""σ of the atmospheric pressure about the one a sensor file has right for the place."""
+_VENTED_FRAMES, _VENTED_NOISE_PA = 60, 5.0
+
+RUBBERS: dict[str, Callable[[], InflatedRubber]] = {
+    "round sheet": lambda: round_sheet(_ROUND_M[0], 110.0, 1.15, GAUGE_PA),
+    "oval sheet": lambda: InflatedRubber.oval_sheet(_OVAL_M, 140.0, 1.05, GAUGE_PA),
+    "round dome": lambda: InflatedRubber.moulded_dome(_ROUND_M, 0.020, 150.0, 1.1, GAUGE_PA),
+    "oval dome": lambda: InflatedRubber.moulded_dome(_OVAL_M, 0.020, 150.0, 1.1, GAUGE_PA),
+}
+"""Sheets that were flat, and domes moulded as such; λ of 1.11 to 1.24 at γ0."""
+
+QUANTITIES = ("tension_n_per_m", "prestretch", "gauge_pressure_pa")
+"""γ0, λ and G."""
+
+
+@dataclass(frozen=True)
+class CoverageGrid:
+    """What a coverage study runs over."""
+
+    rubbers: tuple[str, ...] = tuple(RUBBERS)
+    seeds: int = 50  # of the noise, for every rubber
+    levels: tuple[float, ...] = (0.85, 1.15)  # beside the rest, over its gauge pressure
+    frames: int = 60  # of every level: two seconds
+    width: int = 224  # of the image, pixels: a pico flexx's
+    nodes: int = 1000  # of the mesh that is identified: those of `identify`
+
+
+@dataclass(frozen=True)
+class CoverageRow:
+    """One number of one identification with its 95 % interval.
+
+    NaN where it is not determined, or only as well as the sensor file's atmospheric pressure. Known
+    are the `levels` alone, or the open chamber too (`vented`).
+    """
+
+    rubber: str
+    seed: int
+    known: str
+    quantity: str
+    truth: float
+    value: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+
+    @property
+    def determined(self) -> bool:
+        """Whether there is a number."""
+        return bool(np.isfinite(self.value))
+
+    @property
+    def covered(self) -> bool:
+        """Whether the interval holds the truth."""
+        return self.low <= self.truth <= self.high
+
+    @property
+    def error(self) -> float:
+        """Of γ0 and gauge pressure relative to the truth; of λ itself."""
+        off = self.value - self.truth
+        return off if self.quantity == "prestretch" else off / self.truth
+
+
+def quick_coverage() -> CoverageGrid:
+    """One rubber, few seeds, short recordings of small images: less than a minute."""
+    return CoverageGrid(("round sheet",), seeds=3, frames=20, width=120, nodes=500)
+
+
+def coverage_study(grid: CoverageGrid, parts: Path | None = None) -> Study:
+    """Every rubber identified with every seed; a stopped study goes on where it was."""
+    cases = [
+        Case(f"{name} {seed}", partial(_identified, grid, name, seed))
+        for name in grid.rubbers
+        for seed in range(grid.seeds)
+    ]
+    settings = asdict(replace(grid, rubbers=(), seeds=0))  # more of these may be added
+    return Study("coverage", CoverageRow, cases, report_of, "identification", settings, parts)
+
+
+@cache
+def _rubber(name: str) -> InflatedRubber:
+    return RUBBERS[name]()
+
+
+def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
+    """Identify from one set of recordings: by levels alone, and with the chamber opened."""
+    rubber, rows = _rubber(name), []
+    rng = np.random.default_rng([seed, 0])
+    weather = ATMOSPHERE_PA + _WEATHER_PA * rng.standard_normal()
+    sigma = _VENTED_NOISE_PA / np.sqrt(_VENTED_FRAMES)
+    vented = Vented("vented", ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
+    sensor = replace(vented, pressure_pa=weather).set_in(rubber.sensor(grid.width))
+    rest, *others = _recorded(grid, rubber, seed)
+    levels = [collect(source, sensor, range(grid.frames)) for source in others]
+    truths = rubber.tension_n_per_m, rubber.prestretch, rubber.gauge_pressure_pa
+    for known, opened in (("levels", None), ("vented", vented)):
+        given = opened.set_in(sensor) if opened else sensor
+        found = identify(rest, given, range(grid.frames), nodes=grid.nodes)
+        found = with_rubber(found, levels, opened)
+        numbers: list[Quantity | None] = [None] * len(QUANTITIES)
+        if found.rubber is not None and found.rubber.gauge is not None:
+            numbers = [found.tension.tension, found.rubber.prestretch, found.rubber.gauge]
+        for quantity, truth, number in zip(QUANTITIES, truths, numbers, strict=True):
+            interval = (number.value, number.low, number.high) if number else ()
+            rows.append(CoverageRow(name, seed, known, quantity, truth, *interval))
+    return rows
+
+
+def _recorded(grid: CoverageGrid, rubber: InflatedRubber, seed: int) -> list[InflatedSensor]:
+    """The rest and every level, each with noise of its own."""
+    shares = (1.0, *grid.levels)
+    return [
+        rubber.recording(share, len(shares) * seed + k, frames=grid.frames, width=grid.width)
+        for k, share in enumerate(shares)
+    ]
+
+
+COVERED = 0.9
+"""Share of the seeds whose interval should hold the truth, and whose number be within reach."""
+REACH = {"prestretch": 0.04, "gauge_pressure_pa": 0.05}
+"""Error of λ, and relative error of the gauge pressure, that levels of ±15 % should allow."""
+_SYMBOLS = dict(zip(QUANTITIES, ("γ0", "λ", "G"), strict=True))
+
+
+def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
+    """Coverage of every number of every rubber, over the seeds where it is determined.
+
+    Errors and the median half-width are relative to the truth, of λ itself.
+    """
+    found = []
+    for (rubber, known, quantity), own in groups(rows, "rubber", "known", "quantity").items():
+        told = [row for row in own if row.determined]
+        errors = np.array([row.error for row in told] or [np.nan])
+        reach = REACH.get(quantity, np.nan)
+        scale = [1.0 if quantity == "prestretch" else row.truth for row in told]
+        widths = [0.5 * (r.high - r.low) / unit for r, unit in zip(told, scale, strict=True)]
+        found.append(
+            {
+                **{"rubber": rubber, "known": known, "quantity": quantity},
+                **{"seeds": len(own), "determined": len(told)},
+                "covered": float(np.mean([row.covered for row in told] or [np.nan])),
+                "within": float(np.mean(np.abs(errors) <= reach)) if reach > 0.0 else np.nan,
+                "rms_error": float(np.sqrt(np.mean(errors**2))),
+                "worst_error": float(np.abs(errors).max()),
+                "bias": float(errors.mean()),
+                "half_width": float(np.median(widths or [np.nan])),
+            }
+        )
+    return found
+
+
+def targets(rows: Sequence[CoverageRow]) -> list[Target]:
+    """Targets, and whether each is met."""
+    found = []
+    for one in coverages(rows):
+        name = f"{one['rubber']}, {one['known']}: {_SYMBOLS[one['quantity']]}"
+        found.append(at_least(f"{name}, share covered", one["covered"], COVERED))
+        if one["quantity"] in REACH:
+            reach = f"{100 * REACH[one['quantity']]:g} %"
+            found.append(at_least(f"{name}, share within {reach}", one["within"], COVERED))
+    return found
+
+
+def report_of(rows: Sequence[CoverageRow]) -> Report:
+    """Coverage and errors; those of λ in hundredths."""
+    words = (Column(n, n) for n in ("rubber", "known", "quantity", "determined", "seeds"))
+    shares = (Column(f"{n} %", n, ".0f", 100) for n in ("covered", "within"))
+    names = ("rms_error", "worst_error", "bias", "half_width")
+    errors = (Column(f"{n.replace('_', ' ')} %", n, ".2f", 100) for n in names)
+    table = Table("coverage", coverages(rows), (*words, *shares, *errors))
+    return Report([table], targets(rows))

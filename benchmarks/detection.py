@@ -1,0 +1,228 @@
+"""The smallest press that is found, at one false alarm in a thousand contact-free frames.
+
+A ball is pressed along the membrane's normal into simulated rubber. A frame alarms where its force
+exceeds a level, which is 0 N unless more than one contact-free frame in a thousand shows a force:
+then it is the least that only one in a thousand exceeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.frames.frame import Frame
+from bubbleviz.inverse.plausibility import GAS_NOISE
+from bubbleviz.membrane.refine import refine
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.sensor import Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.presses import made
+from bubbleviz.simulation.rubber_truth import RubberPresses, RubberTruth
+from bubbleviz.simulation.truth_bank import TruthBank, noise_name
+from bubbleviz.study.accuracy import LINEAR, RUBBER, Grid, Setup, specimen
+from bubbleviz.study.harness import Case, Column, Report, Study, Table
+
+FOUND = 0.95
+ALARMS = 1e-3
+_SHALLOWEST_M, _RATIO, _DEPTHS = 1e-4, 1.25, 20
+"""Depths that are tried: 0.1 mm to 7 mm in steps of a quarter."""
+_FINER = (0.2, 0.13, 0.09)
+"""Radii of the refinement around the place over that of the rim: the least dents are smaller than a
+triangle."""
+
+
+@dataclass(frozen=True)
+class DetectionGrid:
+    """What runs."""
+
+    specimens: tuple[str, ...] = ("sensor", "dome λ 1.2")
+    setups: tuple[Setup, ...] = (RUBBER, LINEAR)
+    noises: tuple[DepthNoise, ...] = (DepthNoise(absolute_m=1e-4), DepthNoise(relative=0.01))
+    places: tuple[float, ...] = (0.0, 0.4, 0.75)  # from the axis, over the radius of the rim
+    object_name: str = "sphere"  # pressed along the normal
+    frames: int = 60  # of a press
+    rest_frames: int = 1_000  # without contact
+    truth_nodes: int = 1_500
+    seed: int = 7
+
+
+def quick_detection_grid() -> DetectionGrid:
+    """A few seconds' worth: too few contact-free frames to tell one alarm in a thousand."""
+    return DetectionGrid(
+        ("dome λ 1.2",), (RUBBER,), places=(0.0,), frames=20, rest_frames=50, truth_nodes=800
+    )
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The smallest press found in 95 % of frames.
+
+    `depth_m`, `force_n` and `found` are NaN where none of the depths is. `alarms` counts the
+    contact-free frames that show a force, `level_n` is what a force must exceed to be an alarm.
+    """
+
+    specimen: str
+    setup: str
+    noise: str
+    place: float
+    gas_measured: bool
+    rest_frames: int
+    alarms: int
+    level_n: float
+    depth_m: float = np.nan
+    force_n: float = np.nan
+    found: float = np.nan
+
+
+def detection_study(sensor: Sensor, grid: DetectionGrid) -> Study:
+    """The limit of every setup, noise and place, with and without the gas pressure."""
+    cases = [
+        Case(f"{name}, {noise_name(noise)}", partial(_limits, sensor, grid, name, noise))
+        for name in grid.specimens
+        for noise in grid.noises
+    ]
+    return Study("detection", Limit, cases, report_of)
+
+
+def _limits(sensor: Sensor, grid: DetectionGrid, name: str, noise: DepthNoise) -> list[Limit]:
+    own = specimen(name, sensor, Grid(truth_nodes=grid.truth_nodes, seed=grid.seed))
+    assert isinstance(own.presses, RubberPresses)
+    ladders = {place: Ladder(own.presses, place, grid) for place in grid.places}
+    found = list[Limit]()
+    for setup in grid.setups:
+        pipeline = setup.pipeline(own.told(noise))
+        for gas in (False, True):
+            found += limits_of(name, setup, Alarm(pipeline, noise, gas, grid), ladders)
+    return found
+
+
+def limits_of(
+    name: str, setup: Setup, alarm: Alarm, ladders: dict[float, Ladder]
+) -> Iterator[Limit]:
+    """Those of one setup at every place."""
+    rest = alarm.forces(next(iter(ladders.values())), None)
+    allowed = int(ALARMS * len(rest))
+    level = float(np.sort(rest)[-1 - allowed])
+    for place, ladder in ladders.items():
+        limit = Limit(
+            name,
+            setup.label,
+            noise_name(alarm.noise),
+            place,
+            alarm.gas_measured,
+            len(rest),
+            int(np.count_nonzero(rest)),
+            level,
+        )
+        yield _smallest(limit, alarm, ladder)
+
+
+def _smallest(limit: Limit, alarm: Alarm, ladder: Ladder) -> Limit:
+    """The limit with the smallest depth that is found, by bisection."""
+    low, high, best = -1, _DEPTHS, limit
+    while high - low > 1:
+        step = (low + high) // 2
+        found = float(np.mean(alarm.forces(ladder, step) > limit.level_n))
+        if found >= FOUND:
+            force = float(np.linalg.norm(ladder.truth(step).contact.nodal_force_n.sum(axis=0)))
+            depth = ladder.depth_m(step)
+            high, best = step, replace(limit, depth_m=depth, force_n=force, found=found)
+        else:
+            low = step
+    return best
+
+
+class Ladder:
+    """Presses at one place, deeper from step to step."""
+
+    def __init__(self, presses: RubberPresses, place: float, grid: DetectionGrid) -> None:
+        mesh = presses.mesh
+        radius = float(np.abs(mesh.nodes[:, 0]).max())
+        node = int(np.argmin(np.hypot(mesh.nodes[:, 0] - place * radius, mesh.nodes[:, 1])))
+        self._at, self._normal = mesh.nodes[node], mesh.normals[node]
+        for share in _FINER:
+            middles = mesh.nodes[mesh.triangles].mean(axis=1)
+            mesh = refine(mesh, np.linalg.norm(middles - self._at, axis=1) < share * radius)
+        self._presses = replace(presses, mesh=mesh)
+        self._object = ObjectModel(made(grid.object_name))
+        self._truths: dict[int, RubberTruth] = {}
+        self.bank = TruthBank(self._presses, grid.seed)
+
+    def depth_m(self, step: int) -> float:
+        """Depth along the normal, m."""
+        return float(_SHALLOWEST_M * _RATIO**step)
+
+    def truth(self, step: int) -> RubberTruth:
+        """Equilibrium at a step."""
+        if step not in self._truths:
+            pose = np.eye(4)
+            pose[:3, :3] = Rotation.align_vectors(self._normal, [0.0, 0.0, 1.0])[0].as_matrix()
+            pose[:3, 3] = self._at - self.depth_m(step) * self._normal
+            self._truths[step] = self._presses.press(self._object, pose)
+        return self._truths[step]
+
+
+class Alarm:
+    """Forces that a pipeline shows in noisy frames, each of them a first one.
+
+    The gas pressure may be measured, to the precision of a barometer.
+    """
+
+    def __init__(
+        self, pipeline: Pipeline, noise: DepthNoise, gas_measured: bool, grid: DetectionGrid
+    ) -> None:
+        self._pipeline, self.noise, self.gas_measured, self._grid = (
+            pipeline, noise, gas_measured, grid,
+        )  # fmt: skip
+
+    def forces(self, ladder: Ladder, step: int | None) -> np.ndarray:
+        """|F| (frames,) at a step, or without contact; 0 N where nothing is found."""
+        bank, count = ladder.bank, self._grid.frames
+        ranges, gas = bank.rest_range_m, bank.rest_pressure_pa
+        if step is None:
+            first, count = 0, self._grid.rest_frames
+        else:
+            truth, first = ladder.truth(step), (step + 1) * 10_000
+            ranges = truth.range_m
+            gas = bank.rest_pressure_pa + truth.contact.gas_pressure_change_pa
+        random = np.random.default_rng([bank.seed, first])
+        measured = gas + GAS_NOISE * bank.rest_pressure_pa * random.standard_normal(count)
+        frames = (
+            bank.seen(
+                ranges,
+                self.noise,
+                first + k,
+                gas_pressure_pa=float(measured[k]) if self.gas_measured else None,
+            )
+            for k in range(count)
+        )
+        return np.array([self._force(frame) for frame in frames])
+
+    def _force(self, frame: Frame) -> float:
+        self._pipeline.restart()
+        result = self._pipeline.process(frame, frozenset({"estimate", "patch"}))
+        if result.estimate is None or result.patch is None or result.estimate.status != "ok":
+            return 0.0
+        return float(np.linalg.norm(result.patch.force_n))
+
+
+_COLUMNS = (
+    *(Column(name, name) for name in ("specimen", "setup", "noise", "gas_measured")),
+    Column("place / rim", "place", "g"),
+    Column("mm", "depth_m", ".2f", 1e3),
+    Column("N", "force_n", ".3f"),
+    Column("found %", "found", ".0f", 100),
+    Column("alarms", "alarms"),
+    Column("of frames", "rest_frames"),
+)
+
+
+def report_of(limits: Sequence[Limit]) -> Report:
+    """Every limit."""
+    title = "Smallest press of a ball found in 95 % of frames, at one false alarm in 1,000"
+    return Report([Table("limits", [asdict(limit) for limit in limits], _COLUMNS, title)])

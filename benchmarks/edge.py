@@ -1,0 +1,264 @@
+"""How well the edge of the patch is found, by noise, on objects made for it, too.
+
+Compared with the best threshold on depth change that an oracle picks for each object, with the true
+edge as the mesh can draw it, and with the Cramér–Rao bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from benchmarks.edge_bound import PLACE, SHAPE, edge_bound
+from bubbleviz.diagnostics.overlap import iou
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
+from bubbleviz.membrane.level_line import level_line
+from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Estimate, Patch
+from bubbleviz.sensor import Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.presses import EDGE_OBJECTS, SMOOTH_OBJECTS, presses
+from bubbleviz.simulation.rubber_truth import TRUTH_NODES
+from bubbleviz.simulation.truth_bank import Sighting, TruthBank, noise_name
+from bubbleviz.study import accuracy
+from bubbleviz.study.error_metrics import Errors, at_nodes, errors_of
+from bubbleviz.study.harness import (
+    Averages,
+    Case,
+    Column,
+    Record,
+    Report,
+    Study,
+    Table,
+    Target,
+    at_least,
+    at_most,
+    summaries,
+)
+
+SETUPS = (accuracy.RUBBER, accuracy.Setup("rubber-base"))
+"""With the finer mesh at the contact, and without."""
+THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)  # from below noise to above any press
+_LEAST_IOU = {"0.05 mm": 0.90, "0.15 mm": 0.88, "0.5 mm": 0.83, "1 %": 0.78}
+_LARGEST_AREA_ERROR, _LEAST_IN_BAND = 0.04, 0.9
+
+
+@dataclass(frozen=True)
+class EdgeGrid:
+    """What runs."""
+
+    objects: tuple[str, ...] = (*SMOOTH_OBJECTS, "torus", "two_spheres", *EDGE_OBJECTS)
+    depths: tuple[float, ...] = (0.2, 0.4)  # shares of the dome's height
+    noises: tuple[DepthNoise, ...] = (
+        *(DepthNoise(absolute_m=s) for s in (5e-5, 1.5e-4, 5e-4)),
+        DepthNoise(relative=0.01),
+    )
+    truth_nodes: int = TRUTH_NODES
+    limit_s: float | None = 900.0
+    seed: int = 7
+
+
+def quick_grid() -> EdgeGrid:
+    """Two presses at one noise."""
+    return EdgeGrid(("sphere", "unequal_balls"), (0.2,), EdgeGrid().noises[:1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeRow(Errors):
+    """One press at one noise with one setup; errors of its second frame, NaN without an answer.
+
+    `iou_best_level` is of the one pressure threshold that an oracle picks for this very frame, and
+    `edge_in_band` the share of the true edge that lies in the band around the patch's;
+    `edge_sigma_bound_m` and `iou_bound_shape` are the bounds of `edge_bound` where place and shape
+    of the patch are unknown, `iou_bound_place` that where its shape is known.
+    """
+
+    objects: str  # `study's own`, which no constant was chosen on, or `others`
+    object_name: str
+    depth_m: float
+    noise: str
+    setup: str
+    failed: int
+    iou_threshold: float
+    iou_on_mesh: float
+    edge_sigma_bound_m: float
+    iou_bound_place: float
+    iou_bound_shape: float
+    iou_best_level: float = np.nan
+    edge_in_band: float = np.nan
+
+
+def edge_study(sensor: Sensor, grid: EdgeGrid) -> Study:
+    """Every object at every depth, noise and setup."""
+    own = accuracy.Grid(("sensor",), truth_nodes=grid.truth_nodes, seed=grid.seed)
+    membrane = accuracy.specimen("sensor", sensor, own)
+    bank = TruthBank(membrane.presses, grid.seed, limit_s=grid.limit_s)
+    cases = [Case(name, partial(_rows, grid, membrane, bank, name)) for name in grid.objects]
+    return Study("edge", EdgeRow, cases, report_of, unit="object")
+
+
+def _rows(grid: EdgeGrid, membrane: accuracy.Specimen, bank: TruthBank, name: str) -> list[EdgeRow]:
+    height, rows = float(bank.mesh.nodes[:, 2].max()), list[EdgeRow]()
+    own = [bank.sighting(p) for p in presses((name,), tuple(s * height for s in grid.depths))]
+    for noise in grid.noises:
+        best = best_thresholds(bank, own, noise)
+        for setup in SETUPS:
+            pipeline = setup.pipeline(membrane.told(noise))
+            for sighting, iou_threshold in zip(own, best, strict=True):
+                row = _row(pipeline, bank, sighting, noise, float(iou_threshold))
+                rows.append(replace(row, setup=setup.label))
+    return rows
+
+
+def _row(
+    pipeline: Pipeline, bank: TruthBank, sighting: Sighting, noise: DepthNoise, threshold: float
+) -> EdgeRow:
+    pipeline.restart()
+    for k in range(2):
+        result = pipeline.process(bank.frame(sighting, noise, k), accuracy.PRODUCTS)
+    estimator, press = pipeline.estimator, sighting.press
+    assert isinstance(estimator, RubberEstimator)
+    place, shape = (edge_bound(estimator, sighting, degree) for degree in (PLACE, SHAPE))
+    row = EdgeRow(
+        objects="study's own" if press.object_name in EDGE_OBJECTS else "others",
+        object_name=press.object_name,
+        depth_m=press.depth_m,
+        noise=noise_name(noise),
+        setup="",
+        failed=1,
+        iou_threshold=threshold,
+        iou_on_mesh=iou_on_mesh(pipeline, sighting),
+        edge_sigma_bound_m=shape.sigma_m,
+        iou_bound_place=place.iou,
+        iou_bound_shape=shape.iou,
+    )
+    estimate, patch, seen = result.estimate, result.patch, sighting.truth.patch_mask
+    if estimate is None or patch is None or estimate.status != "ok":
+        return row
+    return replace(
+        row,
+        **vars(errors_of(pipeline, result, sighting)),
+        failed=0,
+        iou_best_level=iou_at_best_level(pipeline, estimate, seen),
+        edge_in_band=edge_in_band(pipeline, estimate, patch, seen),
+    )
+
+
+def iou_on_mesh(pipeline: Pipeline, sighting: Sighting) -> float:
+    """IoU of the true edge drawn by its signed distance from the nodes: what the mesh allows."""
+    own, mesh, truth = pipeline.mesh, sighting.mesh, sighting.truth
+    share = touching_share(mesh, truth.contact_pressure_pa) - 0.5
+    edge = level_line(mesh.nodes, mesh.corners, share)
+    away = cKDTree(np.concatenate([edge[:, 0], edge.mean(axis=1)])).query(own.nodes)[0]
+    level = np.where(at_nodes(own, mesh, share) > 0.0, away, -away)
+    motion = at_nodes(own, mesh, truth.displacement_3d_m)
+    return iou(pipeline.model.view.above(motion, level, 0.0), truth.patch_mask)
+
+
+def edge_in_band(pipeline: Pipeline, estimate: Estimate, patch: Patch, seen: np.ndarray) -> float:
+    """Share of the pixels beside the edge of a mask that the band around the patch's covers."""
+    edge = ndimage.binary_dilation(seen) ^ ndimage.binary_erosion(seen)
+    band, view = patch.edge_half_width_m, pipeline.model.view
+    if np.isnan(band) or not edge.any():
+        return np.nan
+    inner, outer = (view.patch_pixels(estimate, patch, level) for level in (band, -band))
+    return float(np.count_nonzero(edge & outer & ~inner) / np.count_nonzero(edge))
+
+
+def iou_at_best_level(pipeline: Pipeline, estimate: Estimate, seen: np.ndarray) -> float:
+    """Largest IoU over all thresholds of the contact pressure."""
+    hits = pipeline.model.view.hits(estimate.motion_m)
+    pressure = estimate.contact_pressure_pa[pipeline.mesh.triangles[hits.triangle]]
+    values = np.einsum("ij,ij->i", hits.barycentric, pressure)
+    order = np.argsort(-values)
+    right = np.cumsum(seen.ravel()[hits.ray[order]])
+    wrong = np.arange(1, len(order) + 1) - right
+    return float(np.max(right / (np.count_nonzero(seen) + wrong), initial=0.0))
+
+
+def best_thresholds(bank: TruthBank, own: list[Sighting], noise: DepthNoise) -> np.ndarray:
+    """IoU (k,) of presses with the threshold and the blur of 0 to 2 pixels best for their mean."""
+    scores = np.concatenate(
+        [[iou_by_threshold(bank, s, noise, blur, 0) for s in own] for blur in (0.0, 1.0, 2.0)],
+        axis=1,
+    )
+    best: np.ndarray = scores[:, np.argmax(scores.mean(axis=0))]
+    return best
+
+
+def iou_by_threshold(
+    bank: TruthBank, sighting: Sighting, noise: DepthNoise, blur_px: float, index: int
+) -> np.ndarray:
+    """IoU of the pixels whose range changed by more than each of the thresholds (t,)."""
+    frame, patch = bank.frame(sighting, noise, index), sighting.truth.patch_mask
+    change = np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m)
+    if blur_px > 0.0:
+        change = ndimage.gaussian_filter(change, blur_px)
+    hit, wrong = (
+        np.count_nonzero(mask)
+        - np.searchsorted(np.sort(np.abs(change[mask])), THRESHOLDS_M, side="right")
+        for mask in (patch, ~patch)
+    )
+    found: np.ndarray = hit / (np.count_nonzero(patch) + wrong)
+    return found
+
+
+_MEANS: Averages = {f.name: (f.name, np.mean) for f in fields(Errors)}
+_MEANS |= {
+    name: (name, np.mean)
+    for name in (
+        *("iou_threshold", "iou_on_mesh", "edge_sigma_bound_m", "iou_bound_place"),
+        *("iou_bound_shape", "iou_best_level", "edge_in_band"),
+    )
+}
+_MEANS |= {"iou_worst": ("iou", np.min), "failed": ("failed", np.sum)}
+
+
+def edges(rows: Sequence[EdgeRow]) -> list[Record]:
+    """Both groups of objects, then each object, by noise and setup."""
+    both = summaries(rows, ("objects", "noise", "setup"), _MEANS)
+    each = summaries(rows, ("object_name", "noise", "setup"), _MEANS)
+    return [*both, *({"objects": one["object_name"], **one} for one in each)]
+
+
+def targets(rows: Sequence[EdgeRow]) -> list[Target]:
+    """Whether each group of objects meets what the patch is aimed at."""
+    found = []
+    for one in summaries(rows, ("objects", "noise", "setup"), _MEANS):
+        if one["setup"] == SETUPS[0].label and one["noise"] in _LEAST_IOU:
+            name, area = f"{one['objects']}, {one['noise']}", abs(one["area_error_relative"])
+            found += [
+                at_least(f"{name}: mean IoU", one["iou"], _LEAST_IOU[one["noise"]]),
+                at_most(f"{name}: |mean area error|", area, _LARGEST_AREA_ERROR),
+                at_least(f"{name}: true edge in the band", one["edge_in_band"], _LEAST_IN_BAND),
+            ]
+    return found
+
+
+_COLUMNS = (
+    *(Column(name, name) for name in ("objects", "noise", "setup")),
+    Column("presses", "count"),
+    Column("failed", "failed", ".0f"),
+    Column("IoU", "iou", ".3f"),
+    Column("worst", "iou_worst", ".2f"),
+    Column("at best level", "iou_best_level", ".3f"),
+    Column("area err %", "area_error_relative", "+.0f", 100),
+    Column("edge in band %", "edge_in_band", ".0f", 100),
+    Column("depth threshold", "iou_threshold", ".3f"),
+    Column("mesh allows", "iou_on_mesh", ".3f"),
+    Column("bound: place", "iou_bound_place", ".3f"),
+    Column("and shape", "iou_bound_shape", ".3f"),
+    Column("edge σ ≥ mm", "edge_sigma_bound_m", ".2f", 1e3),
+)
+
+
+def report_of(rows: Sequence[EdgeRow]) -> Report:
+    """Means over groups and objects."""
+    title = "Edge of the patch on the sensor, of rubber"
+    return Report([Table("edges", edges(rows), _COLUMNS, title)], targets(rows))

@@ -1,0 +1,121 @@
+"""How exactly an image can tell where a contact ends: the Cramér–Rao bound of the edge.
+
+The true loads are moved along the membrane by a field that is a polynomial in each of two
+directions: of degree 1 it moves, turns and stretches the patch as a whole, of degree 3 it changes
+its shape. The estimator's own linearised map says how that moves the ranges, and the noise how well
+the coefficients are known. Before the image every place of the edge is known to half the width of
+the patch, which keeps the bound finite where noise hides the shape (van Trees). How high the
+pressure is counts as known: without that the error is larger. Who knows more of the shape, such as
+that it is round, does better than the bound of degree 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.inverse.rubber_estimator import RubberEstimator
+from bubbleviz.membrane.level_line import level_line
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.simulation.truth_bank import Sighting
+from bubbleviz.study.error_metrics import at_nodes
+
+PLACE, SHAPE = 1, 3
+"""Degrees of the fields."""
+_STEP_M = 1e-5  # of the derivative by the loads' places: far below an edge of the mesh
+
+
+@dataclass(frozen=True)
+class EdgeBound:
+    """Least standard deviation of the edge's place, m, and the mean IoU that it allows."""
+
+    sigma_m: float
+    iou: float
+
+
+def edge_bound(estimator: RubberEstimator, sighting: Sighting, degree: int) -> EdgeBound:
+    """Bound for one press under the noise that the estimator was told.
+
+    Parameters
+    ----------
+    estimator : RubberEstimator
+    sighting : Sighting
+    degree : int
+        Of the fields, `PLACE` or `SHAPE`.
+    """
+    truth, own, mesh = sighting.truth, sighting.mesh, estimator.mesh
+    touching = truth.contact_pressure_pa > 0.0
+    places = own.nodes[touching]
+    load = (truth.contact_pressure_pa * own.areas)[touching]
+    center = places.mean(axis=0)
+    radius = float(np.linalg.norm(places - center, axis=1).max())
+
+    def fields(points: np.ndarray) -> np.ndarray:
+        return _fields((points - center)[:, :2] / radius, degree)
+
+    moved = np.stack(
+        [
+            (_spread(mesh, places + _STEP_M * v, load) - _spread(mesh, places - _STEP_M * v, load))
+            / (2.0 * _STEP_M)
+            for v in fields(places)
+        ],
+        axis=1,
+    )
+    response = _ranges(estimator, sighting, moved, _spread(mesh, places, load))
+    edge, normal, length = _edge(own, touching_share(own, truth.contact_pressure_pa))
+    at_edge = fields(edge)
+    half_width = truth.patch_area_m2 / length.sum()
+    count = 0.5 * len(at_edge)  # fields in each direction
+    before = np.einsum("isk,jsk,s->ij", at_edge, at_edge, length) / length.sum()
+    covariance = np.linalg.inv(response.T @ response + before * count / half_width**2)
+    across = np.einsum("isk,sk->si", at_edge, normal)
+    sigma = np.sqrt(np.einsum("si,ij,sj->s", across, covariance, across))
+    lost = np.sqrt(2.0 / np.pi) * float(sigma @ length)
+    area = truth.patch_area_m2
+    rms = float(np.sqrt(sigma**2 @ length / length.sum()))
+    return EdgeBound(rms, (area - 0.5 * lost) / (area + 0.5 * lost))
+
+
+def _fields(points: np.ndarray, degree: int) -> np.ndarray:
+    """Motions along x or y, monomials of points (k, 2), (m, k, 3)."""
+    x, y = points.T
+    powers = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
+    monomials = np.stack([x**a * y**b for a, b in powers])
+    return np.concatenate([monomials[..., None] * axis for axis in np.eye(3)[:2]])
+
+
+def _spread(mesh: MembraneMesh, places: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """Loads at places (k, 3) as loads of the nodes (n,), N."""
+    found = TriangleScene(mesh.nodes, mesh.triangles).closest(places)
+    corners = mesh.triangles[found.triangle].ravel()
+    shared = (found.barycentric * load[:, None]).ravel()
+    return np.bincount(corners, shared, minlength=len(mesh.nodes))
+
+
+def _ranges(
+    estimator: RubberEstimator, sighting: Sighting, moved: np.ndarray, load: np.ndarray
+) -> np.ndarray:
+    """What changes of the nodal loads (n, m) do to the ranges in standard deviations, (k, m)."""
+    mesh, own = estimator.mesh, sighting.mesh
+    x = mesh.nodes + at_nodes(mesh, own, sighting.truth.displacement_3d_m)
+    view = estimator.observer.around(x)
+    weight = estimator.observer.observe_everything().weight[view.block]
+    rubber = estimator.equilibrium.linearised(x, load / mesh.areas, None)
+    nodes = np.flatnonzero(moved.any(axis=1) & ~mesh.rim)
+    area = np.linalg.norm(rubber.area_vectors[nodes], axis=1)
+    motion = rubber.responses(nodes) @ (moved[nodes] / area[:, None])
+    ranges: np.ndarray = np.sqrt(weight)[:, None] * (view.jacobian @ motion)
+    return ranges
+
+
+def _edge(mesh: MembraneMesh, share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middles (s, 3) of the pieces of the edge, their normals in the membrane and lengths."""
+    pieces = level_line(mesh.nodes, mesh.corners, share - 0.5)
+    middle, along = pieces.mean(axis=1), pieces[:, 1] - pieces[:, 0]
+    normal = np.cross(along, mesh.normals[cKDTree(mesh.nodes).query(middle)[1]])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return middle, normal, np.linalg.norm(along, axis=1)

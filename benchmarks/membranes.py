@@ -1,0 +1,95 @@
+"""Error of force and patch on bulged sheets and moulded domes, known and identified.
+
+The study of accuracy on membranes whose truth has equations of its own, and on what an estimator is
+told after it was identified from inflation levels with no material value given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+
+from bubbleviz.calibration.identification import identify, with_rubber
+from bubbleviz.calibration.rest.rest_frames import collect
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.inflated_rubber import InflatedRubber
+from bubbleviz.simulation.rubber_truth import RubberPresses
+from bubbleviz.simulation.sensor_variants import with_noise
+from bubbleviz.study import accuracy
+from tests.oracles.round_sheet import round_sheet
+
+GAUGE_PA = 4_000.0
+RIM_M, OVAL_M = (0.045, 0.045), (0.0557, 0.0396)
+"""Rims of the small membranes; the oval is that of the Punyo."""
+LEVELS = (0.85, 1.15)
+"""Shares of the gauge pressure at rest at which sensors are recorded to be identified."""
+_NODES, _FRAMES = 1_000, 30
+
+
+GRID = accuracy.Grid(
+    specimens=(
+        "round sheet λ 1.15",
+        "oval sheet λ 1.15",
+        "round sheet, identified λ 1.15",
+        "oval sheet, identified λ 1.15",
+        "oval sheet, identified λ 1.4",
+        "moulded dome, identified λ 1.2",
+    )
+)
+"""Sheets were flat and stretched by λ before gas bulged them; the tension of moulded domes at rest
+is what comes of stretching and inflating them."""
+
+
+def quick_grid() -> accuracy.Grid:
+    """One press of one identified membrane."""
+    few = replace(accuracy.quick_grid(), specimens=GRID.specimens[2:3])
+    return replace(few, setups=few.setups[:3])
+
+
+def specimen(name: str, _sensor: Sensor, grid: accuracy.Grid) -> accuracy.Specimen:
+    """One of a grid."""
+    kind, _, stretch = name.partition(" λ ")
+    shape, _, how = kind.partition(", ")
+    rubber = _RUBBER[shape](float(stretch))
+    camera = DepthCamera.of(rubber.sensor().camera)
+    presses = RubberPresses(camera, rubber.rest, rubber.rubber, rubber.pneumatics)
+    if how == "identified":
+        told = cache(partial(_identified, rubber, grid.seed))
+        return accuracy.Specimen(name, presses, told, "identified")
+    return accuracy.Specimen(name, presses, partial(with_noise, _known(rubber)))
+
+
+def _stiffness(stretch: float) -> float:
+    """μh that bulges a sheet by some two fifths of its rim's radius, N/m: γ0 of some 125 N/m."""
+    return 85.0 / (1.0 - stretch**-6) + 25.0
+
+
+_RUBBER: dict[str, Callable[[float], InflatedRubber]] = {
+    "round sheet": lambda λ: round_sheet(RIM_M[0], _stiffness(λ), λ, GAUGE_PA),
+    "oval sheet": lambda λ: InflatedRubber.oval_sheet(OVAL_M, _stiffness(λ), λ, GAUGE_PA),
+    "moulded dome": lambda λ: InflatedRubber.moulded_dome(RIM_M, 0.020, _stiffness(λ), λ, GAUGE_PA),
+}
+
+
+def _known(rubber: InflatedRubber) -> SensorModel:
+    """The sensor with its true numbers, on another mesh of its true surface."""
+    drawn = rubber.sensor()
+    membrane = drawn.membrane.model_copy(update={"prestretch": rubber.prestretch})
+    known = {"membrane": membrane, "pneumatics": rubber.pneumatics}
+    sensor = drawn.model_copy(update=known)
+    return SensorModel(sensor, DepthCamera.of(sensor.camera), rubber.resting(_NODES))
+
+
+def _identified(rubber: InflatedRubber, seed: int, noise: DepthNoise) -> SensorModel:
+    """The sensor as its inflation levels tell, from a drawing without material."""
+    levels = (1.0, *LEVELS)
+    rest, *others = (
+        rubber.recording(level, seed + k, noise, _FRAMES) for k, level in enumerate(levels)
+    )
+    drawn = rubber.sensor()
+    found = identify(rest, drawn, range(_FRAMES), nodes=_NODES)
+    return with_rubber(found, [collect(level, drawn, range(_FRAMES)) for level in others]).model

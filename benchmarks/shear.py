@@ -1,0 +1,306 @@
+"""Error of traction with friction on objects that are pressed in, dragged and twisted.
+
+The truth is the exact membrane on a finer mesh: with the forces that hold it to an object that
+sticks, or in contact by Coulomb's law, of which the estimator knows nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.colour.optical_flow import FlowField
+from bubbleviz.frames.frame import Frame
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result, Traction
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.study.harness import (
+    Case,
+    Column,
+    Report,
+    Study,
+    Table,
+    Target,
+    at_least,
+    at_most,
+    over,
+)
+from tests.oracles.dragged_press import DraggedPress, DraggedTruth, dragged_truths
+from tests.oracles.flow_sighting import sighting
+from tests.oracles.stuck_press import BESIDE_M, Motion, ShearTruth, pressed, shear_sensor
+
+_DEPTH: frozenset[Product] = frozenset({"patch"})
+_SHEAR: frozenset[Product] = frozenset({"patch", "slip"})
+DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
+_SLIPPED_M = 1e-4
+"""Way over the object that a slip is told from; chosen: noise of the texture hides less."""
+HEADING = np.array([0.894, 0.447, 0.0])
+"""Way of the drags, off the mesh's axes; chosen."""
+
+
+@dataclass(frozen=True)
+class ShearGrid:
+    """What is tried."""
+
+    objects: tuple[tuple[str, float], ...] = (("puck", 0.005), ("sphere", 0.006))  # depth in m
+    # ends of steps of one drag, and of one twist after it, begun anew for each object
+    drags_m: tuple[float, ...] = (0.0, 0.0005, 0.001, 0.0015, 0.002, 0.0025, 0.003, 0.0035, 0.004)
+    twists_rad: tuple[float, ...] = tuple(np.radians((0.0, 4.0, 8.0, 12.0, 16.0, 20.0)).tolist())
+    # Coulomb's μ of presses that end in the last of the drags, and in the last of the twists
+    frictions: tuple[float, ...] = (1.0,)
+    frames: int = 32  # of each of these, of which a quarter is the drag or twist
+    flow_sigmas_px: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+    slip_depths_m: tuple[float, ...] = (0.0025, 0.004, 0.006, 0.010)  # of balls that slip in part
+    slip_seeds: int = 3  # noises of the exact flow of each
+    truth_nodes: int = 3_000
+    seed: int = 7
+
+    @property
+    def paths(self) -> tuple[list[Motion], list[Motion]]:
+        """One that drags and one that twists."""
+        drags = [Motion(drag * HEADING) for drag in self.drags_m]
+        return drags, [Motion(np.zeros(3), twist) for twist in self.twists_rad]
+
+
+def quick_shear_grid() -> ShearGrid:
+    """A minute's worth."""
+    return ShearGrid(
+        objects=(("puck", 0.005),),
+        drags_m=(0.0, 0.0005, 0.001),
+        twists_rad=(0.0, float(np.radians(5.0))),
+        frictions=(1.0,),
+        frames=12,
+        flow_sigmas_px=(0.03,),
+        slip_depths_m=(0.006,),
+        slip_seeds=1,
+        truth_nodes=2_000,
+    )
+
+
+@dataclass(frozen=True)
+class ShearTrial:
+    """One frame of one path; errors are lengths of differences over the true force's.
+
+    `depth_*` is by depth alone. `friction` is NaN where all that touched sticks; `angle_rad` is
+    between the forces, `torque_error` of z about the true centre (NaN without a twist), `sigmas`
+    the force's error over its standard deviation; `slip` and `true_slip` are shares of the patch
+    that are said to have slipped, and that have by more than 0.1 mm (NaN where nothing is said);
+    times are of the processor.
+    """
+
+    object_name: str
+    friction: float
+    drag_m: float
+    twist_rad: float
+    flow_sigma_px: float
+    depth_status: str
+    status: str
+    depth_force_error: float
+    force_error: float
+    angle_rad: float
+    torque_error: float
+    displacement_rms_m: float
+    depth_center_error_m: float
+    center_error_m: float
+    sigmas: float
+    slip: float
+    true_slip: float
+    estimate_ms: float
+    traction_ms: float
+
+
+def shear_study(grid: ShearGrid) -> Study:
+    """Every frame of every path at every noise of the flow."""
+    cases = [
+        Case(f"{name}, {way}", partial(_all_noises, grid, partial(make, grid, name, depth_m, k)))
+        for name, depth_m in grid.objects
+        for make, ways in ((_sticking, 2), (_sliding, 2 * len(grid.frictions)))
+        for k in range(ways)
+        for way in [f"{make.__name__.strip('_')} {k}"]
+    ]
+    return Study("shear", ShearTrial, cases, report_of, unit="path")
+
+
+def _all_noises(grid: ShearGrid, make: Callable[[], list[_Moved]]) -> list[ShearTrial]:
+    frames = make()
+    return [t for sigma in grid.flow_sigmas_px for t in _trials(frames, sigma, grid)]
+
+
+class _Moved(NamedTuple):
+    """A frame of a press, and how far its object was moved; None before it is pressed in."""
+
+    object_name: str
+    motion: Motion | None
+    truth: ShearTruth
+    friction: float = np.nan
+
+
+def _sticking(grid: ShearGrid, name: str, depth_m: float, k: int) -> list[_Moved]:
+    """Frames of path k of an object that the membrane sticks to."""
+    press, path = pressed(shear_sensor(), name, depth_m, grid.truth_nodes), grid.paths[k]
+    truths = list(press.along(path))
+    return [_Moved(name, motion, truth) for motion, truth in zip(path, truths, strict=True)]
+
+
+def _sliding(grid: ShearGrid, name: str, depth_m: float, k: int) -> list[_Moved]:
+    """Frames of a drag, or a twist, of an object with Coulomb's friction."""
+    sensor, friction = shear_sensor(), grid.frictions[k // 2]
+    mesh, known = build_mesh(sensor, grid.truth_nodes // 2), SensorModel.of(sensor)
+    rubber_on = partial(build_rubber, sensor, tension_n_per_m=known.tension_n_per_m)
+    gas_on = partial(Gas.of, sensor.pneumatics)
+    drag_m, twist_rad = (0.0, grid.twists_rad[-1]) if k % 2 else (grid.drags_m[-1], 0.0)
+    dragged = DraggedPress(name, depth_m, drag_m, twist_rad, friction, BESIDE_M)
+    truths = list(dragged_truths(rubber_on, gas_on, mesh, dragged, grid.frames, 0))
+    return [_Moved(name, _motion(truth, truths[-1]), truth, friction) for truth in truths]
+
+
+def _motion(truth: DraggedTruth, last: DraggedTruth) -> Motion | None:
+    """How far the object was moved since it was pressed in."""
+    if truth.T_B_O[2, 3] > last.T_B_O[2, 3]:
+        return None
+    drag = truth.T_B_O[:3, 3] - last.T_B_O[:3, 3]
+    drag[:2] = truth.T_B_O[:2, 3] - BESIDE_M
+    return Motion(drag, float(np.arctan2(truth.T_B_O[1, 0], truth.T_B_O[0, 0])))
+
+
+def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[ShearTrial]:
+    """Frames of one path, each begun where the one before ended."""
+    model = SensorModel.of(shear_sensor())
+    both, alone = Pipeline(model), Pipeline(model)
+    flows: list[FlowField] = []
+    both.watch_texture(lambda frame: flows[frame.index])
+    for pipeline, products in ((both, _SHEAR), (alone, _DEPTH)):
+        pipeline.prepare(products)
+    for k, (name, motion, truth, friction) in enumerate(frames):
+        seen = sighting(model.camera, truth, DEPTH_NOISE, sigma_px, grid.seed + k)
+        flows.append(seen.flow)
+        frame = Frame(k, k / 30.0, seen.depth_m)
+        begun = time.process_time()
+        alone.process(frame, _DEPTH)
+        between = time.process_time()
+        result = both.process(frame, _SHEAR)
+        depth_ms, whole_ms = 1e3 * (between - begun), 1e3 * (time.process_time() - between)
+        if motion is None:
+            continue
+        trial = judged(result, truth, model.mesh)
+        yield replace(
+            trial,
+            object_name=name,
+            friction=friction,
+            drag_m=float(np.linalg.norm(motion.drag_m)),
+            twist_rad=motion.twist_rad,
+            flow_sigma_px=sigma_px,
+            torque_error=trial.torque_error if motion.twist_rad else np.nan,
+            estimate_ms=depth_ms,
+            traction_ms=max(0.0, whole_ms - depth_ms),
+        )
+
+
+def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
+    """Errors of a frame's traction and slip; what is not of the result is left open."""
+    estimate, traction = result.estimate, result.traction
+    if estimate is None or traction is None:
+        raise ValueError("the result lacks the estimate or the traction")
+    alone = np.full(3, np.nan) if estimate.force_n is None else estimate.force_n
+    true, size = truth.force_n, float(np.linalg.norm(truth.force_n))
+    difference = traction.force_n - true
+    length = float(np.linalg.norm(traction.force_n))
+    cosine = float(np.clip(traction.force_n @ true / (length * size), -1.0, 1.0))
+    center, patch = truth.center_m, result.trusted_patch
+    center_alone = np.full(3, np.nan) if patch is None else patch.center_of_pressure_m
+    twisted = truth.torque_nm(center)[2]
+    found = traction.torque_about(center)[2]
+    slip, true_slip = result.slip, 0.0
+    if slip is not None and isinstance(truth, DraggedTruth):
+        true_slip = truth.slip_share(_SLIPPED_M)
+    return ShearTrial(
+        object_name="",
+        friction=np.nan,
+        drag_m=np.nan,
+        twist_rad=np.nan,
+        flow_sigma_px=np.nan,
+        depth_status=estimate.status,
+        status=traction.status,
+        depth_force_error=float(np.linalg.norm(alone - true)) / size,
+        force_error=float(np.linalg.norm(difference)) / size,
+        angle_rad=float(np.arccos(cosine)),
+        torque_error=abs(float(found / twisted) - 1.0),
+        displacement_rms_m=along_error_m(traction, truth, mesh),
+        depth_center_error_m=float(np.linalg.norm(center_alone - center)),
+        center_error_m=float(np.linalg.norm(traction.center_m - center)),
+        sigmas=float(np.linalg.norm(difference) / np.linalg.norm(traction.force_sigma_n)),
+        slip=np.nan if slip is None else slip.share,
+        true_slip=np.nan if slip is None else true_slip,
+        estimate_ms=np.nan,
+        traction_ms=np.nan,
+    )
+
+
+def along_error_m(traction: Traction, truth: ShearTruth, mesh: MembraneMesh) -> float:
+    """Root mean square error of the displacement along the membrane over a mesh's nodes, m."""
+    found = TriangleScene(truth.mesh.nodes, truth.mesh.triangles).closest(mesh.nodes)
+    corners = truth.mesh.triangles[found.triangle]
+    true = np.einsum("ij,ijk->ik", found.barycentric, truth.displacement_m[corners])
+    normals = np.einsum("ij,ijk->ik", found.barycentric, truth.normals[corners])
+    error = traction.positions_m - mesh.nodes - true
+    along = error - np.einsum("ij,ij->i", error, normals)[:, None] * normals
+    return float(np.sqrt(np.mean(np.sum(along**2, axis=1))))
+
+
+TARGET_NOISE_PX = 0.03
+
+
+def targets(trials: Sequence[ShearTrial]) -> list[Target]:
+    """Worst frames at the target's noise, and whether that will do."""
+    some = [trial for trial in trials if trial.flow_sigma_px == TARGET_NOISE_PX]
+    solved = [trial for trial in some if trial.status == "ok"]
+    sticking = [t.slip > 0.0 for t in some if np.isfinite(t.slip) and np.isnan(t.friction)]
+    worst = partial(over, solved, average=np.max)
+    return [
+        at_least("share of frames solved", len(solved) / max(1, len(some)), 1.0),
+        at_most("force error, %", 100.0 * worst("force_error"), 3.0),
+        at_most("force angle, °", np.degrees(worst("angle_rad")), 3.0),
+        at_most("torque error, %", 100.0 * worst("torque_error"), 5.0),
+        at_most("displacement, mm", 1e3 * worst("displacement_rms_m"), 0.05),
+        at_most("centre, mm", 1e3 * worst("center_error_m"), 1.0),
+        at_most(
+            "false slip, share of frames", float(np.mean(sticking)) if sticking else np.nan, 0.05
+        ),
+        at_most("traction, ms of processor", over(solved, "traction_ms"), 15.0),
+    ]
+
+
+_COLUMNS = (
+    Column("object", "object_name"),
+    Column("μ", "friction", "g"),
+    Column("drag mm", "drag_m", ".1f", 1e3),
+    Column("twist °", "twist_rad", ".0f", float(np.degrees(1.0))),
+    Column("flow px", "flow_sigma_px", "g"),
+    *(Column(name, name) for name in ("depth_status", "status")),
+    Column("depth alone %", "depth_force_error", ".0f", 100),
+    Column("force %", "force_error", ".1f", 100),
+    Column("angle °", "angle_rad", ".2f", float(np.degrees(1.0))),
+    Column("torque %", "torque_error", ".1f", 100),
+    Column("displ. mm", "displacement_rms_m", ".3f", 1e3),
+    Column("depth's centre mm", "depth_center_error_m", ".1f", 1e3),
+    Column("centre mm", "center_error_m", ".2f", 1e3),
+    Column("slip %", "slip", ".0f", 100),
+    Column("true %", "true_slip", ".0f", 100),
+    Column("traction ms", "traction_ms", ".0f"),
+)
+
+
+def report_of(trials: Sequence[ShearTrial]) -> Report:
+    """Every frame; no μ where all sticks."""
+    records = [asdict(trial) for trial in trials]
+    return Report([Table("trials", records, _COLUMNS)], targets(trials))

@@ -1,0 +1,190 @@
+"""Sensors of known rubber, recorded at inflation levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.inflation import Inflation
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.membrane.stiffness import balance_tension
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.inflated_sensor import InflatedSensor
+
+ATMOSPHERE_PA = 98_700.0
+"""Some 225 m above the sea, where no sensor file assumes to be."""
+CHAMBER_M3 = 3e-4
+_NODES = 3_000
+CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frames=0.5)
+"""As a RealSense D405 over a soft bubble has: σ and correlation in space and time."""
+
+
+@dataclass(frozen=True)
+class InflatedRubber:
+    """A membrane of known rubber.
+
+    Attributes
+    ----------
+    name : str
+    rim_semi_axes_m : (ax, ay)
+    gauge_pressure_pa : float
+        G at rest.
+    mu_h_n_per_m : float
+    tension_n_per_m : float
+        γ0: the one tension that balances the gauge pressure over the surface at rest, as
+        identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
+        where shape and pressure do not tell it.
+    shape : callable
+        Membrane under a gauge pressure in Pa.
+    sheet : MembraneMesh
+        The same triangles stretched by λ over the rim, before there is any pressure.
+    sheet_stretch : float
+        That λ.
+    """
+
+    name: str
+    rim_semi_axes_m: tuple[float, float]
+    gauge_pressure_pa: float
+    mu_h_n_per_m: float
+    tension_n_per_m: float
+    shape: Callable[[float], MembraneMesh]
+    sheet: MembraneMesh
+    sheet_stretch: float
+
+    @cached_property
+    def rest(self) -> MembraneMesh:
+        """Membrane under the gauge pressure at rest."""
+        return self.shape(self.gauge_pressure_pa)
+
+    @property
+    def pneumatics(self) -> Pneumatics:
+        """The true ones."""
+        return Pneumatics(
+            gauge_pressure_pa=self.gauge_pressure_pa,
+            atmospheric_pressure_pa=ATMOSPHERE_PA,
+            chamber_volume_m3=CHAMBER_M3,
+            tension_n_per_m=self.tension_n_per_m,
+        )
+
+    def rubber(self, mesh: MembraneMesh) -> RubberMembrane:
+        """The membrane in equilibrium at rest, on a mesh with its nodes on the facets of `rest`."""
+        place = TriangleScene(self.rest.nodes, self.rest.triangles).closest(mesh.nodes)
+        corners = self.sheet.nodes[self.sheet.triangles[place.triangle]]
+        flat = replace(mesh, nodes=np.einsum("ij,ijk->ik", place.barycentric, corners))
+        free = self.sheet_stretch**2 * inverse_metric(flat)
+        material = self.gauge_pressure_pa, free, self.mu_h_n_per_m
+        inflation = Inflation(RubberMembrane(mesh, *material), np.zeros_like(mesh.nodes))
+        bulged = replace(mesh, nodes=inflation.at(self.gauge_pressure_pa, mesh.nodes))
+        return RubberMembrane(bulged, *material)
+
+    def resting(self, nodes: int) -> MembraneMesh:
+        """Another mesh of the membrane at rest, of about so many nodes, all on its facets."""
+        height = float(self.rest.nodes[:, 2].max())
+        mesh = mesh_cap(EllipsoidalCap.of(self.rim_semi_axes_m, height), nodes)
+        inner = ~mesh.rim
+        rays = np.zeros((int(inner.sum()), 6))
+        rays[:, :2], rays[:, 2], rays[:, 5] = mesh.nodes[inner, :2], 1.0, -1.0
+        met = TriangleScene(self.rest.nodes, self.rest.triangles).cast(rays)
+        points = mesh.nodes.copy()
+        points[inner, 2] = 1.0 - met.distance
+        return replace(mesh, nodes=points)
+
+    @property
+    def prestretch(self) -> float:
+        """λ of γ0, μh = γ0 / (1 − λ⁻⁶)."""
+        return float((1.0 - self.tension_n_per_m / self.mu_h_n_per_m) ** (-1.0 / 6.0))
+
+    @classmethod
+    def oval_sheet(
+        cls,
+        rim_semi_axes_m: tuple[float, float],
+        mu_h_n_per_m: float,
+        prestretch: float,
+        gauge_pressure_pa: float,
+    ) -> InflatedRubber:
+        """A sheet that was flat, stretched by λ over a rim and bulged, on a fine mesh."""
+        cap = mesh_cap(EllipsoidalCap.of(rim_semi_axes_m, 0.3 * min(rim_semi_axes_m)), _NODES)
+        flat = replace(cap, nodes=cap.nodes * [1.0, 1.0, 0.0])
+        stretched = flat, mu_h_n_per_m, prestretch, gauge_pressure_pa
+        return cls._on_mesh("oval sheet", rim_semi_axes_m, *stretched)
+
+    @classmethod
+    def moulded_dome(
+        cls,
+        rim_semi_axes_m: tuple[float, float],
+        height_m: float,
+        mu_h_n_per_m: float,
+        prestretch: float,
+        gauge_pressure_pa: float,
+    ) -> InflatedRubber:
+        """A dome stretched by λ from the same dome, then inflated to equilibrium."""
+        cap = mesh_cap(EllipsoidalCap.of(rim_semi_axes_m, height_m), _NODES)
+        stretched = cap, mu_h_n_per_m, prestretch, gauge_pressure_pa
+        return cls._on_mesh("dome", rim_semi_axes_m, *stretched)
+
+    @classmethod
+    def _on_mesh(
+        cls,
+        name: str,
+        rim: tuple[float, float],
+        mesh: MembraneMesh,
+        mu_h_n_per_m: float,
+        prestretch: float,
+        gauge_pressure_pa: float,
+    ) -> InflatedRubber:
+        rubber = RubberMembrane(mesh, 0.0, prestretch**2 * inverse_metric(mesh), mu_h_n_per_m)
+        rest = _inflated(rubber, None, gauge_pressure_pa)
+        tension = balance_tension(rest, gauge_pressure_pa)
+        shape = partial(_inflated, rubber, rest.nodes)
+        made = gauge_pressure_pa, mu_h_n_per_m, tension, shape, mesh, prestretch
+        return cls(name, rim, *made)
+
+    def sensor(self, width: int = 160) -> Sensor:
+        """What a drawing says of the sensor: an inexact height, and the sea's atmosphere."""
+        height = float(self.rest.nodes[:, 2].max())
+        focal, rows = 0.55 * width, 3 * width // 4
+        return Sensor(
+            name=self.name,
+            membrane=Membrane(
+                shape="ellipsoidal_cap",
+                rim_semi_axes_m=self.rim_semi_axes_m,
+                height_m=round(height, 3),
+            ),
+            pneumatics=Pneumatics(gauge_pressure_pa=2500.0, chamber_volume_m3=CHAMBER_M3),
+            camera=Camera(
+                width=width,
+                height=rows,
+                fx=focal,
+                fy=focal,
+                cx=0.5 * (width - 1),
+                cy=0.5 * (rows - 1),
+                position_m=(0.0, 0.0, -1.4 * max(self.rim_semi_axes_m)),
+            ),
+        )
+
+    def recording(
+        self,
+        level: float,
+        seed: int,
+        noise: DepthNoise = CAMERA_NOISE,
+        frames: int = 30,
+        width: int = 160,
+    ) -> InflatedSensor:
+        """Frames at a share of the gauge pressure at rest."""
+        gauge = level * self.gauge_pressure_pa
+        camera = DepthCamera.of(self.sensor(width).camera)
+        name, gas = f"{self.name} at {level:g}", ATMOSPHERE_PA + gauge
+        return InflatedSensor(name, camera, self.shape(gauge), gas, noise, frames, seed)
+
+
+def _inflated(rubber: RubberMembrane, near: np.ndarray | None, pressure_pa: float) -> MembraneMesh:
+    inflation = Inflation(rubber, np.zeros_like(rubber.mesh.nodes))
+    return replace(rubber.mesh, nodes=inflation.at(pressure_pa, near))

@@ -1,0 +1,68 @@
+"""Presses for studies: which object, how deep, and where, from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.rigid_object import RigidObject
+from bubbleviz.simulation import object_shapes
+from bubbleviz.simulation.press_path import touching_height
+
+GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
+HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
+"""Held-out objects: not used while choosing the estimator's settings."""
+EDGE_OBJECTS = ("ring", "rounded_cross", "unequal_balls", "ell", "thin_bar", "small_nut")
+"""Held out, too: made to judge the edge of the patch, and no constant was chosen on them."""
+SMOOTH_OBJECTS = ("sphere", "puck")
+"""Objects without sharp edges, whose exact equilibrium converges as the mesh becomes finer."""
+
+LARGEST_OFFSET_M = 0.008  # off the axis, m; chosen
+LARGEST_TILT_RAD = 0.14  # 8°; chosen
+
+
+@dataclass(frozen=True)
+class Press:
+    """One object pressed to one depth.
+
+    Attributes
+    ----------
+    object_name : str
+    depth_m : float
+        How far beyond first touch, along −z of B.
+    held_out : bool
+    """
+
+    object_name: str
+    depth_m: float
+    held_out: bool
+
+    def pose(self, mesh: MembraneMesh, seed: int) -> np.ndarray:
+        """T_B_O (4, 4): any turn, up to 8 mm off the axis and 8° of tilt, all from the seed."""
+        text = f"{self.object_name} {round(1e6 * self.depth_m)}"
+        random = np.random.default_rng([seed, *text.encode()])
+        turn, heading, aside = random.uniform(0.0, 2.0 * np.pi, 3)
+        tilt = LARGEST_TILT_RAD * random.random()
+        offset = LARGEST_OFFSET_M * np.sqrt(random.random())
+        axis = np.array([np.cos(heading), np.sin(heading), 0.0])
+        rotation = Rotation.from_rotvec(tilt * axis) * Rotation.from_euler("z", turn)
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.as_matrix()
+        pose[:2, 3] = offset * np.array([np.cos(aside), np.sin(aside)])
+        pose[2, 3] = touching_height(made(self.object_name), pose, mesh) - self.depth_m
+        return pose
+
+
+def made(name: str) -> RigidObject:
+    """Object of a generator's name."""
+    generator = getattr(object_shapes, name)
+    obj: RigidObject = generator()
+    return obj
+
+
+def presses(names: tuple[str, ...], depths_m: tuple[float, ...]) -> list[Press]:
+    """Every object at every depth."""
+    return [Press(n, d, n in HELD_OUT_OBJECTS + EDGE_OBJECTS) for n in names for d in depths_m]

@@ -1,1 +1,0 @@
-"""Accuracy: errors over depth, run time and membranes, the detection limit, regularisation."""

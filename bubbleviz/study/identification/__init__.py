@@ -1,1 +1,0 @@
-"""Identification: known rubber identified again and again, to see whether the intervals hold it."""

@@ -1,0 +1,232 @@
+"""Pose error and run time on rubber pressed by the exact forward model, begun off the truth."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bubbleviz.frames.frame import Frame
+from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pose.contact_points import contact_points
+from bubbleviz.pose.depth_image.image_fit import ImageFit
+from bubbleviz.pose.depth_image.pressed_membrane import PressedMembrane
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.observability import directions
+from bubbleviz.pose.pose_options import ImageOptions
+from bubbleviz.pose.rigid_motion import about, moved
+from bubbleviz.pose.tracker import precision_of
+from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.presses import Press, made
+from bubbleviz.simulation.rubber_truth import TRUTH_NODES, RubberPresses, rubber_sensor
+from bubbleviz.simulation.truth_bank import Sighting, TruthBank
+from bubbleviz.study.harness import (
+    Case,
+    Column,
+    Report,
+    Study,
+    Table,
+    at_most,
+    averages,
+    groups,
+    summaries,
+)
+from bubbleviz.study.pose_errors import PoseJudge, TrueContact
+
+START_M, START_RAD = 3e-3, np.radians(8.0)  # how far off starts are
+SHALLOWEST_M, DEEPEST_M = 0.007, 0.012  # of the presses
+FRAMES = 4  # of each press, with noise of their own
+LIMIT_S = 300.0  # of a press whose equilibrium is looked for
+
+_PRODUCTS: frozenset[Product] = frozenset({"pose"})
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What a pose study runs over."""
+
+    objects: tuple[str, ...] = (
+        *("cylinder", "bar", "torus", "two_spheres", "frustum", "two_legged_toy", "bridge"),
+        *("hex_nut", "sphere"),
+    )
+    presses: int = 3  # random ones of each object
+    starts: int = 3  # of each press, off by 3 mm and 8°
+    noise_relative: float = 0.01
+    truth_nodes: int = TRUTH_NODES
+    seed: int = 7
+
+
+def quick_grid() -> Grid:
+    """Half a minute's worth."""
+    return Grid(objects=("cylinder", "two_spheres"), presses=1, starts=2)
+
+
+@dataclass(frozen=True)
+class Row:
+    """The last of some frames of one press, followed from one start.
+
+    `error_m` and `error_rad` are over the directions that the contact's normals determine, `seen_m`
+    and `seen_rad` over those that one image of the exact membrane at the true pose determines, to
+    0.4 mm at the patch's edge and the sensor's noise: where a face with visible edges has slid to.
+    All are modulo symmetry; no pose is an infinite error.
+    """
+
+    object_name: str
+    depth_m: float
+    status: str
+    determined: int = 0
+    seen: int = 0
+    error_m: float = np.inf
+    error_rad: float = np.inf
+    seen_m: float = np.inf
+    seen_rad: float = np.inf
+    first_ms: float = np.nan
+    next_ms: float = np.nan
+
+
+def pose_study(sensor: Sensor, grid: Grid) -> Study:
+    """Every press of every object, from every start."""
+    own = SensorModel.of(rubber_sensor(sensor))
+    bank = TruthBank(RubberPresses.of(own, grid.truth_nodes), grid.seed, limit_s=LIMIT_S)
+    pipeline, cases = Pipeline(own), list[Case]()
+    for name in grid.objects:
+        bench = _Bench(pipeline, bank, name, grid)
+        random = np.random.default_rng([grid.seed, *name.encode()])
+        for depth in random.uniform(SHALLOWEST_M, DEEPEST_M, grid.presses):
+            press = Press(name, float(depth), False)
+            run = partial(bench.rows, press, random)
+            cases.append(Case(f"{name} {1e3 * depth:.1f} mm", run))
+    report = partial(report_of, grid)
+    return Study("pose", Row, cases, report, unit="press")
+
+
+class _Bench:
+    """Follows one object."""
+
+    def __init__(self, pipeline: Pipeline, bank: TruthBank, name: str, grid: Grid) -> None:
+        self._pipeline, self._bank, self._grid = pipeline, bank, grid
+        self._model = ObjectModel(made(name))
+        self._judge = PoseJudge(self._model, precision_of(pipeline.estimator))
+
+    def rows(self, press: Press, random: np.random.Generator) -> list[Row]:
+        """Of one press, from every start."""
+        sighting, grid = self._bank.sighting(press), self._grid
+        self._pipeline.restart()
+        truth, T_B_O = sighting.truth, self._bank.pose(press)
+        touched = sighting.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
+        true = self._judge.touching(*touched, T_B_O)
+        seen, rows = self._seen(sighting, true), []
+        for number in range(grid.starts):
+            ways = random.standard_normal((2, 3))
+            ways *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(ways, axis=1)[:, None]
+            start = moved(true.T_B_O, ways.ravel(), true.center)
+            rows.append(self._row(sighting, true, seen, start, number))
+        return rows
+
+    def _seen(self, sighting: Sighting, true: TrueContact) -> TrueContact:
+        """The contact with the directions that an image of it determines."""
+        depth = self._pipeline.camera.depth_image(sighting.range_m).astype(np.float32)
+        result = self._pipeline.process(Frame(0, 0.0, depth), frozenset({"estimate", "patch"}))
+        if result.estimate is None or result.patch is None:
+            return true
+        contact = contact_points(self._pipeline.mesh, result.estimate, result.patch)
+        own, options = self._pipeline.model, ImageOptions()
+        pressed = PressedMembrane(own.rubber, own.gas, self._model, options.press)
+        fit = ImageFit(self._pipeline.estimator.observer, pressed, options)
+        image = None if contact is None else fit.predicted(true.T_B_O, contact)
+        if image is None:
+            return true
+        J = image.jacobian @ about(true.center, image.center)
+        sigma = self._grid.noise_relative * float(np.nanmedian(sighting.range_m))
+        return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
+
+    def _row(
+        self,
+        sighting: Sighting,
+        true: TrueContact,
+        seen: TrueContact,
+        start: np.ndarray,
+        number: int,
+    ) -> Row:
+        self._pipeline.follow(self._model.obj, start)
+        grid, camera = self._grid, self._pipeline.camera
+        noise = DepthNoise(relative=grid.noise_relative)
+        times = []
+        for k in range(FRAMES):
+            ranges = noise.apply(sighting.range_m, grid.seed + number, k)
+            depth = camera.depth_image(ranges).astype(np.float32)
+            result = self._pipeline.process(Frame(k, k / 30.0, depth), _PRODUCTS)
+            times.append(result.times_ms.get("pose", np.nan))
+        pose = result.pose
+        row = Row(
+            sighting.press.object_name,
+            sighting.press.depth_m,
+            "none" if pose is None else pose.status,
+            determined=int(true.directions.determined.sum()),
+            seen=int(seen.directions.determined.sum()),
+            first_ms=times[0],
+            next_ms=float(np.median(times[1:])),
+        )
+        if pose is None or pose.status != "ok":
+            return row
+        errors = self._judge.errors(pose.T_B_O, true)
+        all_seen = self._judge.errors(pose.T_B_O, seen)
+        return replace(
+            row,
+            error_m=errors.error_m,
+            error_rad=errors.error_rad,
+            seen_m=all_seen.error_m,
+            seen_rad=all_seen.error_rad,
+        )
+
+
+AVERAGES = averages("error_m", "error_rad", "seen_m", "seen_rad", "first_ms", "next_ms") | {
+    f"{name}_worst": (name, np.max) for name in ("seen_m", "seen_rad")
+}
+_DEGREES = float(np.degrees(1.0))
+_COLUMNS = (
+    Column("object", "object_name"),
+    Column("starts", "count"),
+    Column("mm", "error_m", ".2f", 1e3),
+    Column("°", "error_rad", ".1f", _DEGREES),
+    Column("seen mm", "seen_m", ".2f", 1e3),
+    Column("worst", "seen_m_worst", ".2f", 1e3),
+    Column("seen °", "seen_rad", ".1f", _DEGREES),
+    Column("worst", "seen_rad_worst", ".1f", _DEGREES),
+    Column("first ms", "first_ms", ".0f"),
+    Column("next ms", "next_ms", ".0f"),
+)
+
+
+def report_of(grid: Grid, rows: list[Row]) -> Report:
+    """Errors by object, of directions that normals determine and of all that an image does."""
+    points = summaries(rows, ("object_name",), AVERAGES)
+    title = "On rubber; starts 3 mm and 8° off; over determined directions, then all seen"
+    targets = []
+    if rows:
+        off = [row.seen_m for row in rows]
+        turned = np.degrees(max(row.seen_rad for row in rows))
+        targets = [
+            at_most(f"{len(rows)} starts: median error in mm", 1e3 * np.median(off), 0.4),
+            at_most(f"{len(rows)} starts: worst error in mm", 1e3 * max(off), 1.0),
+            at_most(f"{len(rows)} starts: worst error in °", turned, 3.0),
+        ]
+    table = Table("points", points, _COLUMNS, title)
+    return Report([table], targets, {"grid": asdict(grid)}, plot=partial(plot, rows))
+
+
+def plot(rows: list[Row], figure: Figure) -> None:
+    """Error against run time, a point for each start."""
+    left, right = figure.subplots(1, 2)
+    panels = ((left, "seen_m", 1e3, "mm", 1.0), (right, "seen_rad", _DEGREES, "°", 3.0))
+    for axes, name, scale, unit, limit in panels:
+        for (obj,), own in groups(rows, "object_name").items():
+            errors = [scale * getattr(row, name) for row in own]
+            axes.scatter([row.next_ms for row in own], errors, s=30, alpha=0.8, label=obj)
+        axes.axhline(limit, color="tab:green", lw=0.8, label="target, worst")
+        axes.set(xlabel="pose of a following frame, ms (median)", ylim=(0.0, 3.0 * limit))
+        axes.set(ylabel=f"error over all that an image determines, {unit}")

@@ -1,1 +1,0 @@
-"""Pose: error against run time, other registrations, and a nut that turns."""

@@ -1,1 +1,0 @@
-"""Error of shear force, torque and slip against truths with friction."""

@@ -1,0 +1,333 @@
+"""Run time by stage, its growth with nodes and pixels, and memory, of a moving press."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bubbleviz.diagnostics.overlap import iou
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import fitting_sensor
+from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
+from bubbleviz.processes.peak_memory import PeakMemory
+from bubbleviz.result import Result
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.rubber_truth import rubber_sensor
+from bubbleviz.simulation.sensor_variants import with_nodes, with_pixels
+from bubbleviz.simulation.synthetic_source import (
+    FINER,
+    SyntheticSource,
+    default_path,
+    default_press,
+    dome_size,
+)
+from bubbleviz.study.accuracy import PAPER, PRODUCTS, Setup
+from bubbleviz.study.harness import Case, Column, Record, Report, Study, Table, Target, at_most
+
+SOURCE_NODES = 1_000
+"""The simulated press has four times as many, whatever the estimator has."""
+ROUND = 150
+"""Frames of the moving press."""
+STAGES = ("estimate", "solve", "patch", "other")
+"""`estimate` without its solves, and `patch` with its pixels."""
+CONTACT_MS = {"contact": 60.0, "recording": 40.0}
+"""Median time in contact that playback at the camera's rate allows, simulated and real, ms."""
+SMALLEST_FITTED = {"nodes": 800, "pixels": 20_000}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One measurement of a moving press.
+
+    The sweep is "stream", "nodes", "pixels", "contact" (a ball on the exact membrane) or
+    "recording" (the frames with contact of a file).
+    """
+
+    sweep: str
+    setup: Setup = field(default_factory=Setup)
+    pixels: int | None = None  # of a scaled camera; None for the sensor's own
+    frames: int = 10  # from full depth where they are few
+    limit_s: float = 120.0
+    recording: Path | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a run found. Times of a stage are medians over the warm frames.
+
+    `total_*` is depth image in → patch pixels out; `other_ms` what no stage accounts for;
+    `memory_peak_bytes` the increase of the peak while building and running the estimator.
+    """
+
+    sweep: str
+    setup: str
+    solver: str
+    nodes: int
+    pixels: int
+    frames: int
+    error: str = ""
+    build_ms: float = np.nan
+    cold_ms: float = np.nan
+    total_ms: float = np.nan
+    total_p95_ms: float = np.nan
+    estimate_ms: float = np.nan
+    solve_ms: float = np.nan
+    patch_ms: float = np.nan
+    other_ms: float = np.nan
+    memory_peak_bytes: int = 0
+    iou_mean: float = np.nan
+    force_error_relative_median: float = np.nan
+
+
+def full_runs() -> list[Run]:
+    """Streams of the solvers, nodes 200 … 20,000 and pixels 5k … 1M."""
+    sizes_n = (200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
+    sizes_p = (5_000, 20_000, 38_304, 150_000, 500_000, 1_000_000)
+    return [
+        Run("stream", frames=ROUND),
+        Run("stream", Setup(relinearisations=0), frames=ROUND),
+        Run("stream", Setup("osqp"), frames=40),
+        *(Run("stream", Setup(name), frames=12) for name in ("clarabel", "osqp-cold")),
+        Run("stream", PAPER, frames=12),
+        *(Run("nodes", Setup(None, n), frames=8) for n in sizes_n),
+        *(Run("nodes", Setup("osqp", n), frames=8, limit_s=60.0) for n in sizes_n[:5]),
+        *(Run("pixels", pixels=p, limit_s=300.0) for p in sizes_p),
+    ]
+
+
+def quick_runs() -> list[Run]:
+    """A subset that runs in less than a minute."""
+    return [
+        Run("stream", frames=40),
+        Run("stream", PAPER, frames=6),
+        *(Run("nodes", Setup(None, n), frames=4) for n in (800, 5_000)),
+        *(Run("pixels", pixels=p, frames=4) for p in (38_304, 300_000)),
+    ]
+
+
+def contact_runs(recording: Path | None, frames: int) -> list[Run]:
+    """The exact membrane and the linear one in contact, simulated and, where there is one, real."""
+    setups = [Setup(RUBBER), Setup(LINEAR)]
+    runs = [Run("contact", setup, frames=frames, limit_s=300.0) for setup in setups]
+    if recording is not None:
+        runs += [Run("recording", s, limit_s=300.0, recording=recording) for s in setups]
+    return runs
+
+
+def speed_study(sensor: Sensor, runs: list[Run]) -> Study:
+    """Every measurement in a process of its own; one that breaks says why."""
+    cases = [
+        Case(
+            f"{run.sweep} {run.setup.label}",
+            partial(measure, sensor, run),
+            run.limit_s,
+            partial(_broken, sensor, run),
+        )
+        for run in runs
+    ]
+    return Study("speed", Row, cases, report_of, unit="run", fresh=True)
+
+
+def measure(sensor: Sensor, run: Run) -> list[Row]:
+    """Stream a press through one pipeline."""
+    if run.recording is not None:
+        with Recording(run.recording) as recording:
+            _, sensor = fitting_sensor(recording, None)
+            frames = [recording[k] for k in range(len(recording))]
+            model = SensorModel.of(rubber_sensor(sensor), recording.intrinsics)
+            return [_measured(run, model, frames, None, [])]
+    scaled = with_pixels(sensor, run.pixels)
+    if run.sweep == "contact":  # a ball along the path of the moving press
+        scaled = rubber_sensor(scaled)
+        poses, noise = default_path(*dome_size(scaled), ROUND), scaled.camera.noise_relative
+        source = SyntheticSource(
+            scaled,
+            load_object("sphere"),
+            poses,
+            DepthNoise(relative=noise),
+            nodes=FINER * SOURCE_NODES,
+        )
+    else:
+        source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
+    order = _frames_of(run, len(source))
+    frames = [replace(source[k], gas_pressure_pa=None) for k in order]
+    return [_measured(run, SensorModel.of(scaled), frames, source, order)]
+
+
+def _frames_of(run: Run, count: int) -> list[int]:
+    deepest = round(0.4 * count)
+    before = run.frames // 2 if run.sweep in ("stream", "contact") else 0
+    start = max(0, deepest - before) if run.frames < count else 0
+    return list(range(start, min(start + run.frames, count)))
+
+
+def _measured(
+    run: Run,
+    model: SensorModel,
+    frames: list[Frame],
+    source: SyntheticSource | None,
+    order: list[int],
+) -> Row:
+    results, laps = [], []
+    with PeakMemory() as memory:
+        start = time.perf_counter()
+        pipeline = run.setup.pipeline(model)
+        built = 1e3 * (time.perf_counter() - start)
+        for frame in frames:
+            results.append(pipeline.process(frame, PRODUCTS))
+            laps.append(_stages(results[-1]))
+    warm = laps[1:] or laps
+    if source is None:
+        touching = [r.estimate is not None and r.estimate.status == "ok" for r in results]
+        warm = [lap for lap, ok in zip(laps, touching, strict=True) if ok] or warm
+    stages: dict[str, Any] = {k: float(np.median([lap[k] for lap in warm])) for k in warm[0]}
+    return Row(
+        **stages,
+        **(_quality(results, source, order) if source is not None else {}),
+        sweep=run.sweep,
+        setup=run.setup.label,
+        solver=pipeline.estimator.solver_name,
+        nodes=len(pipeline.mesh.nodes),
+        pixels=model.sensor.camera.width * model.sensor.camera.height,
+        frames=len(warm) if source is None else len(frames),
+        build_ms=built,
+        cold_ms=laps[0]["total_ms"],
+        total_p95_ms=float(np.percentile([lap["total_ms"] for lap in warm], 95)),
+        memory_peak_bytes=memory.increase_bytes,
+    )
+
+
+def _stages(result: Result) -> dict[str, float]:
+    times, solve = result.times_ms, 0.0 if result.estimate is None else result.estimate.solve_ms
+    stages = {
+        "estimate_ms": times["estimate"] - solve,
+        "solve_ms": solve,
+        "patch_ms": times.get("patch", 0.0) + times.get("pixel_mask", 0.0),
+    }
+    rest = times["total"] - sum(stages.values())
+    return {**stages, "other_ms": rest, "total_ms": times["total"]}
+
+
+def _quality(results: list[Result], source: SyntheticSource, order: list[int]) -> dict[str, Any]:
+    """Mean IoU and median force error over the frames with contact."""
+    overlaps, errors = [], []
+    for result, index in zip(results, order, strict=True):
+        truth = source.truth(index)
+        if truth.patch_mask.any() and result.patch and result.patch.pixel_mask is not None:
+            overlaps.append(iou(result.patch.pixel_mask, truth.patch_mask))
+            off = np.linalg.norm(result.patch.force_n - truth.force_n)
+            errors.append(off / np.linalg.norm(truth.force_n))
+    if not overlaps:
+        return {}
+    quality = float(np.mean(overlaps)), float(np.median(errors))
+    return dict(zip(("iou_mean", "force_error_relative_median"), quality, strict=True))
+
+
+def _broken(sensor: Sensor, run: Run, error: str, _ms: float) -> Row:
+    camera = with_pixels(sensor, run.pixels).camera
+    nodes, solver = run.setup.nodes or sensor.membrane.nodes, run.setup.solver or "default"
+    pixels = camera.width * camera.height
+    return Row(run.sweep, run.setup.label, solver, nodes, pixels, frames=0, error=error)
+
+
+def growths(rows: list[Row]) -> list[Record]:
+    """Exponent e of time and memory ∝ size^e, fitted to the larger sizes of every sweep."""
+    found = list[Record]()
+    for (sweep, solver), own in _sweeps(rows).items():
+        own = [row for row in own if getattr(row, sweep) >= 0.9 * SMALLEST_FITTED[sweep]]
+        if len(own) >= 2:
+            sizes = np.log([getattr(row, sweep) for row in own])
+            record: Record = {"sweep": sweep, "setup": solver, "sizes": len(own)}
+            for name, field_name in (("time", "total_ms"), ("memory", "memory_peak_bytes")):
+                values = [max(getattr(row, field_name), 1e-9) for row in own]
+                record[f"{name}_exponent"] = float(np.polyfit(sizes, np.log(values), 1)[0])
+            found.append(record)
+    return found
+
+
+def _sweeps(rows: list[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Rows of each sweep over sizes, by the solver that was asked for."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if row.sweep in SMALLEST_FITTED and not row.error:
+            found.setdefault((row.sweep, row.setup.split("_")[0]), []).append(row)
+    return found
+
+
+def targets(rows: list[Row]) -> list[Target]:
+    """Targets, and whether each is met in this run."""
+    found, good = list[Target](), [row for row in rows if not row.error]
+    for row in good:
+        if (row.sweep, row.setup) == ("stream", "default"):
+            found.append(at_most("stream, median ms", row.total_ms, 8.0))
+            found.append(at_most("stream, p95 ms", row.total_p95_ms, 16.0))
+        if row.sweep in CONTACT_MS and row.solver == RUBBER:
+            name = f"{row.sweep}, exact membrane, median ms"
+            found.append(at_most(name, row.total_ms, CONTACT_MS[row.sweep]))
+    for growth in growths(rows):
+        if growth["sweep"] == "nodes":
+            name = f"{growth['setup']}, exponent in nodes"
+            found.append(at_most(name, growth["time_exponent"], 1.6))
+    images = [row for row in good if row.sweep == "pixels"]
+    small = [row.total_ms for row in images if 30_000 < row.pixels < 50_000]
+    large = [row.total_ms for row in images if row.pixels > 900_000]
+    if small and large:
+        found.append(at_most("1M pixels over 38k", large[0] / small[0], 10.0))
+    return found
+
+
+_COLUMNS = (
+    *(Column(name, name) for name in ("sweep", "setup", "nodes", "pixels", "error")),
+    Column("build ms", "build_ms", ".1f"),
+    Column("cold ms", "cold_ms", ".1f"),
+    Column("median ms", "total_ms", ".1f"),
+    Column("p95 ms", "total_p95_ms", ".1f"),
+    *(Column(f"{name} ms", f"{name}_ms", ".1f") for name in STAGES),
+    Column("memory MiB", "memory_peak_bytes", ".0f", 2.0**-20),
+    Column("IoU", "iou_mean", ".3f"),
+    Column("force err %", "force_error_relative_median", ".2f", 100),
+)
+_GROWTH = (
+    *(Column(name, name) for name in ("sweep", "setup", "sizes")),
+    Column("of time", "time_exponent", ".2f"),
+    Column("of memory", "memory_exponent", ".2f"),
+)
+
+
+def report_of(rows: list[Row]) -> Report:
+    """Times of every run, their growth, and targets."""
+    tables = [
+        Table("growth", growths(rows), _GROWTH, "Exponents of growth with size"),
+        Table("runs", [asdict(row) for row in rows], _COLUMNS),
+    ]
+    return Report(tables, targets(rows), plot=partial(plot, rows))
+
+
+def plot(rows: list[Row], figure: Figure) -> None:
+    """Stages of the moving press, and growth of the whole."""
+    bars, *sweeps = figure.subplots(1, 3)
+    streams = [row for row in rows if row.sweep == "stream" and not row.error]
+    bottom = np.zeros(len(streams))
+    for stage in STAGES:
+        heights = np.array([getattr(row, f"{stage}_ms") for row in streams])
+        bars.bar([row.setup for row in streams], heights, bottom=bottom, label=stage)
+        bottom += heights
+    bars.set(ylabel="ms, median of warm frames", title="Moving press, by stage")
+    bars.tick_params(axis="x", rotation=30)
+    for axes, sweep in zip(sweeps, ("nodes", "pixels"), strict=True):
+        for (name, solver), own in _sweeps(rows).items():
+            if name == sweep:
+                sizes = [getattr(row, sweep) for row in own]
+                axes.loglog(sizes, [row.total_ms for row in own], "o-", label=f"{solver}, warm")
+                axes.loglog(sizes, [row.cold_ms for row in own], "x:", label=f"{solver}, cold")
+        axes.set(xlabel=sweep, ylabel="ms", title=f"Growth with {sweep}")

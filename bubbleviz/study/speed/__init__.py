@@ -1,1 +1,0 @@
-"""Speed: run time by stage, growth with nodes and pixels, memory."""

@@ -1,1 +1,0 @@
-"""Stability: stiff and extreme cases, each solved within its tolerance or refused."""

@@ -1,0 +1,85 @@
+"""Pose against other registrations, and the nut that turns."""
+
+import os
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
+from benchmarks.pose_rivals import BOTH, WHOLE_CLOUD, PoseGrid, rivals_study
+from benchmarks.screws import report_of, run_screw, screw_path, screw_source
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.rigid_motion import moved
+from bubbleviz.sensor import load_sensor
+from bubbleviz.simulation.presses import made
+from bubbleviz.simulation.sensor_variants import with_nodes
+
+LONG = "TEST_ALL" in os.environ
+"""Else fewer presses on coarser meshes, which are not judged by their errors."""
+GRID = PoseGrid(
+    objects=("cross",), poses=2 if LONG else 1, noises_relative=(0.01,), truth_nodes=1_500, seed=5
+)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_sensor("pico_flexx_75mm")
+
+
+def test_rivals_find_a_whole_surface_again():
+    model = ObjectModel(made("frustum"))
+    points, _ = model.sample(2_000, seed=8)
+    T = np.eye(4)
+    T[:3, 3] = [0.01, 0.0, 0.04]
+    start = moved(T, np.array([1e-3, 1e-3, -1e-3, 0.03, 0.02, -0.03]), T[:3, 3])
+    rival = CloudRegistration(model, 0.01)
+    there = points + T[:3, 3]
+    ways = [rival.open3d, *([rival.small_gicp] if has_small_gicp() else [])]
+    for way in ways:
+        assert np.abs(way(there, start) - T).max() < 5e-3
+
+
+def test_every_method_is_tried_from_the_same_start(sensor):
+    study = rivals_study(sensor, GRID).run()
+    methods = {trial.method for trial in study.rows}
+    assert {WHOLE_CLOUD, "stage one", BOTH, "patch, Open3D"} <= methods
+    assert len(study.rows) == GRID.poses * len(methods)
+    own = [trial for trial in study.rows if trial.method == BOTH]
+    for trial in own:
+        assert trial.status == "ok"
+        assert trial.start_m <= 5e-3
+        assert trial.start_rad <= np.radians(10.0)
+        assert trial.error_m < 1e-3
+        assert trial.error_rad < np.radians(2.0)
+        assert trial.total_ms > 0.0
+    assert study.omitted == []
+    names = [target.name for target in study.targets]
+    assert "cross, 1 %: better than whole cloud" in names
+    assert "both stages" in study.to_text() and "cross" in study.to_text()
+
+
+@pytest.fixture(scope="module")
+def screw(sensor):
+    """The first frames of the nut that is turned."""
+    if not LONG:
+        sensor = with_nodes(sensor, 400)
+    source = screw_source(sensor, nodes=2_000 if LONG else 800)
+    source.poses = source.poses[:4]
+    return run_screw(sensor, source, 3, blanked=False)
+
+
+@pytest.mark.long
+def test_the_nut_turns_by_sixty_degrees(screw):
+    poses = screw_path(0.05, 0.013, 120)
+    turned = Rotation.from_matrix(poses[-1][:3, :3] @ poses[0][:3, :3].T)
+    assert np.degrees(turned.magnitude()) == pytest.approx(60.0)
+    assert (screw.ok, screw.frames) == (4, 4)
+    assert np.isnan(screw.recovered_after)
+    assert screw.rotation_error_rad_end < np.radians(6.0)
+
+
+@pytest.mark.long
+def test_report_on_the_nut(screw):
+    names = [target.name for target in report_of([screw]).targets]
+    assert "largest rotation error in °, worst run" in names

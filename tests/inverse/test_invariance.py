@@ -1,0 +1,144 @@
+"""Neither mesh, nor rim, nor the frames before change what is found in a frame."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import membranes
+from bubbleviz.frames.recording import Recording
+from bubbleviz.inverse.estimator import RIM_SLACK_M, EstimatorOptions
+from bubbleviz.inverse.solvers.inverse_solver import RUBBER
+from bubbleviz.membrane.refine import refine
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.presses import Press
+from bubbleviz.simulation.truth_bank import TruthBank, noise_name
+from bubbleviz.study.accuracy import Grid, specimen
+
+PATCH = frozenset({"patch"})
+LARGEST_CHANGE = 0.03
+MESH, RIM = "mesh × 4", "rim prior × 3"
+
+
+def finer(model):
+    """The sensor on a mesh of four times as many nodes."""
+    if model.sensor.membrane.shape == "spherical_cap":
+        fine = SensorModel.of(model.sensor, nodes=4 * len(model.mesh.nodes)).mesh
+        return replace(model, mesh=fine)
+    return replace(model, mesh=refine(model.mesh))
+
+
+def variants(model):
+    """Pipelines of the exact estimator that should find the same force; the first is as usual.
+
+    There is no contact zone whose radius could be chosen: which nodes may touch is found by the L1
+    term in every frame.
+    """
+    usual = EstimatorOptions(RUBBER)
+    return {
+        "": Pipeline(model, usual),
+        MESH: Pipeline(finer(model), usual),
+        RIM: Pipeline(model, replace(usual, rim_slack_m=3.0 * RIM_SLACK_M)),
+    }
+
+
+QUIET, LOUD = DepthNoise(absolute_m=1e-4), DepthNoise(relative=0.01)
+SHORT = ("dome λ 1.2", "sphere", 0.2, QUIET)
+FULL = [
+    (name, obj, depth, noise)
+    for name in ("sensor", "dome λ 1.2", "oval sheet λ 1.15")
+    for obj in ("sphere", "puck")
+    for depth in (0.15, 0.3)
+    for noise in (QUIET, LOUD)
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "obj", "share", "noise"),
+    [SHORT, *(pytest.param(*case, marks=pytest.mark.long) for case in FULL)],
+    ids=lambda value: noise_name(value) if isinstance(value, DepthNoise) else str(value),
+)
+def test_on_simulated_rubber(name, obj, share, noise):
+    short = (name, obj, share, noise) == SHORT
+    make = membranes.specimen if "sheet" in name else specimen
+    grid = Grid(truth_nodes=900 if short else 2_600)
+    own = make(name, load_sensor("pico_flexx_75mm"), grid)
+    bank, told = TruthBank(own.presses, 7), own.told(noise)
+    if short:
+        told = SensorModel.of(told.sensor, nodes=400)
+    depth_m = share * float(bank.mesh.nodes[:, 2].max())
+    frame = bank.frame(bank.sighting(Press(obj, depth_m, False)), noise, 0)
+    force = {
+        changed: force_of(each.process(frame, PATCH)) for changed, each in variants(told).items()
+    }
+    usual = force.pop("")
+    assert set(force) == {MESH, RIM}
+    assert all(0.0 < abs(each / usual - 1.0) < LARGEST_CHANGE for each in force.values())
+
+
+@pytest.mark.long  # in short: on simulated rubber, above
+def test_on_the_real_press(punyo_press):
+    sensor = load_sensor("punyo_oval_d405")
+    with Recording(punyo_press) as recording:
+        frames = [recording[k] for k in range(62, 90, 4)]
+    model = SensorModel.of(sensor, frames[0].intrinsics)
+    forces = {
+        name: np.median([force_of(each.process(frame, PATCH)) for frame in frames][3:])
+        for name, each in variants(model).items()
+    }
+    usual = forces.pop("")
+    assert usual > 2.0
+    assert set(forces) == {MESH, RIM}
+    for force in forces.values():
+        assert abs(force / usual - 1.0) < LARGEST_CHANGE
+
+
+@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
+def test_how_frames_of_the_real_press_are_reached(punyo_press):
+    """Alone, played, and after jumps from before, within and after the hold: the same patch."""
+    hold = range(72, 90, 2)
+    with Recording(punyo_press) as recording:
+        frames = {k: recording[k] for k in (62, 68, *range(72, 90))}
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[72].intrinsics)
+
+    def found(*way):
+        pipeline.restart()
+        return [pipeline.process(frames[k], PATCH) for k in way][-1]
+
+    played = [pipeline.process(frames[k], PATCH) for k in range(72, 90)][::2]
+    ways = [played, *([found(j, k) for k in hold] for j in (62, 68, 77, 89))]
+    alone = [found(k) for k in hold]
+    area = np.array([[r.patch.area_m2 for r in way] for way in (alone, *ways)])
+    force = np.array([[force_of(r) for r in way] for way in (alone, *ways)])
+    change = np.abs(area[1:] / area[0] - 1.0)
+    assert np.median(change) < 0.003
+    assert np.quantile(change, 0.9) < 0.05
+    assert np.abs(force[1:] / force[0] - 1.0).max() < 0.015
+
+
+def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
+    """Contacts of two to nine nodes, whose images fit no shape to the noise."""
+    with Recording(punyo_press) as recording:
+        frames = [recording[k] for k in range(60, 71)]
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[0].intrinsics)
+    played = [pipeline.process(frame, PATCH) for frame in frames][3:]
+    alone = []
+    for frame in frames[3:]:
+        pipeline.restart()
+        alone.append(pipeline.process(frame, PATCH))
+    assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
+    for value, median, most in ((force_of, 0.005, 0.05), (area_of, 0.05, 0.4)):
+        change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]
+        assert np.median(change) < median
+        assert max(change) < most
+
+
+def area_of(result):
+    return result.patch.area_m2
+
+
+def force_of(result):
+    return np.linalg.norm(result.patch.force_n)

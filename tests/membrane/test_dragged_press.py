@@ -1,0 +1,58 @@
+"""Truths of objects that stick and slip: what the membrane does follows from their motion."""
+
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from tests.oracles.dragged_press import DraggedPress, dragged_truths
+
+RIM, HEIGHT, GAUGE, TENSION = 0.045, 0.020, 2500.0, 76.0
+FRAMES = 12
+
+
+def rubber(mesh):
+    return RubberMembrane.uniform(mesh, GAUGE, TENSION, 1.2)
+
+
+def gas(mesh):
+    return Gas(101_325.0 + GAUGE, 3e-4 + mesh.cap_volume(), mesh.areas)
+
+
+def truths(press, frames=FRAMES):
+    mesh = mesh_cap(spherical_cap(RIM, HEIGHT), 200)
+    return mesh, list(dragged_truths(rubber, gas, mesh, press, frames))
+
+
+def test_a_sticking_ball_carries_its_contact_along():
+    mesh, found = truths(DraggedPress("sphere", 0.004, drag_m=0.001, friction=5.0))
+    assert len(found) == FRAMES and len(found[-1].mesh.nodes) > len(mesh.nodes)
+    assert np.isnan(found[0].slip_share(1e-6)) and np.isnan(found[0].center_m).all()
+    pressed = next(k for k in range(FRAMES) if found[k].T_B_O[0, 3] > 1e-9) - 1
+    before, after = found[pressed], found[-1]
+    assert before.force_n[2] < -0.5 and np.abs(before.force_n[0]) < 0.02 * -before.force_n[2]
+    assert after.force_n[0] > 0.3 * -after.force_n[2]
+    held = (after.areas_m2 > 0.0) & (after.slipped_m == 0.0) & (before.areas_m2 > 0.0)
+    way = (after.displacement_m - before.displacement_m)[held]
+    np.testing.assert_allclose(way[:, :2].mean(axis=0), [0.001, 0.0], atol=5e-5)
+    assert after.center_m[0] - before.center_m[0] == pytest.approx(0.001, rel=0.3)
+    assert after.slip_share(5e-5) < 0.25
+
+
+def test_a_twisted_ball_slips_more_and_more_where_friction_is_small():
+    _, found = truths(DraggedPress("sphere", 0.004, twist_rad=np.radians(20.0), friction=0.3))
+    shares = np.array([truth.slip_share(5e-5) for truth in found[-5:]])
+    assert (np.diff(shares) > -1e-3).all() and shares[0] < 0.1 < 0.3 < shares[-1]
+    last = found[-1]
+    torque = last.torque_nm(last.center_m)
+    assert torque[2] > 5 * np.abs(torque[:2]).max()
+    normal = np.maximum(-np.einsum("ij,ij->i", last.nodal_force_n, last.normals), 0.0)
+    arm = np.linalg.norm(last.mesh.deformed(last.displacement_m) - last.center_m, axis=1)
+    assert 0.5 < torque[2] / (0.3 * normal @ arm) <= 1.0 + 1e-6  # no more than friction bears
+
+
+def test_few_frames_are_refused():
+    with pytest.raises(InputError, match="frames"):
+        truths(DraggedPress("sphere", 0.004, drag_m=0.001), frames=5)

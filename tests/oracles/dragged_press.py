@@ -1,0 +1,127 @@
+"""Objects that are pressed in with friction, dragged and twisted: truths on a mesh of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bubbleviz.errors import SolveError
+from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.refine import refine
+from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
+from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.simulation.press_path import press_path, touching_height
+from bubbleviz.simulation.presses import made
+from tests.oracles.stuck_press import ShearTruth
+
+
+@dataclass(frozen=True)
+class DraggedPress:
+    """One object pressed in on the axis or beside it, dragged along x, then twisted.
+
+    Attributes
+    ----------
+    object_name : str
+        Of a generator in `object_shapes`.
+    depth_m : float
+        Beyond first touch, along −z of B.
+    drag_m, twist_rad : float
+        As of `press_path`.
+    friction : float
+        Coulomb's μ.
+    beside_m : (x, y)
+        Of the object from the axis before it is dragged, m.
+    """
+
+    object_name: str
+    depth_m: float
+    drag_m: float = 0.0
+    twist_rad: float = 0.0
+    friction: float = 2.0
+    beside_m: tuple[float, float] = (0.0, 0.0)
+
+    def poses(self, mesh: MembraneMesh, frames: int) -> np.ndarray:
+        """T_B_O (frames, 4, 4) against a membrane; InputError as of `press_path`."""
+        obj, pose = made(self.object_name), np.eye(4)
+        pose[:2, 3] = self.beside_m
+        pose[2, 3] = touching_height(obj, pose, mesh) - self.depth_m
+        return press_path(obj, pose, mesh, frames, self.drag_m, self.twist_rad)
+
+
+@dataclass(frozen=True)
+class DraggedTruth(ShearTruth):
+    """What is true of one frame.
+
+    Attributes
+    ----------
+    T_B_O : (4, 4) array
+    areas_m2 : (n,) array
+        Of the nodes that touch, as they are; 0 for others.
+    slipped_m : (n,) array
+        Way of each touching node over the object since it was touched, m; 0 for others.
+    """
+
+    T_B_O: np.ndarray
+    areas_m2: np.ndarray
+    slipped_m: np.ndarray
+
+    def slip_share(self, limit_m: float) -> float:
+        """Share of the touching area that has slipped by more than a limit since it was touched.
+
+        NaN without contact.
+        """
+        if not self.areas_m2.any():
+            return float("nan")
+        return float(self.areas_m2[self.slipped_m > limit_m].sum() / self.areas_m2.sum())
+
+
+def dragged_truths(
+    rubber_on: Callable[[MembraneMesh], RubberMembrane],
+    gas_on: Callable[[MembraneMesh], Gas],
+    mesh: MembraneMesh,
+    press: DraggedPress,
+    frames: int,
+    levels: int = 1,
+) -> Iterator[DraggedTruth]:
+    """Frames of a press, one after the other, on a mesh cut finer where the object touches.
+
+    Parameters
+    ----------
+    rubber_on, gas_on : function
+        The membrane, and the gas behind it, on a mesh whose nodes are on the facets of `mesh`.
+    mesh : MembraneMesh
+        Before it is cut.
+    press : DraggedPress
+    frames : int
+        10 or more; as of `press_path`.
+    levels : int
+        How often the triangles that touch are cut in four, with those beside them.
+
+    Raises
+    ------
+    SolveError
+        No equilibrium was found.
+    """
+    obj, poses = made(press.object_name), press.poses(mesh, frames)
+    deepest = poses[np.argmin(poses[:, 2, 3])]
+    for _ in range(levels):
+        forward = RubberForward(rubber_on(mesh), gas_on(mesh))
+        touching = forward.press(obj, deepest, quick=True).contact_pressure_pa > 0.0
+        cut = touching[mesh.triangles].any(axis=1)
+        beside = np.isin(np.arange(len(mesh.nodes)), mesh.triangles[cut])
+        mesh = refine(mesh, beside[mesh.triangles].any(axis=1))
+    model = FrictionForward(rubber_on(mesh), gas_on(mesh), press.friction)
+    slipped = np.zeros(len(mesh.nodes))
+    for pose, contact in zip(poses, model.follow(obj, poses), strict=False):
+        if not contact.converged:
+            raise SolveError(f"no equilibrium of {obj.name} with friction {press.friction:g}")
+        touching, moved = contact.contact_pressure_pa > 0.0, contact.displacement_3d_m
+        slipped = np.where(touching, slipped + contact.slip_m, 0.0)
+        now = replace(mesh, nodes=mesh.deformed(moved))
+        areas = np.where(touching, now.areas, 0.0)
+        force = contact.nodal_force_n
+        yield DraggedTruth(mesh, moved, force, now.normals, pose, areas, slipped)

@@ -1,0 +1,60 @@
+"""What depth and colour camera see of a membrane that is known: an image, and its flow."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.colour.optical_flow import BLOCK_PX, FlowField
+from bubbleviz.simulation.depth_noise import DepthNoise
+from tests.oracles.stuck_press import ShearTruth
+
+_HIDDEN_M = 1e-3
+"""How far behind the membrane that a pixel sees a point must be to be hidden by it."""
+
+
+class FlowSighting(NamedTuple):
+    """A frame of both cameras, which are one.
+
+    Attributes
+    ----------
+    depth_m : (H, W) float32 array
+    flow : FlowField
+    """
+
+    depth_m: np.ndarray
+    flow: FlowField
+
+
+def sighting(
+    camera: DepthCamera,
+    truth: ShearTruth,
+    depth_noise: DepthNoise,
+    flow_sigma_px: float,
+    seed: int,
+) -> FlowSighting:
+    """Depth with noise, and the flow of the middle of every block with white noise."""
+    view, intrinsics = MembraneView(camera, truth.mesh), camera.intrinsics
+    range_m = view.range_image(truth.displacement_m)
+    noisy = depth_noise.apply(range_m, seed, 0)
+    row, column = np.divmod(np.arange(range_m.size), intrinsics.width)
+    middle = BLOCK_PX // 2
+    chosen = (row % BLOCK_PX == middle) & (column % BLOCK_PX == middle)
+    hits = view.hits(np.zeros_like(truth.displacement_m), np.flatnonzero(chosen))
+    now = truth.mesh.nodes + truth.displacement_m
+    corners = now[truth.mesh.triangles[hits.triangle]]
+    away = np.einsum("ij,ijk->ik", hits.barycentric, corners) - camera.center
+    places = intrinsics.project(away @ camera.T_B_C[:3, :3])
+    nearest = np.rint(places).astype(int)
+    inside = np.all((nearest >= 0) & (nearest < [intrinsics.width, intrinsics.height]), axis=1)
+    surface = np.full(len(nearest), np.nan)
+    surface[inside] = range_m[nearest[inside, 1], nearest[inside, 0]]
+    seen = np.linalg.norm(away, axis=1) < surface + _HIDDEN_M
+    moved = places - np.stack([column[hits.ray], row[hits.ray]], axis=1)
+    moved += flow_sigma_px * np.random.default_rng([seed, 5]).standard_normal(moved.shape)
+    sigma = np.full(int(np.count_nonzero(seen)), flow_sigma_px)
+    depth = camera.depth_image(noisy).astype(np.float32)
+    return FlowSighting(depth, FlowField(hits.ray[seen], moved[seen], sigma, depth.shape))

@@ -1,0 +1,76 @@
+"""The shipped objects: what the generator makes, closed, outward, of the size they claim."""
+
+import numpy as np
+import pytest
+
+from bubbleviz.errors import InputError
+from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.rigid_object import load_object, object_mesh
+from bubbleviz.simulation.object_shapes import GENERATORS, ply_bytes
+
+NAMES = [generator.__name__ for generator in GENERATORS]
+
+
+def volume(obj):
+    a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
+    return np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
+
+
+def test_no_file_without_generator():
+    shipped = {p.name for p in presets_folder("objects").iterdir()}
+    assert shipped == {f"{name}.ply" for name in NAMES}
+
+
+@pytest.mark.parametrize("generator", GENERATORS, ids=NAMES)
+def test_shipped_file_is_what_the_generator_makes(generator):
+    made = generator()
+    assert (presets_folder("objects") / f"{made.name}.ply").read_bytes() == ply_bytes(made)
+    read = load_object(made.name)
+    np.testing.assert_array_equal(read.vertices, made.vertices)
+    np.testing.assert_array_equal(read.triangles, made.triangles)
+
+
+@pytest.mark.parametrize("generator", GENERATORS, ids=NAMES)
+def test_object_is_watertight_and_touches_its_origin_from_above(generator):
+    obj = generator()
+    start, end = obj.triangles.ravel(), np.roll(obj.triangles, -1, axis=1).ravel()
+    forward = set(zip(start.tolist(), end.tolist(), strict=True))
+    assert len(forward) == len(start)
+    assert forward == {(b, a) for a, b in forward}
+    assert obj.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+    assert 0.02 < np.ptp(obj.vertices, axis=0).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "exact", "tolerance"),
+    [
+        ("sphere", 4 / 3 * np.pi * 0.015**3, 0.005),
+        ("two_spheres", 8 / 3 * np.pi * 0.009**3, 0.015),
+        ("torus", 2 * np.pi**2 * 0.018 * 0.006**2, 0.01),
+        ("cylinder", np.pi * 0.012**2 * 0.04, 0.002),
+        ("two_legged_toy", 0.018 * (0.042 * 0.04 - 0.018 * 0.016), 1e-6),
+        ("bridge", 0.025 * (0.044 * 0.024 - 0.5 * np.pi * 0.012**2), 0.005),
+        ("hex_nut", 0.01 * (0.024**2 * np.sqrt(3) / 2 - np.pi * 0.007**2), 0.005),
+        ("frustum", 0.04 / 3 * (0.06**2 + 0.06 * 0.025 + 0.025**2), 0.001),
+    ],
+)
+def test_volume_is_that_of_the_ideal_shape(name, exact, tolerance):
+    assert volume(load_object(name)) == pytest.approx(exact, rel=tolerance)
+
+
+def test_units(tmp_path):
+    made = GENERATORS[0]()
+    metres = tmp_path / "f.ply"
+    metres.write_bytes(ply_bytes(made))
+    large = made.vertices * 1e3
+    scaled = type(made)(made.name, large, made.triangles)
+    (tmp_path / "f_mm.ply").write_bytes(ply_bytes(scaled))
+    (tmp_path / "g.ply").write_bytes(ply_bytes(scaled))
+    np.testing.assert_allclose(object_mesh(tmp_path / "f_mm.ply")[0], made.vertices, atol=1e-8)
+    np.testing.assert_allclose(object_mesh(tmp_path / "g.ply", "mm")[0], made.vertices, atol=1e-8)
+    with pytest.raises(InputError, match=r"g\.ply.*millimetres"):
+        object_mesh(tmp_path / "g.ply")
+    with pytest.raises(InputError, match=r"f\.ply.*only"):
+        object_mesh(metres, "mm")
+    with pytest.raises(InputError, match=r"one of: .*frustum"):
+        load_object("nonesuch")
