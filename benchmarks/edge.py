@@ -27,7 +27,7 @@ from bubbleviz.simulation.presses import EDGE_OBJECTS, SMOOTH_OBJECTS, presses
 from bubbleviz.simulation.rubber_truth import TRUTH_NODES
 from bubbleviz.simulation.truth_bank import Sighting, TruthBank, noise_name
 from bubbleviz.study import accuracy
-from bubbleviz.study.error_metrics import Errors, at_nodes, errors_of
+from bubbleviz.study.accuracy import Errors, at_nodes, errors_of
 from bubbleviz.study.harness import (
     Averages,
     Case,

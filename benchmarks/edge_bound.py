@@ -22,7 +22,7 @@ from bubbleviz.membrane.level_line import level_line
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.simulation.truth_bank import Sighting
-from bubbleviz.study.error_metrics import at_nodes
+from bubbleviz.study.accuracy import at_nodes
 
 PLACE, SHAPE = 1, 3
 """Degrees of the fields."""

@@ -26,8 +26,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.presses import GRID_OBJECTS, HELD_OUT_OBJECTS, Press
 from bubbleviz.simulation.truth_bank import TRUTH_NODES, LinearPresses, Sighting, TruthBank
-from bubbleviz.study.accuracy import PRODUCTS
-from bubbleviz.study.error_metrics import at_nodes, errors_of
+from bubbleviz.study.accuracy import PRODUCTS, at_nodes, errors_of
 from bubbleviz.study.harness import Case, Column, Report, Study, Table
 
 DEPTH_M = 0.015

@@ -15,9 +15,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.diagnostics.overlap import iou
 from bubbleviz.files.tables import out_folder
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -39,7 +43,6 @@ from bubbleviz.simulation.truth_bank import (
     TruthBank,
     noise_name,
 )
-from bubbleviz.study.error_metrics import Errors, errors_of
 from bubbleviz.study.harness import (
     Case,
     Column,
@@ -129,6 +132,19 @@ class Grid:
     truth_nodes: int = RUBBER_NODES
     limit_s: float | None = 120.0  # wall time of one truth
     seed: int = 7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Errors of one frame; NaN where there is no answer."""
+
+    iou: float = np.nan  # of the patch's pixels
+    force_error_relative: float = np.nan  # length of the difference of the vectors
+    force_excess_relative: float = np.nan  # |F| over the true one, less 1
+    area_error_relative: float = np.nan  # counted on the reference surface
+    cop_error_m: float = np.nan  # between centres of pressure
+    displacement_rms_m: float = np.nan  # over the estimator's nodes
+    gas_error_pa: float = np.nan  # of p_v
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,6 +290,36 @@ class Bench:
         )
 
 
+def errors_of(pipeline: Pipeline, result: Result, sighting: Sighting, stride: int = 1) -> Errors:
+    """Errors of a pipeline's result with an estimate, a patch and its pixels.
+
+    The truth is on another mesh of the same surface; the pixels are every stride-th of its image.
+    """
+    estimate, patch, truth = result.estimate, result.patch, sighting.truth
+    if estimate is None or patch is None or patch.pixel_mask is None:
+        raise ValueError("the result lacks the estimate, the patch or its pixels")
+    expected = at_nodes(pipeline.mesh, sighting.mesh, truth.displacement_m)
+    force = float(np.linalg.norm(truth.force_n))
+    away = patch.center_of_pressure_m - truth.center_of_pressure_m
+    return Errors(
+        iou=iou(patch.pixel_mask, truth.patch_mask[::stride, ::stride]),
+        force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n)) / force,
+        force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
+        area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
+        cop_error_m=float(np.linalg.norm(away)),
+        displacement_rms_m=float(np.sqrt(np.mean((estimate.displacement_m - expected) ** 2))),
+        gas_error_pa=abs(estimate.gas_pressure_change_pa - truth.gas_pressure_change_pa),
+    )
+
+
+def at_nodes(mesh: MembraneMesh, other: MembraneMesh, field: np.ndarray) -> np.ndarray:
+    """Field (m, …) of the nodes of another mesh of the same surface, at those of a mesh, (n, …)."""
+    found = TriangleScene(other.nodes, other.triangles).closest(mesh.nodes)
+    corners = field[other.triangles[found.triangle]]
+    values: np.ndarray = np.einsum("ij...,ij->i...", corners, found.barycentric)
+    return values
+
+
 ERROR = "force_error_relative"
 AVERAGES = averages(
     *(ERROR, "force_excess_relative", "area_error_relative", "cop_error_m", "displacement_rms_m"),
@@ -360,35 +406,28 @@ _POINT = (
     Column("p_v err Pa", "gas_error_pa", ".1f"),
     Column("front", "on_front"),
 )
-_OBJECT = (*(Column(name, name) for name in ("specimen", "object_name", "noise")), *_ERRORS)
 
 
 def report_of(grid: Grid, rows: list[Row]) -> Report:
     """Tables over depth, of every setup, and by object."""
     label = grid.setups[0].label
     own = [row for row in rows if row.setup == label]
-    objects = summaries(own, ("specimen", "object_name", "noise"), AVERAGES)
+    by = "specimen", "object_name", "noise"
+    press = (*(Column(name, name) for name in by), *_ERRORS)
     title = f"Force error over press depth, all membranes and noises; truth: {grid.model} membrane"
     sensor = f"The sensor, from {100 * SHALLOWEST_SHARE:g} % of its height; front: Pareto front"
     tables = [
         Table("curves", curves(rows), _CURVE, title),
         Table("points", points(rows), _POINT, sensor),
-        Table("objects", objects, _OBJECT, f"{label} by object"),
+        Table("objects", summaries(own, by, AVERAGES), press, f"{label} by object"),
     ]
     numbers = {"grid": asdict(grid)}
     return Report(tables, targets(rows, label), numbers, plot=partial(plot, rows))
 
 
 def plot(rows: list[Row], figure: Figure) -> None:
-    """Force over depth; patch and force on the sensor over run time, at the last noise."""
-    depth, *others = figure.subplots(1, 3)
-    for material, setup in dict.fromkeys((c["material"], c["setup"]) for c in curves(rows)):
-        own = [c for c in curves(rows) if (c["material"], c["setup"]) == (material, setup)]
-        shares = [100.0 * c["depth_share"] for c in own]
-        for name, line, how in ((ERROR, "o-", "median"), ("worst", "^:", "worst")):
-            errors = [100.0 * c[name] for c in own]
-            depth.plot(shares, errors, line, label=f"{setup}, {material}, {how}")
-    depth.set(xlabel="depth, % of the dome's height", ylabel="force error, %", yscale="log")
+    """Patch and force on the sensor over run time, at the last noise."""
+    others = figure.subplots(1, 2)
     some = sorted(points(rows), key=lambda p: p["warm_ms"])
     some = [p for p in some if p["noise"] == rows[-1].noise]
     panels = (("iou", np.maximum), (ERROR, np.minimum))

@@ -15,10 +15,8 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.simulation.truth import Truth
 
-BALANCE = 1e-3
-"""Largest residual of membrane balance and gas law, relative to their largest term."""
-KKT = {"osqp": 5e-2, "osqp-cold": 5e-2}
-"""Largest KKT residual of the solvers that stop early; 1e-3 for the others."""
+BALANCE = 1e-3  # largest residual of membrane balance and gas law over their largest term
+KKT = {"osqp": 5e-2, "osqp-cold": 5e-2}  # largest, of solvers that stop early; 1e-3 of others
 FORCE_RELATIVE = 0.2  # of the true force; chosen as a gross error
 FORCE_PER_EDGE = 20.0  # relative error per m of mesh edge: coarse meshes are worse
 FORCE_PER_NOISE = 2.5  # of γ0 × noise: the force that noise alone makes
@@ -29,8 +27,7 @@ RUBBER_RELATIVE, RUBBER_PER_EDGE = 0.05, 10.0
 """Force error of the exact membrane that its sigma does not know of: that of its mesh, relative,
 and per m of mesh edge where that is more."""
 SIGMAS = 4.0  # seldom exceeded by chance in some dozens of cases
-MISFIT = 3.0
-"""Largest misfit of a called-ok frame, in units of the noise."""
+MISFIT = 3.0  # largest of a frame that is called ok, in units of the noise
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,7 @@ def inverse_faults(
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return ["no estimate or no patch"]
-    faults = _fields(estimate, patch) or _status(pipeline, estimate, band)
+    faults = _fields(pipeline, estimate, patch, band)
     if not faults and isinstance(pipeline.estimator, RubberEstimator):
         faults = _rubber_equations(pipeline, pipeline.estimator, estimate, patch, measured_gas)
     elif not faults:
@@ -95,7 +92,8 @@ def inverse_faults(
     ]
 
 
-def _fields(estimate: Estimate, patch: Patch) -> list[str]:
+def _fields(pipeline: Pipeline, estimate: Estimate, patch: Patch, band: Band) -> list[str]:
+    """Finite numbers, a status that fits them, and a certificate and a misfit that fit it."""
     numbers: list[Any] = [
         *(estimate.displacement_m, estimate.contact_pressure_pa, estimate.gas_pressure_change_pa),
         *(estimate.residual_rms_m, estimate.kkt_residual, patch.force_n, patch.area_m2),
@@ -104,10 +102,6 @@ def _fields(estimate: Estimate, patch: Patch) -> list[str]:
         return ["not finite"]
     if estimate.contact_pressure_pa.min() < 0.0:
         return [f"negative pressure {estimate.contact_pressure_pa.min():.3g} Pa"]
-    return []
-
-
-def _status(pipeline: Pipeline, estimate: Estimate, band: Band) -> list[str]:
     touched = bool(np.any(estimate.contact_pressure_pa > 0.0))
     if touched != (estimate.status == "ok"):
         return [f"status {estimate.status} with{'' if touched else 'out'} contact pressure"]

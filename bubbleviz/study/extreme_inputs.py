@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -11,8 +10,7 @@ import numpy as np
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.simulation.object_shapes import lathe, sphere
-
-Alter = Callable[[np.ndarray], np.ndarray]
+from bubbleviz.study.stability_trial import Alter
 
 
 def _stack(name: str, sections: list[tuple[float, float, float]]) -> RigidObject:
@@ -97,10 +95,3 @@ def outliers(share: float, error_m: float) -> Alter:
         return np.where(wrong, depth_m + np.float32(error_m), depth_m)
 
     return alter
-
-
-def read_only(depth_m: np.ndarray) -> np.ndarray:
-    """Copy that cannot be written to."""
-    kept = depth_m.copy()
-    kept.flags.writeable = False
-    return kept

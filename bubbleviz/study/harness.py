@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.tables import out_folder, table, to_json, write_csv, write_json
 from bubbleviz.processes.worker_process import MEMORY_LIMIT_BYTES, WorkerProcess
@@ -117,9 +117,10 @@ class Report:
     def to_text(self) -> str:
         """Tables, targets, what was left out and what was written."""
         parts = [each.to_text() for each in self.tables]
-        aims = [(t.name, f"{t.value:.3g}", t.limit, "" if t.met else "NOT ") for t in self.targets]
-        if aims:
-            lines = [(*aim[:3], f"{aim[3]}met") for aim in aims]
+        lines = [
+            (t.name, f"{t.value:.3g}", t.limit, "met" if t.met else "NOT met") for t in self.targets
+        ]
+        if lines:
             parts.append(table(("target", "value", "limit", ""), lines))
         wrote = [f"wrote {', '.join(map(str, self.written))}"] if self.written else []
         ends = [*filter(None, [self.text]), *(f"left out: {o}" for o in self.omitted), *wrote]
@@ -173,8 +174,6 @@ class Study:
                     worker.stop()
                 try:
                     rows += self._kept(case, worker)
-                except _BrokenError as error:
-                    omitted.append(f"{case.name}: {error}")
                 except Exception as error:  # a study reports what breaks, and goes on
                     omitted.append(f"{case.name}: {type(error).__name__}: {error}")
         return rows, omitted
@@ -194,10 +193,6 @@ class Study:
         return rows
 
 
-class _BrokenError(Exception):
-    """A case in a process of its own gave nothing."""
-
-
 def _made(case: Case, worker: WorkerProcess) -> Sequence[Any]:
     if case.limit_s is None:
         return case.run()
@@ -207,7 +202,7 @@ def _made(case: Case, worker: WorkerProcess) -> Sequence[Any]:
         return rows
     why = f"{outcome.kind}: {outcome.detail}"
     if case.broken is None:
-        raise _BrokenError(why)
+        raise SolveError(why)
     return [case.broken(why, outcome.ms)]
 
 

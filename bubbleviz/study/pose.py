@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bubbleviz.frames.frame import Frame
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.contact_points import contact_points
 from bubbleviz.pose.depth_image.image_fit import ImageFit
 from bubbleviz.pose.depth_image.pressed_membrane import PressedMembrane
@@ -41,8 +41,6 @@ START_M, START_RAD = 3e-3, np.radians(8.0)  # how far off starts are
 SHALLOWEST_M, DEEPEST_M = 0.007, 0.012  # of the presses
 FRAMES = 4  # of each press, with noise of their own
 LIMIT_S = 300.0  # of a press whose equilibrium is looked for
-
-_PRODUCTS: frozenset[Product] = frozenset({"pose"})
 
 
 @dataclass(frozen=True)
@@ -100,8 +98,7 @@ def pose_study(sensor: Sensor, grid: Grid) -> Study:
             press = Press(name, float(depth), False)
             run = partial(bench.rows, press, random)
             cases.append(Case(f"{name} {1e3 * depth:.1f} mm", run))
-    report = partial(report_of, grid)
-    return Study("pose", Row, cases, report, unit="press")
+    return Study("pose", Row, cases, partial(report_of, grid), unit="press")
 
 
 class _Bench:
@@ -124,7 +121,8 @@ class _Bench:
             ways = random.standard_normal((2, 3))
             ways *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(ways, axis=1)[:, None]
             start = moved(true.T_B_O, ways.ravel(), true.center)
-            rows.append(self._row(sighting, true, seen, start, number))
+            self._pipeline.follow(self._model.obj, start)
+            rows.append(self._row(sighting, true, seen, number))
         return rows
 
     def _seen(self, sighting: Sighting, true: TrueContact) -> TrueContact:
@@ -144,22 +142,14 @@ class _Bench:
         sigma = self._grid.noise_relative * float(np.nanmedian(sighting.range_m))
         return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
 
-    def _row(
-        self,
-        sighting: Sighting,
-        true: TrueContact,
-        seen: TrueContact,
-        start: np.ndarray,
-        number: int,
-    ) -> Row:
-        self._pipeline.follow(self._model.obj, start)
+    def _row(self, sighting: Sighting, true: TrueContact, seen: TrueContact, number: int) -> Row:
         grid, camera = self._grid, self._pipeline.camera
         noise = DepthNoise(relative=grid.noise_relative)
         times = []
         for k in range(FRAMES):
             ranges = noise.apply(sighting.range_m, grid.seed + number, k)
             depth = camera.depth_image(ranges).astype(np.float32)
-            result = self._pipeline.process(Frame(k, k / 30.0, depth), _PRODUCTS)
+            result = self._pipeline.process(Frame(k, k / 30.0, depth), frozenset({"pose"}))
             times.append(result.times_ms.get("pose", np.nan))
         pose = result.pose
         row = Row(
@@ -208,12 +198,12 @@ def report_of(grid: Grid, rows: list[Row]) -> Report:
     title = "On rubber; starts 3 mm and 8° off; over determined directions, then all seen"
     targets = []
     if rows:
-        off = [row.seen_m for row in rows]
-        turned = np.degrees(max(row.seen_rad for row in rows))
+        off, turned = [row.seen_m for row in rows], max(row.seen_rad for row in rows)
+        name = f"{len(rows)} starts"
         targets = [
-            at_most(f"{len(rows)} starts: median error in mm", 1e3 * np.median(off), 0.4),
-            at_most(f"{len(rows)} starts: worst error in mm", 1e3 * max(off), 1.0),
-            at_most(f"{len(rows)} starts: worst error in °", turned, 3.0),
+            at_most(f"{name}: median error in mm", 1e3 * np.median(off), 0.4),
+            at_most(f"{name}: worst error in mm", 1e3 * max(off), 1.0),
+            at_most(f"{name}: worst error in °", np.degrees(turned), 3.0),
         ]
     table = Table("points", points, _COLUMNS, title)
     return Report([table], targets, {"grid": asdict(grid)}, plot=partial(plot, rows))

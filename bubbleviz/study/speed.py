@@ -32,7 +32,17 @@ from bubbleviz.simulation.synthetic_source import (
     dome_size,
 )
 from bubbleviz.study.accuracy import PAPER, PRODUCTS, Setup
-from bubbleviz.study.harness import Case, Column, Record, Report, Study, Table, Target, at_most
+from bubbleviz.study.harness import (
+    Case,
+    Column,
+    Record,
+    Report,
+    Study,
+    Table,
+    Target,
+    at_most,
+    groups,
+)
 
 SOURCE_NODES = 1_000
 """The simulated press has four times as many, whatever the estimator has."""
@@ -87,6 +97,11 @@ class Row:
     memory_peak_bytes: int = 0
     iou_mean: float = np.nan
     force_error_relative_median: float = np.nan
+
+    @property
+    def asked(self) -> str:
+        """Solver that was asked for; the default may take another on large meshes."""
+        return self.setup.split("_")[0]
 
 
 def full_runs() -> list[Run]:
@@ -149,14 +164,9 @@ def measure(sensor: Sensor, run: Run) -> list[Row]:
     scaled = with_pixels(sensor, run.pixels)
     if run.sweep == "contact":  # a ball along the path of the moving press
         scaled = rubber_sensor(scaled)
-        poses, noise = default_path(*dome_size(scaled), ROUND), scaled.camera.noise_relative
-        source = SyntheticSource(
-            scaled,
-            load_object("sphere"),
-            poses,
-            DepthNoise(relative=noise),
-            nodes=FINER * SOURCE_NODES,
-        )
+        ball, path = load_object("sphere"), default_path(*dome_size(scaled), ROUND)
+        noise = DepthNoise(relative=scaled.camera.noise_relative)
+        source = SyntheticSource(scaled, ball, path, noise, nodes=FINER * SOURCE_NODES)
     else:
         source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
     order = _frames_of(run, len(source))
@@ -229,15 +239,16 @@ def _quality(results: list[Result], source: SyntheticSource, order: list[int]) -
             errors.append(off / np.linalg.norm(truth.force_n))
     if not overlaps:
         return {}
-    quality = float(np.mean(overlaps)), float(np.median(errors))
-    return dict(zip(("iou_mean", "force_error_relative_median"), quality, strict=True))
+    return {
+        "iou_mean": float(np.mean(overlaps)),
+        "force_error_relative_median": float(np.median(errors)),
+    }
 
 
 def _broken(sensor: Sensor, run: Run, error: str, _ms: float) -> Row:
-    camera = with_pixels(sensor, run.pixels).camera
-    nodes, solver = run.setup.nodes or sensor.membrane.nodes, run.setup.solver or "default"
-    pixels = camera.width * camera.height
-    return Row(run.sweep, run.setup.label, solver, nodes, pixels, frames=0, error=error)
+    own, nodes = run.setup, run.setup.nodes or sensor.membrane.nodes
+    pixels = run.pixels or sensor.camera.width * sensor.camera.height
+    return Row(run.sweep, own.label, own.solver or "default", nodes, pixels, frames=0, error=error)
 
 
 def growths(rows: list[Row]) -> list[Record]:
@@ -257,11 +268,7 @@ def growths(rows: list[Row]) -> list[Record]:
 
 def _sweeps(rows: list[Row]) -> dict[tuple[str, str], list[Row]]:
     """Rows of each sweep over sizes, by the solver that was asked for."""
-    found: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        if row.sweep in SMALLEST_FITTED and not row.error:
-            found.setdefault((row.sweep, row.setup.split("_")[0]), []).append(row)
-    return found
+    return groups((r for r in rows if r.sweep in SMALLEST_FITTED and not r.error), "sweep", "asked")
 
 
 def targets(rows: list[Row]) -> list[Target]:
@@ -314,17 +321,8 @@ def report_of(rows: list[Row]) -> Report:
 
 
 def plot(rows: list[Row], figure: Figure) -> None:
-    """Stages of the moving press, and growth of the whole."""
-    bars, *sweeps = figure.subplots(1, 3)
-    streams = [row for row in rows if row.sweep == "stream" and not row.error]
-    bottom = np.zeros(len(streams))
-    for stage in STAGES:
-        heights = np.array([getattr(row, f"{stage}_ms") for row in streams])
-        bars.bar([row.setup for row in streams], heights, bottom=bottom, label=stage)
-        bottom += heights
-    bars.set(ylabel="ms, median of warm frames", title="Moving press, by stage")
-    bars.tick_params(axis="x", rotation=30)
-    for axes, sweep in zip(sweeps, ("nodes", "pixels"), strict=True):
+    """Growth with nodes and with pixels."""
+    for axes, sweep in zip(figure.subplots(1, 2), SMALLEST_FITTED, strict=True):
         for (name, solver), own in _sweeps(rows).items():
             if name == sweep:
                 sizes = [getattr(row, sweep) for row in own]

@@ -9,9 +9,9 @@ from functools import partial
 from typing import Literal
 
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.study import stability_cases
-from bubbleviz.study.harness import Case, Report, Study
-from bubbleviz.study.stability_trial import Extreme, FailedError, RefusedError
+from bubbleviz.study import harness, stability_cases
+from bubbleviz.study.harness import Report, Study
+from bubbleviz.study.stability_trial import Case, FailedError, RefusedError
 
 Verdict = Literal["passed", "refused", "failed"]
 
@@ -26,7 +26,7 @@ class CaseResult:
     ms: float
 
 
-def attempt(case: Extreme) -> tuple[Verdict, str]:
+def attempt(case: Case) -> tuple[Verdict, str]:
     """Run a case here; only errors the API documents are caught."""
     verdict: Verdict = "passed"
     try:
@@ -61,7 +61,7 @@ def stability_study(pattern: str = "", *, quick: bool = False) -> Study:
     if not chosen:
         raise InputError(f"--case {pattern}: no case has this in its name; leave it out")
     cases = [
-        Case(
+        harness.Case(
             c.name, partial(attempt_named, c.name), c.limit_s, partial(CaseResult, c.name, "failed")
         )
         for c in chosen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -44,7 +44,7 @@ class FailedError(Exception):
 
 
 @dataclass(frozen=True)
-class Extreme:
+class Case:
     """One case.
 
     It returns what was found in words. It raises `FailedError` for a wrong answer; `RefusedError`,
@@ -68,6 +68,8 @@ class Trial:
     sensor: dict[str, dict[str, Any]] = field(default_factory=dict)  # changes of the file
     object_name: str | Callable[[], RigidObject] = "two_legged_toy"
     depth_m: float = 0.012  # beyond first touch; negative for an object that hovers
+    depths_m: tuple[float, ...] = ()  # of every frame, in place of that one
+    frozen: bool = False  # the camera repeats its first image for ever, noise and all
     offset_m: tuple[float, float] = (0.0, 0.0)  # of the object from the axis
     noise: DepthNoise = PICO_FLEXX
     alter: Alter | None = None  # what happens to the depth image on its way
@@ -79,21 +81,26 @@ class Trial:
     make: type[Pipeline] = Pipeline
 
     def __call__(self) -> str:
-        """Run; what was found in words, or an error (see `Extreme`)."""
+        """Run; what was found in words, or an error (see `Case`)."""
         sensor = varied_sensor(self.sensor)
-        source = self.source(sensor)
-        contact, truth = source.contact(0), source.truth(0)
-        raise_faults(forward_faults(contact, sensor.pneumatics.gauge_pressure_pa))
-        pipeline = self.make.of(sensor, options=self.options)
-        frames = [self._frame(source, truth, sensor, k) for k in range(self.repeats)]
-        results = [pipeline.process(frame, PRODUCTS) for frame in frames]
-        return checked(
-            pipeline,
-            results,
-            [truth if self.known else None] * len(results),
-            self.band,
-            measured_gas=self.gas_pressure_pa is not None,
-        )
+        source = self._source(sensor)
+        raise_faults(forward_faults(source.contact(0), sensor.pneumatics.gauge_pressure_pa))
+        pipeline, refusals = self.make.of(sensor, options=self.options), list[str]()
+        for k in range(len(source)):
+            index = 0 if self.frozen else k
+            truth = source.truth(index)
+            frame = replace(self._frame(source, truth, sensor, index), index=k)
+            result = pipeline.process(frame, PRODUCTS)
+            status = result.estimate.status if result.estimate else "no estimate"
+            if status not in ANSWERS:
+                refusals.append(f"status {status}")
+                continue
+            known, measured = truth if self.known else None, self.gas_pressure_pa is not None
+            faults = inverse_faults(pipeline, result, known, self.band, measured)
+            raise_faults([f"frame {k}: {fault}" for fault in faults])
+        if refusals:
+            raise RefusedError(refusals[0])
+        return _found(result, known)
 
     @property
     def band(self) -> Band:
@@ -101,19 +108,17 @@ class Trial:
         noise = self.noise
         return Band(float(np.hypot(noise.relative * TYPICAL_RANGE_M, noise.absolute_m)))
 
-    def source(self, sensor: Sensor) -> SyntheticSource:
-        """The press of a sensor, by as many frames."""
+    def _source(self, sensor: Sensor) -> SyntheticSource:
         make = self.object_name
         obj = made(make) if isinstance(make, str) else make()
-        pose = np.eye(4)
-        pose[:2, 3], pose[2, 3] = self.offset_m, 1.0
-        poses = np.repeat(pose[None], self.repeats, 0)
+        depths = self.depths_m or (self.depth_m,) * self.repeats
+        poses = np.tile(np.eye(4), (len(depths), 1, 1))
+        poses[:, :2, 3], poses[:, 2, 3] = self.offset_m, 1.0
         model: Model | None = "rubber" if self.options.solver == RUBBER else None
         source = SyntheticSource(
             sensor, obj, poses, self.noise, nodes=self.truth_nodes, model=model
         )
-        pose[2, 3] = touching_height(obj, pose, source.mesh) - self.depth_m
-        source.poses = np.repeat(pose[None], self.repeats, 0)
+        source.poses[:, 2, 3] = touching_height(obj, poses[0], source.mesh) - np.array(depths)
         return source
 
     def _frame(self, source: SyntheticSource, truth: Truth, sensor: Sensor, index: int) -> Frame:
@@ -125,60 +130,6 @@ class Trial:
         depth = frame.depth_m if self.alter is None else self.alter(frame.depth_m)
         measured = None if pressure is None else float(pressure)
         return replace(frame, depth_m=depth, gas_pressure_pa=measured)
-
-
-@dataclass(frozen=True)
-class Streak:
-    """Frames of two states of the same sensor, by turns or frozen."""
-
-    depths_m: tuple[float, ...]  # of every frame; negative hovers
-    frozen: bool = False  # the camera repeats its first image for ever, noise and all
-    trial: Trial = field(default_factory=Trial)  # what is pressed into which sensor
-    make: type[Pipeline] = Pipeline
-
-    def __call__(self) -> str:
-        """Run; what was found in words, or an error (see `Extreme`)."""
-        base = self.trial
-        sensor = varied_sensor(base.sensor)
-        source = base.source(sensor)
-        touch = source.poses[0, 2, 3] + base.depth_m
-        source.poses = np.tile(np.eye(4), (len(self.depths_m), 1, 1))
-        source.poses[:, 2, 3] = touch - np.array(self.depths_m)
-        source.times_s = np.arange(len(self.depths_m)) / 30.0
-        pipeline = self.make.of(sensor)
-        results, truths = [], []
-        for k in range(len(self.depths_m)):
-            index = 0 if self.frozen else k
-            frame = replace(source[index], index=k, gas_pressure_pa=None)
-            results.append(pipeline.process(frame, PRODUCTS))
-            truths.append(source.truth(index))
-        found = checked(pipeline, results, truths, base.band)
-        if self.frozen:
-            forces = np.array([np.linalg.norm(r.patch.force_n) for r in results if r.patch])
-            if np.ptp(forces[1:]) > 0.02 * forces.max():
-                raise FailedError(f"the force drifts from {forces[1]:.4g} to {forces[-1]:.4g} N")
-        return found
-
-
-def checked(
-    pipeline: Pipeline,
-    results: Sequence[Result],
-    truths: Sequence[Truth | None],
-    band: Band,
-    measured_gas: bool = False,
-) -> str:
-    """Raise `FailedError` for a wrong answer and `RefusedError` where there is none."""
-    refusals = []
-    for k, (result, truth) in enumerate(zip(results, truths, strict=True)):
-        status = result.estimate.status if result.estimate else "no estimate"
-        if status not in ANSWERS:
-            refusals.append(f"status {status}")
-            continue
-        faults = inverse_faults(pipeline, result, truth, band, measured_gas)
-        raise_faults([f"frame {k}: {fault}" for fault in faults])
-    if refusals:
-        raise RefusedError(refusals[0])
-    return _found(results[-1], truths[-1])
 
 
 def raise_faults(faults: list[str]) -> None:

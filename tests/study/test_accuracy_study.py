@@ -27,11 +27,11 @@ from bubbleviz.study.accuracy import (
     Setup,
     accuracy_study,
     curves,
+    errors_of,
     points,
     report_of,
     targets,
 )
-from bubbleviz.study.error_metrics import errors_of
 
 NONE, ONE = DepthNoise(), DepthNoise(relative=0.01)
 SETUPS = (LINEAR, Setup("linear", nodes=300, relinearisations=0))

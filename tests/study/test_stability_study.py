@@ -15,7 +15,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes.worker_process import WorkerProcess
 from bubbleviz.study.stability import attempt, stability_study
 from bubbleviz.study.stability_cases import all_cases
-from bubbleviz.study.stability_trial import Extreme, FailedError, RefusedError, Streak, Trial
+from bubbleviz.study.stability_trial import Case, FailedError, RefusedError, Trial
 
 
 def test_there_are_enough_cases_of_every_kind():
@@ -150,7 +150,7 @@ def test_a_broken_estimator_of_the_exact_membrane_fails(spoil):
 
 
 def test_the_same_rubber_passes_unbroken():
-    verdict, detail = attempt(Extreme("whole", SMALL_RUBBER, "solve"))
+    verdict, detail = attempt(Case("whole", SMALL_RUBBER, "solve"))
     assert verdict == "passed", detail
 
 
@@ -161,7 +161,7 @@ def test_a_broken_estimator_fails(spoil):
 
 
 def test_the_same_trial_passes_unbroken():
-    verdict, detail = attempt(Extreme("whole", SMALL, "solve"))
+    verdict, detail = attempt(Case("whole", SMALL, "solve"))
     assert verdict == "passed", detail
 
 
@@ -174,8 +174,8 @@ def test_a_pipeline_that_remembers_too_much_fails():
             pipeline.first = pipeline.first or estimate
             return pipeline.first
 
-    streak = Streak((0.012, -0.01), make=Stuck)
-    assert attempt(Extreme("stuck", streak))[0] == "failed"
+    streak = Trial(depths_m=(0.012, -0.01), make=Stuck)
+    assert attempt(Case("stuck", streak))[0] == "failed"
 
 
 def refuse():
@@ -198,7 +198,7 @@ def bad_input():
     ],
 )
 def test_verdicts(run, must, verdict):
-    assert attempt(Extreme("a", run, must))[0] == verdict
+    assert attempt(Case("a", run, must))[0] == verdict
 
 
 def divide():
@@ -223,7 +223,7 @@ def divide_by(x):
 
 def test_errors_outside_the_contract_are_not_caught():
     with pytest.raises(ZeroDivisionError):
-        attempt(Extreme("a", divide))
+        attempt(Case("a", divide))
 
 
 def test_command(tmp_path):
