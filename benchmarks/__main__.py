@@ -1,14 +1,23 @@
-"""`python -m benchmarks …`: what judges methods; heavy imports inside."""
+"""`python -m benchmarks …`: what judges methods; heavy imports inside, for a quick --help."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bubbleviz.cli.command_line import OneLineErrors
-from bubbleviz.cli.study_commands import report_options, run, seed_option, sensor_option
+from bubbleviz.cli.study_commands import report_options, seed_option, sensor_option
+from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+from bubbleviz.files.tables import to_json
+
+if TYPE_CHECKING:
+    from bubbleviz.sensor import Sensor
+    from bubbleviz.study.harness import Study
 
 
 @click.group(cls=OneLineErrors)
@@ -16,134 +25,98 @@ def benchmarks() -> None:
     """Measure what methods can do: bounds, limits, coverage, rivals."""
 
 
-@benchmarks.command()
-@report_options
-@sensor_option
-@seed_option
-def edge(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
+def _command(make: Callable[..., list[Study]]) -> None:
+    """Make a command of a function, with the options that it has parameters for."""
+    wanted = signature(make).parameters
+
+    def measure(out: Path | None, as_json: bool, sensor: str = "", **given: Any) -> None:
+        from bubbleviz.sensor import load_sensor
+
+        if sensor:
+            given["sensor"] = load_sensor(sensor)
+        if "parts" in wanted:  # of a stopped run, which goes on there
+            given["parts"] = out and out / "parts"
+        reports = {study.name: study.run(out) for study in make(**given)}
+        if as_json:
+            click.echo(to_json({name: report.to_dict() for name, report in reports.items()}))
+        else:
+            click.echo("\n\n".join(report.to_text() for report in reports.values()))
+
+    for name, option in (("sensor", sensor_option), ("seed", seed_option)):
+        measure = option(measure) if name in wanted else measure
+    benchmarks.command(make.__name__, help=make.__doc__)(report_options(measure))
+
+
+@_command
+def edge(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
     """Edge of the patch by noise, against the mesh's best, the Cramér–Rao bound and a threshold."""
     from benchmarks.edge import EdgeGrid, edge_study, quick_grid
-    from bubbleviz.sensor import load_sensor
 
-    grid = replace(quick_grid() if quick else EdgeGrid(), seed=seed)
-    run(edge_study(load_sensor(sensor), grid), out, as_json)
+    return [edge_study(sensor, replace(quick_grid() if quick else EdgeGrid(), seed=seed))]
 
 
-@benchmarks.command()
-@report_options
-@sensor_option
-@seed_option
-def detection(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
+@_command
+def detection(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
     """The smallest press that is found, at one false alarm in a thousand frames."""
     from benchmarks.detection import DetectionGrid, detection_study, quick_detection_grid
-    from bubbleviz.sensor import load_sensor
 
-    grid = replace(quick_detection_grid() if quick else DetectionGrid(), seed=seed)
-    run(detection_study(load_sensor(sensor), grid), out, as_json)
-
-
-@benchmarks.command()
-@report_options
-@sensor_option
-@seed_option
-def regularisation(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
-    """Strength of the H1 term against the discrepancy principle and the L-curve."""
-    import numpy as np
-
-    from benchmarks.regularisation import regularisation_study
-    from bubbleviz.sensor import load_sensor
-
-    factors = np.logspace(-1, 1, 3) if quick else np.logspace(-3, 4, 15)
-    nodes = {"truth_nodes": 3_000} if quick else {}
-    study = regularisation_study(load_sensor(sensor), factors, seed=seed, **nodes)
-    run(study, out, as_json)
+    grid = quick_detection_grid() if quick else DetectionGrid()
+    return [detection_study(sensor, replace(grid, seed=seed))]
 
 
-@benchmarks.command()
-@report_options
-@seed_option
-def membranes(out: Path | None, as_json: bool, quick: bool, seed: int) -> None:
+@_command
+def membranes(quick: bool, seed: int, parts: Path | None) -> list[Study]:
     """The study of accuracy on bulged sheets and moulded domes, known and identified."""
     from benchmarks.membranes import GRID, quick_grid, specimen
-    from bubbleviz.files.defaults import SYNTHETIC_SENSOR
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.accuracy import accuracy_study
 
     grid = replace(quick_grid() if quick else GRID, seed=seed)
-    parts = None if out is None else out / "membranes_parts"
-    run(accuracy_study(load_sensor(SYNTHETIC_SENSOR), grid, parts, specimen), out, as_json)
+    return [accuracy_study(load_sensor(SYNTHETIC_SENSOR), grid, parts, specimen)]
 
 
-@benchmarks.command()
-@report_options
-@click.option(
-    "--seeds", type=click.IntRange(1), help="Identifications of every rubber; by default 50."
-)
-def coverage(out: Path | None, as_json: bool, quick: bool, seeds: int | None) -> None:
-    """How often 95 % intervals of rubber identified from inflation levels hold the truth.
+@_command
+def coverage(quick: bool, parts: Path | None) -> list[Study]:
+    """How often 95 % intervals of rubber identified from inflation levels hold the truth."""
+    from benchmarks.coverage import CoverageGrid, coverage_study
 
-    With --out a stopped run goes on where it was.
-    """
-    from benchmarks.coverage import CoverageGrid, coverage_study, quick_coverage
-
-    grid = quick_coverage() if quick else CoverageGrid()
-    grid = replace(grid, seeds=seeds or grid.seeds)
-    parts = None if out is None else out / "coverage_parts"
-    run(coverage_study(grid, parts), out, as_json)
+    grid = CoverageGrid()
+    if quick:  # short recordings of small images
+        grid = CoverageGrid(("round sheet",), seeds=3, frames=20, width=120, nodes=500)
+    return [coverage_study(grid, parts)]
 
 
-@benchmarks.command()
-@report_options
-@seed_option
-def shear(out: Path | None, as_json: bool, quick: bool, seed: int) -> None:
-    """Force, torque and displacement with friction over drag, twist and flow noise.
-
-    Then slip over the size of the contact, and the presets of the optical flow.
-    """
+@_command
+def shear(quick: bool, seed: int) -> list[Study]:
+    """Force with friction over drag, twist and flow noise; slip; presets of the optical flow."""
     from benchmarks.flow_presets import flow_study
     from benchmarks.shear import ShearGrid, quick_shear_grid, shear_study
     from benchmarks.slip import slip_study
 
     grid = replace(quick_shear_grid() if quick else ShearGrid(), seed=seed)
-    for study in (flow_study(grid), slip_study(grid), shear_study(grid)):
-        run(study, out, as_json)
+    return [flow_study(grid), slip_study(grid), shear_study(grid)]
 
 
-@benchmarks.command()
-@report_options
-@sensor_option
-@seed_option
-def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
-    """Pose against Open3D, small_gicp and the whole cloud, on the paper's membrane."""
-    from benchmarks.pose_rivals import PoseGrid, quick_pose_grid, rivals_study
-    from bubbleviz.sensor import load_sensor
-
-    grid = replace(quick_pose_grid() if quick else PoseGrid(), seed=seed)
-    run(rivals_study(load_sensor(sensor), grid), out, as_json)
-
-
-@benchmarks.command()
-@report_options
-@sensor_option
-def screws(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
-    """A nut that turns by 60°, followed and found again."""
+@_command
+def pose(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
+    """Pose against Open3D, small_gicp and the whole cloud; a nut that turns by 60°."""
+    from benchmarks.pose_rivals import PoseGrid, rivals_study
     from benchmarks.screws import SEEDS, screw_study
-    from bubbleviz.sensor import load_sensor
 
-    seeds, nodes = (SEEDS[:1], 8_000) if quick else (SEEDS, None)
-    run(screw_study(load_sensor(sensor), seeds, nodes), out, as_json)
+    grid = PoseGrid(seed=seed)
+    if quick:
+        grid = replace(grid, poses=4, noises_relative=(0.0, 0.01), truth_nodes=8_000)
+    turned = screw_study(sensor, SEEDS[:1], 8_000) if quick else screw_study(sensor)
+    return [rivals_study(sensor, grid), turned]
 
 
-@benchmarks.command()
-@report_options
-@sensor_option
-def stages(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
+@_command
+def stages(sensor: Sensor, quick: bool) -> list[Study]:
     """Every stage of a frame, from decoding to export: time, floor and growth."""
     from benchmarks.stages import StageSizes, stages_study
-    from bubbleviz.sensor import load_sensor
 
-    sizes = StageSizes.quick() if quick else StageSizes()
-    run(stages_study(load_sensor(sensor), sizes), out, as_json)
+    quick_sizes = StageSizes((38_400, 19_200), (300, 600), 2)
+    return [stages_study(sensor, quick_sizes if quick else StageSizes())]
 
 
 if __name__ == "__main__":

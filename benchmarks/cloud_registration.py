@@ -25,14 +25,7 @@ def has_small_gicp() -> bool:
 
 
 class CloudRegistration:
-    """Point-to-plane registration of points to a sampled object by a library.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    reach_m : float
-        Longest correspondence.
-    """
+    """Point-to-plane registration of points to a sampled object by a library."""
 
     def __init__(self, model: ObjectModel, reach_m: float) -> None:
         self._points, self._normals = model.sample(SAMPLES)

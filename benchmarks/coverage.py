@@ -92,11 +92,6 @@ class CoverageRow:
         return off if self.quantity == "prestretch" else off / self.truth
 
 
-def quick_coverage() -> CoverageGrid:
-    """One rubber, few seeds, short recordings of small images: less than a minute."""
-    return CoverageGrid(("round sheet",), seeds=3, frames=20, width=120, nodes=500)
-
-
 def coverage_study(grid: CoverageGrid, parts: Path | None = None) -> Study:
     """Every rubber identified with every seed; a stopped study goes on where it was."""
     cases = [

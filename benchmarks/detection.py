@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -81,20 +82,16 @@ class Limit:
 
 def detection_study(sensor: Sensor, grid: DetectionGrid) -> Study:
     """The limit of every setup, noise and place, with and without the gas pressure."""
-    cases = [
-        Case(f"{name}, {noise_name(noise)}", partial(_limits, sensor, grid, name, noise))
-        for name in grid.specimens
-        for noise in grid.noises
-    ]
-    return Study("detection", Limit, cases, report_of)
+    cases = [Case(name, partial(_limits, sensor, grid, name)) for name in grid.specimens]
+    return Study("detection", Limit, cases, report_of, unit="membrane")
 
 
-def _limits(sensor: Sensor, grid: DetectionGrid, name: str, noise: DepthNoise) -> list[Limit]:
+def _limits(sensor: Sensor, grid: DetectionGrid, name: str) -> list[Limit]:
     own = specimen(name, sensor, Grid(truth_nodes=grid.truth_nodes, seed=grid.seed))
     assert isinstance(own.presses, RubberPresses)
     ladders = {place: Ladder(own.presses, place, grid) for place in grid.places}
     found = list[Limit]()
-    for setup in grid.setups:
+    for noise, setup in product(grid.noises, grid.setups):
         pipeline = setup.pipeline(own.told(noise))
         for gas in (False, True):
             found += limits_of(name, setup, Alarm(pipeline, noise, gas, grid), ladders)
@@ -106,20 +103,11 @@ def limits_of(
 ) -> Iterator[Limit]:
     """Those of one setup at every place."""
     rest = alarm.forces(next(iter(ladders.values())), None)
-    allowed = int(ALARMS * len(rest))
-    level = float(np.sort(rest)[-1 - allowed])
+    level = float(np.sort(rest)[-1 - int(ALARMS * len(rest))])
+    counts, noise = (len(rest), int(np.count_nonzero(rest))), noise_name(alarm.noise)
     for place, ladder in ladders.items():
-        limit = Limit(
-            name,
-            setup.label,
-            noise_name(alarm.noise),
-            place,
-            alarm.gas_measured,
-            len(rest),
-            int(np.count_nonzero(rest)),
-            level,
-        )
-        yield _smallest(limit, alarm, ladder)
+        what = name, setup.label, noise, place, alarm.gas_measured
+        yield _smallest(Limit(*what, *counts, level), alarm, ladder)
 
 
 def _smallest(limit: Limit, alarm: Alarm, ladder: Ladder) -> Limit:

@@ -209,14 +209,11 @@ def iou_by_threshold(
     return found
 
 
-_MEANS: Averages = {f.name: (f.name, np.mean) for f in fields(Errors)}
-_MEANS |= {
-    name: (name, np.mean)
-    for name in (
-        *("iou_threshold", "iou_on_mesh", "edge_sigma_bound_m", "iou_bound_place"),
-        *("iou_bound_shape", "iou_best_level", "edge_in_band"),
-    )
-}
+_OTHERS = (
+    *("iou_threshold", "iou_on_mesh", "edge_sigma_bound_m", "iou_bound_place"),
+    *("iou_bound_shape", "iou_best_level", "edge_in_band"),
+)
+_MEANS: Averages = {name: (name, np.mean) for name in (*(f.name for f in fields(Errors)), *_OTHERS)}
 _MEANS |= {"iou_worst": ("iou", np.min), "failed": ("failed", np.sum)}
 
 

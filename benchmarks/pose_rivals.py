@@ -76,11 +76,6 @@ class PoseGrid:
         return [Press(name, float(depth), False) for depth in depths]
 
 
-def quick_pose_grid() -> PoseGrid:
-    """A subset that runs in less than a minute."""
-    return PoseGrid(poses=4, noises_relative=(0.0, 0.01), truth_nodes=8_000)
-
-
 @dataclass(frozen=True)
 class PoseTrial:
     """One method on one noisy image from one start.

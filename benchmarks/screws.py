@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.presses import made
@@ -38,8 +38,6 @@ LATE = 30
 SEEDS = (101, 102, 103, 104, 105)
 """Noise of each run, none of which any constant was chosen on: one alone says more of its noise
 than of the tracker."""
-
-_PRODUCTS: frozenset[Product] = frozenset({"pose"})
 
 
 @dataclass(frozen=True)
@@ -81,8 +79,8 @@ def screw_source(sensor: Sensor, nodes: int | None = None) -> SyntheticSource:
     """The nut pressed 13 mm into the dome, at 1 % noise."""
     height = float(build_mesh(sensor).nodes[:, 2].max())
     poses = screw_path(height, 0.013, FRAMES)
-    nut, noise = made("hex_nut"), DepthNoise(relative=0.01)
-    return SyntheticSource(sensor, nut, poses, noise, nodes=nodes, sharp=True)
+    noise = DepthNoise(relative=0.01)
+    return SyntheticSource(sensor, made("hex_nut"), poses, noise, nodes=nodes, sharp=True)
 
 
 def screw_study(sensor: Sensor, seeds: Sequence[int] = SEEDS, nodes: int | None = None) -> Study:
@@ -92,18 +90,14 @@ def screw_study(sensor: Sensor, seeds: Sequence[int] = SEEDS, nodes: int | None 
     cases = [
         Case(
             f"seed {seed}{', blank' * blanked}",
-            partial(_run, sensor, source, seed, blanked),
+            partial(run_screw, sensor, source, seed, blanked=blanked),
         )
         for seed, blanked in runs
     ]
     return Study("screws", Screw, cases, report_of, unit="run")
 
 
-def _run(sensor: Sensor, source: SyntheticSource, seed: int, blanked: bool) -> list[Screw]:
-    return [run_screw(sensor, source, seed, blanked=blanked)]
-
-
-def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bool) -> Screw:
+def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bool) -> list[Screw]:
     """Follow the nut from its true first pose."""
     source.seed = seed  # what was solved is kept
     pipeline = Pipeline.of(sensor)
@@ -113,7 +107,7 @@ def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bo
         frame = source[k]
         if blanked and k in BLANK:
             frame = replace(frame, depth_m=np.full_like(frame.depth_m, np.nan))
-        result = pipeline.process(frame, _PRODUCTS)
+        result = pipeline.process(frame, frozenset({"pose"}))
         assert result.pose is not None
         status.append(result.pose.status)
         times.append(result.times_ms["total"])
@@ -123,7 +117,7 @@ def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bo
             way = result.pose.T_B_O[:3, 3] - source.poses[k][:3, 3]
             translation.append(float(np.linalg.norm(way)))
     back = [k - BLANK.stop + 1 for k in range(BLANK.stop, len(status)) if status[k] == "ok"]
-    return Screw(
+    screw = Screw(
         blanked=blanked,
         seed=seed,
         frames=len(status),
@@ -138,6 +132,7 @@ def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bo
         median_total_ms=float(np.median(times[1:])),
         p95_total_ms=float(np.percentile(times[1:], 95.0)),
     )
+    return [screw]
 
 
 def targets(screws: Sequence[Screw]) -> list[Target]:

@@ -51,18 +51,10 @@ motion to equilibrium before and after, the pull of the ranges before and after,
 
 @dataclass(frozen=True)
 class Machine:
-    """What one core does at best.
+    """What one core does at best."""
 
-    Attributes
-    ----------
-    bytes_per_s : float
-        Copied, read and written together, of arrays larger than its caches.
-    flops_per_s : float
-        Of products of matrices.
-    """
-
-    bytes_per_s: float
-    flops_per_s: float
+    bytes_per_s: float  # copied, read and written together, of arrays larger than its caches
+    flops_per_s: float  # of products of matrices
 
     @classmethod
     def measured(cls) -> Machine:
@@ -97,11 +89,6 @@ class StageSizes:
     nodes: tuple[int, int] = (1_000, 2_000)
     passes: int = 15  # over the frames
 
-    @classmethod
-    def quick(cls) -> StageSizes:
-        """Small ones, for a look."""
-        return cls((38_400, 19_200), (300, 600), 2)
-
 
 def stages_study(sensor: Sensor, sizes: StageSizes) -> Study:
     """The table for a ball on the exact membrane of a sensor."""
@@ -117,10 +104,10 @@ def stages_study(sensor: Sensor, sizes: StageSizes) -> Study:
 
 def stage_times(sensor: Sensor, sizes: StageSizes, machine: Machine) -> list[StageTime]:
     """Lines of the table."""
-    pixels, nodes = sizes.pixels, sizes.nodes
+    pixels, nodes, rubber = sizes.pixels, sizes.nodes, rubber_sensor(sensor)
     with tempfile.TemporaryDirectory() as folder:
         here, other_camera, other_mesh = (
-            _Stages(_sized(sensor, p, n), Path(folder) / f"{p}_{n}")
+            _Stages(with_nodes(with_pixels(rubber, p), n), Path(folder) / f"{p}_{n}")
             for p, n in ((pixels[0], nodes[0]), (pixels[1], nodes[0]), (pixels[0], nodes[1]))
         )
         times = [each.times_ms(sizes.passes) for each in (here, other_camera, other_mesh)]
@@ -131,29 +118,17 @@ def stage_times(sensor: Sensor, sizes: StageSizes, machine: Machine) -> list[Sta
             stage,
             ms,
             floors[stage],
-            _exponent(by_camera[stage] / ms, pixels[1] / pixels[0]),
-            _exponent(by_mesh[stage] / ms, nodes[1] / nodes[0]),
+            float(np.log(by_camera[stage] / ms) / np.log(pixels[1] / pixels[0])),
+            float(np.log(by_mesh[stage] / ms) / np.log(nodes[1] / nodes[0])),
         )
         for stage, ms in usual.items()
     ]
 
 
-def _exponent(times: float, sizes: float) -> float:
-    return float(np.log(times) / np.log(sizes))
-
-
-def _sized(sensor: Sensor, pixels: int, nodes: int) -> Sensor:
-    return rubber_sensor(with_nodes(with_pixels(sensor, pixels), nodes))
-
-
 class _Stages:
     """The stages on frames of one press, each to be called by itself.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    folder : Path
-        Made here, for a recording and what is exported.
+    The folder is made here, for a recording and what is exported.
     """
 
     def __init__(self, sensor: Sensor, folder: Path) -> None:
@@ -244,39 +219,30 @@ class _Stages:
 
 @dataclass(frozen=True)
 class _Solved:
-    """The warm frames of a press with their results, and what each was started from."""
+    """The warm frames of a press with what was found, and what each was started from."""
 
     pipeline: Pipeline
     results: list[Result]
+    estimates: list[Estimate]
+    patches: list[Patch]
     starts: list[Any]
 
     @classmethod
     def of(cls, pipeline: Pipeline, frames: list[Frame]) -> _Solved:
         """Solve frames one after the other."""
-        results: list[Result] = []
-        starts: list[Any] = []
-        start = None
+        found, start = list[tuple[Any, ...]](), None
         estimator: Any = pipeline.estimator  # each kind has a start of its own
         for frame in frames:
-            starts.append(start)
-            estimate, start = estimator.estimate(frame.depth_m, None, start)
+            estimate, following = estimator.estimate(frame.depth_m, None, start)
             patch = pipeline.patch(estimate, pixel_mask=True)
-            results.append(Result(frame, estimate=estimate, patch=patch))
-        return cls(pipeline, results[-_WARM:], starts[-_WARM:])
+            result = Result(frame, estimate=estimate, patch=patch)
+            found.append((result, estimate, patch, start))
+            start = following
+        return cls(pipeline, *map(list, zip(*found[-_WARM:], strict=True)))
 
     def estimate(self, k: int) -> object:
         """Solve number k again."""
         return self.pipeline.estimator.estimate(self.results[k].frame.depth_m, None, self.starts[k])
-
-    @property
-    def estimates(self) -> list[Estimate]:
-        """Of the frames."""
-        return [each.estimate for each in self.results if each.estimate is not None]
-
-    @property
-    def patches(self) -> list[Patch]:
-        """Of the frames."""
-        return [each.patch for each in self.results if each.patch is not None]
 
 
 def _filled(matrix: sparse.csc_array) -> int:

@@ -10,6 +10,7 @@ import click
 from bubbleviz.cli.command_line import OneLineErrors
 from bubbleviz.cli.shared_options import report
 from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+from bubbleviz.files.tables import to_json
 
 if TYPE_CHECKING:
     from bubbleviz.sensor import Sensor
@@ -20,12 +21,16 @@ def bench() -> None:
     """Measure how fast the window is on this machine."""
 
 
+_sensor = click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+
+
 @bench.command("window")
 @click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
 @click.option("--synthetic", is_flag=True, help="The built-in press in place of a recording.")
-@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@_sensor
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=8.0, help="How long.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@_json
 def bench_window(
     recording: Path | None, synthetic: bool, sensor: str | None, seconds: float, as_json: bool
 ) -> None:
@@ -39,9 +44,9 @@ def bench_window(
 
 @bench.command("start")
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@_sensor
 @click.option("--runs", type=click.IntRange(1, 100), default=5, help="Processes to start.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@_json
 def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -> None:
     """Time from starting a process to its first picture of a recording."""
     from benchmarks.window.start_times import start_times
@@ -53,9 +58,9 @@ def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -
 
 @bench.command("seek")
 @click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
-@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@_sensor
 @click.option("--seeks", type=click.IntRange(1, 10_000), default=60, help="How many.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@_json
 def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -> None:
     """Time from a seek anywhere in a recording to the new picture."""
     from benchmarks.window.start_times import seek_times
@@ -65,10 +70,10 @@ def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -
 
 @bench.command("monkey")
 @click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
-@click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
+@_sensor
 @click.option("--minutes", type=click.FloatRange(0.02, 600.0), default=10.0, help="How long.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the clicks.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@_json
 def bench_monkey(
     recording: Path | None, sensor: str | None, minutes: float, seed: int, as_json: bool
 ) -> int:
@@ -102,7 +107,7 @@ def bench_monkey(
     metavar="WIDTH HEIGHT",
     help="Of the images in the window, pixels; by default the sensor's.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+@_json
 def bench_live(
     minutes: float,
     rate: float,
@@ -132,7 +137,7 @@ def bench_live(
 @click.option("--session", default="dual_nut", help="Session of two synthetic sensors.")
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=20.0, help="How long.")
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=30.0, help="Frames a second.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+@_json
 def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
     """Two 640×480 cameras over Zenoh into one window: what is solved and drawn a second.
 
@@ -150,7 +155,7 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
 @click.option("--times", type=click.IntRange(1, 1000), default=20, help="How often.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the moments.")
 @click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+@_json
 def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
     """Kill and restart a publisher under a recording window; exit code 1 after a loss."""
     from benchmarks.window.live_restarts import restart_bench
@@ -172,15 +177,8 @@ def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
 
 def _print_measured(measured: dict[str, float], as_json: bool) -> None:
     """Numbers by name; a NaN is null in JSON, which has none."""
-    if as_json:
-        import json
-        import math
-
-        finite = {key: value if math.isfinite(value) else None for key, value in measured.items()}
-        click.echo(json.dumps(finite, indent=2, allow_nan=False))
-        return
-    for key, value in measured.items():
-        click.echo(f"{key:<16} {value:.4g}")
+    lines = (f"{key:<16} {value:.4g}" for key, value in measured.items())
+    click.echo(to_json(measured) if as_json else "\n".join(lines))
 
 
 if __name__ == "__main__":

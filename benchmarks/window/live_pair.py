@@ -33,47 +33,24 @@ SHARE_SHOWN = 0.002
 
 @dataclass(frozen=True)
 class PairReport(Summary):
-    """What `pair` measured.
-
-    Attributes
-    ----------
-    seconds, rate_hz : float
-    width, height : int
-        Of both cameras, pixels.
-    received_hz, solved_hz : (float, float)
-        Images that arrived, and frames solved a second, of the chosen sensor and of the other.
-    pictures_hz : float
-    latency_median_s, latency_p95_s : float
-        Stamp to picture, of the chosen sensor.
-    recorded, missing, repeated : int
-        Depth images of both in the recording made meanwhile; gaps and repetitions of the
-        publishers' counts in it.
-    blocked_p99_ms, blocked_ms : float
-        Between two beats of the event loop: 99th percentile, and the longest.
-    memory_growth_bytes : int
-        Resident memory at the end less that at the beginning.
-    cores_used : dict
-        Processor time of each thread of the window a second; `solver processes` of those that solve
-        for it, `publishers` of those that send.
-    load_average, cores : float, int
-    """
+    """What `pair` measured; of the chosen sensor and of the other where there are two numbers."""
 
     seconds: float
     rate_hz: float
-    width: int
+    width: int  # of both cameras, pixels
     height: int
     received_hz: tuple[float, float]
     solved_hz: tuple[float, float]
     pictures_hz: float
-    latency_median_s: float
+    latency_median_s: float  # stamp to picture, of the chosen sensor
     latency_p95_s: float
-    recorded: int
-    missing: int
+    recorded: int  # depth images of both in the recording made meanwhile
+    missing: int  # by the publishers' counts
     repeated: int
-    blocked_p99_ms: float
+    blocked_p99_ms: float  # between two beats of the event loop
     blocked_ms: float
     memory_growth_bytes: int
-    cores_used: dict[str, float]
+    cores_used: dict[str, float]  # processor time of threads and processes a second
     load_average: float
     cores: int
 
@@ -107,16 +84,7 @@ class PairReport(Summary):
 def pair_bench(
     preset: SessionPreset, seconds: float, rate_hz: float = 30.0, size: tuple[int, int] = (640, 480)
 ) -> PairReport:
-    """Two simulated cameras, each a process of its own, over Zenoh into one window.
-
-    Parameters
-    ----------
-    preset : SessionPreset
-        Of two synthetic sensors.
-    seconds, rate_hz : float
-    size : (int, int)
-        Width and height of both images, pixels.
-    """
+    """Two simulated cameras, each a process of its own, over Zenoh into one window."""
     publishers, places = list[Publisher](), []
     with tempfile.TemporaryDirectory(prefix="bubbleviz-pair-") as folder, ExitStack() as stack:
         for place in preset.sensors:

@@ -21,24 +21,13 @@ from bubbleviz_ui.window_session import WindowSession
 
 @dataclass(frozen=True)
 class RestartReport(Summary):
-    """What `restarts` saw.
-
-    Attributes
-    ----------
-    kills : int
-    recovered : int
-        How often the window showed new frames after the publisher came back.
-    seen_gone_s : list of float
-        How long the bar went on saying `live` after each kill.
-    arrived, recorded : int
-        Depth images that arrived here while recording, and those in the file.
-    """
+    """What `restarts` saw."""
 
     kills: int
-    recovered: int
-    seen_gone_s: list[float]
-    arrived: int
-    recorded: int
+    recovered: int  # how often the window showed new frames after the publisher came back
+    seen_gone_s: list[float]  # how long the bar went on saying `live` after each kill
+    arrived: int  # depth images that arrived here while recording
+    recorded: int  # those in the file
 
     @property
     def passed(self) -> bool:

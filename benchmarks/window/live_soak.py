@@ -30,6 +30,7 @@ from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.simulation.sensor_variants import resized
 
 WARM_UP_S = 20.0
 """Until then memory may grow: one round of the press, every buffer filled once."""
@@ -38,41 +39,21 @@ _START_S = 60.0  # s until the first frame, at most
 
 @dataclass(frozen=True)
 class SoakReport(Summary):
-    """What `live` measured.
-
-    Attributes
-    ----------
-    seconds, rate_hz : float
-    sent : int
-        Depth images the publisher counted while we were there.
-    recorded : int
-        Depth images in the file.
-    missing, repeated : int
-        Gaps and repetitions of the publisher's count in the file.
-    solved, skipped : int
-        Frames solved, and given up for newer ones.
-    latency_median_s, latency_p95_s, latency_worst_s : float
-        Stamp to result.
-    memory_growth_bytes : int
-        Highest resident memory after the warm-up less that at its end.
-    most_waiting_bytes, stalls : int
-        Of the recorder's queue.
-    recording_bytes : int
-    """
+    """What `live` measured; latency is from stamp to result."""
 
     seconds: float
     rate_hz: float
-    sent: int
-    recorded: int
-    missing: int
+    sent: int  # depth images the publisher counted while we were there
+    recorded: int  # depth images in the file
+    missing: int  # gaps of the publisher's count in the file
     repeated: int
     solved: int
-    skipped: int
+    skipped: int  # given up for newer ones
     latency_median_s: float
     latency_p95_s: float
     latency_worst_s: float
-    memory_growth_bytes: int
-    most_waiting_bytes: int
+    memory_growth_bytes: int  # highest resident memory after the warm-up less that at its end
+    most_waiting_bytes: int  # of the recorder's queue
     stalls: int
     recording_bytes: int
 
@@ -101,17 +82,7 @@ class SoakReport(Summary):
 def soak(
     sensor_name: str, seconds: float, rate_hz: float = 60.0, out: Path | None = None
 ) -> SoakReport:
-    """Stream, record and solve for some time.
-
-    Parameters
-    ----------
-    sensor_name : str
-        Simulated and solved.
-    seconds : float
-    rate_hz : float
-    out : Path, optional
-        Where the recording stays; by default it is deleted.
-    """
+    """Stream, record and solve for some time; the recording stays where a path is given."""
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"
         with Publisher(sensor_name, f"synthetic:?rate={rate_hz:g}") as publisher:
@@ -122,11 +93,7 @@ def soak(
 class Publisher:
     """A process that runs `bubbleviz publish` on a source; killed at the end of its `with`.
 
-    Attributes
-    ----------
-    uri : str
-        Live source that receives what it sends.
-    process : Popen
+    `uri` is the live source that receives what it sends.
     """
 
     def __init__(self, sensor_name: str, source: str) -> None:
@@ -161,17 +128,7 @@ class Publisher:
 
 def resized_file(sensor: Sensor, size: tuple[int, int], folder: Path, name: str = "sensor") -> str:
     """File of the same sensor and field of view with other pixels: width and height."""
-    camera = sensor.camera
-    x, y = size[0] / camera.width, size[1] / camera.height
-    update = {
-        "width": size[0],
-        "height": size[1],
-        "fx": x * camera.fx,
-        "fy": y * camera.fy,
-        "cx": x * (camera.cx + 0.5) - 0.5,
-        "cy": y * (camera.cy + 0.5) - 0.5,
-    }
-    other = sensor.model_copy(update={"camera": camera.model_copy(update=update)})
+    other = resized(sensor, *size)
     path = folder / f"{name}.toml"
     path.write_text(sensor_to_toml(other), encoding="utf-8")
     return str(path)

@@ -43,15 +43,8 @@ POP_UP_MS = 100  # until a menu that was opened is closed
 PATIENCE_S = 150.0
 """After so long without an end, all threads are written out and the process ends."""
 FORBIDDEN = (
-    "Quit",
-    "Open",
-    "Save",
-    "Screenshot",
-    "screenshot",
-    "Export",
-    "Import",
-    "Record",
-    "Turntable",
+    *("Quit", "Open", "Save", "Screenshot", "screenshot"),
+    *("Export", "Import", "Record", "Turntable"),
 )
 """Words of actions that would end the run or ask for a file."""
 KEYS = "Left Right Up Down Space Home End Tab Backtab PageUp PageDown Escape Return Plus Minus 1 5"
@@ -59,34 +52,16 @@ KEYS = "Left Right Up Down Space Home End Tab Backtab PageUp PageDown Escape Ret
 
 @dataclass
 class Report:
-    """What happened.
-
-    Attributes
-    ----------
-    actions : int
-    seconds : float
-    rest_mib : list of float
-        Resident memory with everything put away: after all was opened once, and from then on.
-    most_mib : float
-        Highest resident memory after an action.
-    longest_ms : float
-        Longest time the window's thread was kept from events.
-    longest : str
-        What was done then.
-    blocked : str
-        Innermost calls of that thread in the longest time of over 100 ms.
-    problems : list of str
-        Tracebacks, and messages of the window that came with one.
-    """
+    """What happened."""
 
     actions: int = 0
     seconds: float = 0.0
-    rest_mib: list[float] = field(default_factory=list)
-    most_mib: float = 0.0
-    longest_ms: float = 0.0
-    longest: str = ""
-    blocked: str = ""
-    problems: list[str] = field(default_factory=list)
+    rest_mib: list[float] = field(default_factory=list)  # everything put away, at first and later
+    most_mib: float = 0.0  # highest after an action
+    longest_ms: float = 0.0  # the window's thread was kept from events
+    longest: str = ""  # what was done then
+    blocked: str = ""  # innermost calls of that thread in the longest time of over 100 ms
+    problems: list[str] = field(default_factory=list)  # tracebacks, messages that came with one
 
     @property
     def growth_mib(self) -> float:
@@ -115,19 +90,9 @@ class Report:
 def monkey_run(
     sensor: Sensor, recording: Path | None, seconds: float, seed: int, *, memory: bool = True
 ) -> Report:
-    """Click and type at random in a window on a private screen.
+    """Click and type at random in a window on a private screen; what is hit depends on time.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    recording : Path, optional
-        None for the synthetic press.
-    seconds : float
-        How long.
-    seed : int
-        The same seed makes the same choices; what they hit depends on time.
-    memory : bool
-        Whether memory is compared: everything is opened first, which takes up to a minute.
+    Where memory is compared everything is opened first, which takes up to a minute.
     """
     report = Report()
     with _caught(report), bench_window(sensor, recording) as session:
@@ -201,8 +166,6 @@ class Monkey:
 
     _at = ""
 
-    # -- things to do -------------------------------------------------------------------------
-
     def _click(self) -> None:
         widget = self._some_widget()
         if widget is not None:
@@ -259,8 +222,6 @@ class Monkey:
         stack = self._session.window.undo_stack
         for _ in range(self._dice.randint(1, 12)):
             stack.undo() if self._dice.random() < 0.7 else stack.redo()
-
-    # -- where --------------------------------------------------------------------------------
 
     def _some_widget(self) -> QWidget | None:
         """A visible control that does not ask for a file."""

@@ -26,24 +26,13 @@ def replay_fps(
 ) -> dict[str, float]:
     """Replay at recorded speed with membrane and cloud shown, and count what is drawn.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    recording : Path, optional
-        None for the synthetic press.
-    seconds : float
-        How long to count after warming up.
-
     Returns
     -------
     dict
         `camera_hz`; `median_fps`, `p5_fps`: VTK renders in the second before each render;
         `solve_hz`: frames solved and shown in a second; `solve_ms`: median time of depth in →
-        products out; `draw_ms`: mean time of the GUI thread for a picture; `blocked_ms`,
-        `blocked_p99_ms`: longest time and 99th percentile between two beats of a watchdog in the
-        GUI thread, and how many were over 50 ms; `shown_frames` and
-        `dropped_frames` (on purpose) while counting; `seconds`; `load_average` of the machine
-        over the last minute and its `cores`; `width`, `height` in pixels.
+        products out; `draw_ms`: mean time of the GUI thread for a picture; `blocked_*`: times
+        between two beats of a watchdog in the GUI thread; `shown_frames`, `dropped_frames`.
     """
     with bench_window(sensor, recording) as session:
         session.state.choose(layers=session.state.choices.layers | {"membrane", "cloud"})

@@ -32,12 +32,7 @@ def start_times(recording: Path, sensor: str | None, runs: int = 5) -> dict[str,
 
     Each run is a process of its own that does what `bubbleviz open` does. The first warms the
     disk's cache and is reported as `cold_s`; `cpu_s` is the mean processor time of a run with its
-    screen, which a busy machine changes least.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be opened.
+    screen, which a busy machine changes least. InputError: the recording cannot be opened.
     """
     times = []
     for _ in range(runs + 1):
@@ -70,13 +65,7 @@ def _start(code: str) -> float:
 
 
 def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) -> dict[str, float]:
-    """Time from a seek anywhere to the picture of that frame, ms.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be opened.
-    """
+    """Time from a seek anywhere to the picture of that frame, ms; errors as of `start_times`."""
     with bench_window(sensor, recording, 0) as session:
         session.settle()
         frames = session.state.facts.frames if session.state.facts else 0
@@ -93,13 +82,7 @@ def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) 
 
 
 def _seek(session: WindowSession, frame: int) -> float:
-    """Seek and wait as the application does, in its event loop, until the frame is drawn, ms.
-
-    Raises
-    ------
-    InputError
-        The frame cannot be shown.
-    """
+    """Seek and wait, in the application's event loop, until the frame is drawn, ms."""
     controller, view, loop = session.controller, session.window.view, QEventLoop()
 
     def note() -> None:

@@ -32,23 +32,11 @@ STEP_S = 1.0  # s between readings
 
 @dataclass(frozen=True)
 class WindowSoak(Summary):
-    """What `live --window` measured.
-
-    Attributes
-    ----------
-    soak : SoakReport
-        Its latency is from the stamp to the picture.
-    pictures_hz : float
-        Pictures VTK drew a second.
-    blocked_p99_ms, blocked_ms : float
-        Between two beats of the event loop: 99th percentile, and the longest.
-    load_average, cores : float, int
-        Of the machine over the last minute.
-    """
+    """What `live --window` measured; latency is from the stamp to the picture."""
 
     soak: SoakReport
     pictures_hz: float
-    blocked_p99_ms: float
+    blocked_p99_ms: float  # between two beats of the event loop
     blocked_ms: float
     load_average: float
     cores: int
@@ -76,14 +64,7 @@ def window_soak(
 ) -> WindowSoak:
     """Stream over Zenoh into the window for some time, recording everything.
 
-    Parameters
-    ----------
-    sensor_name : str
-    seconds, rate_hz : float
-    out : Path, optional
-        Where the recording stays.
-    size : (int, int), optional
-        Width and height of the images in place of the sensor's, pixels.
+    The size, width and height, is of the images in place of the sensor's, pixels.
     """
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"

@@ -66,7 +66,8 @@ def screw(sensor):
         sensor = with_nodes(sensor, 400)
     source = screw_source(sensor, nodes=2_000 if LONG else 800)
     source.poses = source.poses[:4]
-    return run_screw(sensor, source, 3, blanked=False)
+    (found,) = run_screw(sensor, source, 3, blanked=False)
+    return found
 
 
 @pytest.mark.long
