@@ -83,6 +83,11 @@ def test_the_backend_knows_nothing_of_the_window() -> None:
     assert importing("bubbleviz", WINDOW) == [PICTURE]
 
 
+def test_what_is_installed_imports_nothing_that_is_not() -> None:
+    for package in PACKAGES:
+        assert not importing(package.name, {"benchmarks", "tests"})
+
+
 def test_the_window_leaves_numerics_to_the_backend() -> None:
     assert not importing("bubbleviz_ui", SOLVERS)
 
