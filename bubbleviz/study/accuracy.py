@@ -343,21 +343,18 @@ def curves(rows: list[Row]) -> list[Record]:
 
 
 def points(rows: list[Row]) -> list[Record]:
-    """Every setup on the plane of error and run time: presses into the sensor at one noise.
+    """Every setup on the plane of error and run time: presses into one membrane at one noise.
 
     `on_front` says that no other setup is both faster and better, in IoU or in force.
     """
-    deep = [
-        row
-        for row in rows
-        if row.specimen == "sensor" and not row.held_out and row.depth_share >= SHALLOWEST_SHARE
-    ]
-    found = summaries(deep, ("noise", "setup", "nodes"), AVERAGES)
+    deep = [row for row in rows if not row.held_out and row.depth_share >= SHALLOWEST_SHARE]
+    found = summaries(deep, ("specimen", "noise", "setup", "nodes"), AVERAGES)
     return [{**point, "on_front": _on_front(point, found)} for point in found]
 
 
 def _on_front(point: Record, found: list[Record]) -> bool:
-    others = [p for p in found if p["noise"] == point["noise"] and p["warm_ms"] <= point["warm_ms"]]
+    same = [p for p in found if all(p[by] == point[by] for by in ("specimen", "noise"))]
+    others = [p for p in same if p["warm_ms"] <= point["warm_ms"]]
     better = any(p["iou"] > point["iou"] for p in others)
     nearer = any(p[ERROR] < point[ERROR] for p in others)
     return not (better and nearer)
@@ -398,7 +395,7 @@ _CURVE = (
     *_ERRORS,
 )
 _POINT = (
-    *(Column(name, name) for name in ("setup", "noise", "nodes")),
+    *(Column(name, name) for name in ("specimen", "noise", "setup", "nodes")),
     *_ERRORS,
     Column("cold ms", "cold_ms", ".0f"),
     Column("CoP mm", "cop_error_m", ".2f", 1e3),
@@ -415,10 +412,10 @@ def report_of(grid: Grid, rows: list[Row]) -> Report:
     by = "specimen", "object_name", "noise"
     press = (*(Column(name, name) for name in by), *_ERRORS)
     title = f"Force error over press depth, all membranes and noises; truth: {grid.model} membrane"
-    sensor = f"The sensor, from {100 * SHALLOWEST_SHARE:g} % of its height; front: Pareto front"
+    time = f"Run time, from {100 * SHALLOWEST_SHARE:g} % of the height; front: Pareto front"
     tables = [
         Table("curves", curves(rows), _CURVE, title),
-        Table("points", points(rows), _POINT, sensor),
+        Table("points", points(rows), _POINT, time),
         Table("objects", summaries(own, by, AVERAGES), press, f"{label} by object"),
     ]
     numbers = {"grid": asdict(grid)}
@@ -426,17 +423,18 @@ def report_of(grid: Grid, rows: list[Row]) -> Report:
 
 
 def plot(rows: list[Row], figure: Figure) -> None:
-    """Patch and force on the sensor over run time, at the last noise."""
-    others = figure.subplots(1, 2)
-    some = sorted(points(rows), key=lambda p: p["warm_ms"])
-    some = [p for p in some if p["noise"] == rows[-1].noise]
-    panels = (("iou", np.maximum), (ERROR, np.minimum))
-    for axes, (name, best) in zip(others, panels, strict=True):
-        for solver in dict.fromkeys(p["setup"].split("_")[0] for p in some):
-            own = [p for p in some if p["setup"].split("_")[0] == solver]
-            axes.scatter([p["warm_ms"] for p in own], [p[name] for p in own], s=24, label=solver)
-        front = best.accumulate([p[name] for p in some])
-        axes.step([p["warm_ms"] for p in some], front, "k", where="post", label="Pareto front")
-        axes.set(xlabel="run time of a warm frame, ms (median)", xscale="log")
-    others[0].set(ylabel="mean patch IoU", title="Patch on the sensor")
-    others[1].set(ylabel="median relative force error", yscale="log", title="Force on the sensor")
+    """Patch and force on the first membrane over run time, at the last noise."""
+    own = [row for row in rows if row.specimen == rows[0].specimen and row.noise == rows[-1].noise]
+    found = sorted(points(own), key=lambda p: p["warm_ms"])
+    scale = "log" if found else "linear"
+    iou_axes, force_axes = figure.subplots(1, 2)
+    for axes, name, best in ((iou_axes, "iou", np.maximum), (force_axes, ERROR, np.minimum)):
+        for solver in dict.fromkeys(p["setup"].split("_")[0] for p in found):
+            some = [p for p in found if p["setup"].split("_")[0] == solver]
+            axes.scatter([p["warm_ms"] for p in some], [p[name] for p in some], s=24, label=solver)
+        front = best.accumulate([p[name] for p in found])
+        axes.step([p["warm_ms"] for p in found], front, "k", where="post", label="Pareto front")
+        axes.set(xlabel="run time of a warm frame, ms (median)", xscale=scale)
+    figure.suptitle(f"{rows[0].specimen}, noise {rows[-1].noise}")
+    iou_axes.set(ylabel="mean patch IoU")
+    force_axes.set(ylabel="median relative force error", yscale=scale)

@@ -220,7 +220,7 @@ def write(report: Report, out: Path, name: str) -> list[Path]:
     paths = [out / f"{name}.csv", out / f"{name}.json"]
     write_csv(paths[0], report.rows)
     write_json(paths[1], report.to_dict())
-    if report.plot is not None:
+    if report.plot is not None and report.rows:
         figure = Figure(figsize=(15, 5), layout="constrained")
         report.plot(figure)
         for axes in figure.axes:

@@ -32,6 +32,7 @@ from bubbleviz.study.accuracy import (
     report_of,
     targets,
 )
+from bubbleviz.study.harness import write
 
 NONE, ONE = DepthNoise(), DepthNoise(relative=0.01)
 SETUPS = (LINEAR, Setup("linear", nodes=300, relinearisations=0))
@@ -111,9 +112,10 @@ def test_structure(study):
     assert {row.held_out for row in study.rows if row.object_name == "hex_nut"} == {True}
 
 
-def test_a_solver_that_breaks_is_left_out_by_name(sensor):
+def test_a_solver_that_breaks_is_left_out_by_name(sensor, tmp_path):
     grid = replace(GRID, objects=("sphere",), noises=(NONE,), setups=(Setup("magic"),))
-    found = accuracy_study(sensor, grid).run()
+    found = accuracy_study(sensor, grid).run(tmp_path)
+    assert json.loads((tmp_path / "accuracy.json").read_text())["rows"] == []
     assert found.rows == []
     assert "magic" in found.omitted[0]
     assert "left out: sensor, magic" in found.to_text()
@@ -186,6 +188,13 @@ def test_front_and_targets_on_known_rows():
     assert len(found) == 4 and not any(t.met for t in found)
     assert not targets([row("a", 5, 0.8, 0.029)], "a")[0].met
     assert all(t.met for t in targets([row("a", 5, 0.8, 0.029, material="identified")], "a"))
+
+
+@pytest.mark.parametrize("changed", [{"specimen": "sheet"}, {"depth_share": 0.1}])
+def test_rows_without_the_sensor_or_of_shallow_presses_alone_are_drawn(changed, tmp_path):
+    rows = [row("rubber", 5, 0.8, 0.01, **changed)]
+    write(replace(report_of(GRID, rows), rows=rows), tmp_path, "accuracy")
+    assert (tmp_path / "accuracy.png").stat().st_size > 10_000
 
 
 def test_curves_tell_median_worst_and_what_has_no_answer():
