@@ -181,7 +181,9 @@ def row(setup, ms, overlap, force, **changed):
 
 def test_front_and_targets_on_known_rows():
     rows = [row("a", 5, 0.8, 0.01), row("b", 9, 0.7, 0.02), row("c", 3, 0.6, 0.03)]
-    assert {p["setup"]: p["on_front"] for p in points(rows)} == {"a": True, "b": False, "c": True}
+    rows.append(row("d", 9, 0.7, 0.005))  # slower and of less IoU, but the nearest in force
+    front = {p["setup"]: p["on_front"] for p in points(rows)}
+    assert front == {"a": True, "b": False, "c": True, "d": True}
     assert all(t.met for t in targets(rows, "a"))
     worse = [row("a", 5, 0.1, 0.051), row("a", 5, np.nan, np.nan, failed=2)]
     found = targets(worse, "a")
