@@ -1,1 +1,1 @@
-"""Error against run time, stability, independent oracles."""
+"""Error against run time, numerical stability, speed and pose: studies of one harness."""
