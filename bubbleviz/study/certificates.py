@@ -149,12 +149,13 @@ def _rubber_equations(
 ) -> list[str]:
     """Equilibrium, gas law and force, by differences of the membrane's energy and volume alone."""
     membrane = estimator.membrane
-    if estimate.displacement_3d_m is None:
+    friction, unexplained = estimate.friction_n, estimate.unexplained_pressure_pa
+    if estimate.displacement_3d_m is None or friction is None or unexplained is None:
         return []
     rest, gas, gauge = pipeline.mesh.nodes, pipeline.model.gas, membrane.gauge_pressure_pa
     x, p_v = rest + estimate.displacement_3d_m, estimate.gas_pressure_change_pa
     contact = estimate.contact_pressure_pa / gauge
-    inside = 1.0 + p_v / gauge - contact
+    inside = 1.0 + p_v / gauge - contact - unexplained / gauge
     moving = np.isin(np.arange(len(rest)), membrane.moving)[:, None]
     rng, missed, loads, h = np.random.default_rng(0), [], [], 1e-7
 
@@ -166,14 +167,14 @@ def _rubber_equations(
         loads.append(gauge * slope(membrane.volume, rest, way))
         held = slope(membrane.energy, rest, way) - loads[-1]
         pushed = gauge * slope(membrane.volume, x, inside[:, None] * way)
-        missed.append(slope(membrane.energy, x, way) - pushed - held)
+        missed.append(slope(membrane.energy, x, way) - pushed - np.vdot(friction, way) - held)
     faults = []
     off, load = np.linalg.norm(missed), np.linalg.norm(loads)
     if off > RUBBER_BALANCE * load:
         faults.append(f"balance off by {off / load:.2g} of the gas load")
     force = [-gauge * slope(membrane.volume, x, contact[:, None] * axis) for axis in np.eye(3)]
-    if not np.allclose(force, patch.force_n, rtol=1e-4, atol=1e-5):
-        faults.append("the force is not that of the pressure")
+    if not np.allclose(force + friction.sum(axis=0), patch.force_n, rtol=1e-4, atol=1e-5):
+        faults.append("the force is not that of pressure and friction")
     if not measured_gas:
         grown = membrane.volume(x) - membrane.volume(rest)
         law = -gas.P0 * grown / (gas.V0 + grown)

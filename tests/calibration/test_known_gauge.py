@@ -22,7 +22,7 @@ from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import edited, load_sensor
-from bubbleviz.study.inflated_rubber import InflatedRubber
+from bubbleviz.simulation.inflated_rubber import InflatedRubber
 from tests.rubber_renders import (
     ATMOSPHERE_PA,
     GAUGE_PA,

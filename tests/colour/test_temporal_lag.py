@@ -20,9 +20,9 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.shear.recorded_texture import recorded_texture
 from bubbleviz.shear.texture_flow import TextureFlow
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
-from bubbleviz.study.shear.shear_study import shear_sensor
 from tests.colour.speckle import camera, clean_image, dragged
 from tests.frames.bagmaker import PERIOD, SECOND, START, BagMaker
+from tests.oracles.stuck_press import shear_sensor
 
 PERIOD_S = PERIOD / SECOND
 SMALL = {"width": 320, "height": 240, "fx": 215.0, "fy": 215.0, "cx": 159.5, "cy": 119.5}

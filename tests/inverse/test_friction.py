@@ -10,7 +10,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.inverse.friction import friction_loads
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.study.shear.stuck_press import Motion
+from tests.oracles.stuck_press import Motion
 from tests.rubber_renders import (
     GAUGE_PA,
     at_rest,
