@@ -18,7 +18,7 @@ from bubbleviz.errors import StreamStoppedError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.source_status import STOPPED_AFTER_S
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.bench.live_soak import free_port
+from benchmarks.window.live_soak import free_port
 
 BEFORE, GAP_S = 4, 2.5
 """Frames before and after each gap, and its length: more than twice the time that is waited."""
