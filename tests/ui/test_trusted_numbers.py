@@ -5,14 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, small_sensor
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from window_driver import Driver, texts
 
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz_ui.shell import theme
 
 Drive = Callable[..., Driver]
@@ -122,3 +126,24 @@ def test_rubber_and_linear_are_compared_side_by_side(drive: Drive) -> None:
     assert abs(float(a["force"].text().split()[0]) - force) < max(half, 0.02 * force)
     assert "±" in a["force"].text() and "±" not in b["force"].text()
     assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
+
+
+@pytest.mark.parametrize("shift_pa", [20.0, 1200.0])
+def test_the_window_says_what_was_done_to_the_zero_of_a_recording(
+    drive: Drive, tmp_path: Path, shift_pa: float
+) -> None:
+    sensor = small_sensor()
+    rest_pa, dent = sensor.pneumatics.reference_pressure_pa, DentSource(sensor)
+    with RecordingWriter(tmp_path / "dent.mcap") as writer:
+        for frame in map(dent.__getitem__, range(FRAMES)):
+            pushed = 100.0 * (frame.index >= FIRST_CONTACT)
+            writer.write(replace(frame, gas_pressure_pa=rest_pa + pushed + shift_pa))
+    driver = drive(lambda _: Recording(tmp_path / "dent.mcap"), sensor=sensor, frame=PRESSED)
+    gas, message = driver.window.status.labels["gas"], driver.window.message
+    done = f"gas pressure zero: {shift_pa:+.0f} Pa from "
+    assert done in gas.toolTip()
+    assert (message.isVisible() and done in message.label.text()) == (shift_pa > 50.0)
+    driver.wait(lambda: gas.text() == "p_v +100 Pa")  # of the contact alone
+    driver.window.controller.opening.nothing()
+    driver.wait(lambda: driver.state.facts.nothing)
+    assert "zero" not in gas.toolTip()

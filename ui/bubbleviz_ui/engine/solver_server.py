@@ -271,6 +271,7 @@ class Server:
             source.name, sensor.name, source.times_s, request.live, grows, remark, marks, simulated,
             outages=source.outages if isinstance(source, LiveFrames) else (),
             path=path,
+            gas_zero="" if zero is None else zero.words,
         )  # fmt: skip
         numbers = _kept_numbers(session, result)
         inspection = _look(session, result, request.demand)

@@ -45,6 +45,8 @@ class SourceFacts:
         Where a source that grows sent nothing; what a busy solver left out is none.
     path : str
         Resolved, of a recording's file or folder; empty for what is none.
+    gas_zero : str
+        What was done to the zero of a recording's gas pressure; empty where none was recorded.
     """
 
     title: str
@@ -57,6 +59,7 @@ class SourceFacts:
     simulated: bool = False
     outages: tuple[Gap, ...] = ()
     path: str = ""
+    gas_zero: str = ""
 
     @property
     def nothing(self) -> bool:

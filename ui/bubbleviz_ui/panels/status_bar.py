@@ -96,6 +96,8 @@ class StatusBar(QStatusBar):
         self._show_sensor()
         self.labels["sensor"].setToolTip(f"Sensor: {sensor}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
+        zero = f"\n{facts.gas_zero}" if facts.gas_zero else ""
+        self.labels["gas"].setToolTip(TIPS["gas"] + zero)
         # the live bar has some of a stream
         self._there = set(TIPS) - ({"camera", "dropped"} if facts.grows else {"latency"})
         self._fit()
