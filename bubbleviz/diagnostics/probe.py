@@ -36,6 +36,8 @@ class Probed:
         Row and column at which the camera sees it.
     displacement_m, pressure_pa : float
         u and p_c of the node; NaN without an estimate.
+    unexplained_pa : float
+        Pressure at the node without evidence of contact, 0 where there is none.
     residual_m : float
         Measured less modelled range of the pixel; NaN where the result has none.
     """
@@ -48,6 +50,7 @@ class Probed:
     node_pixel: tuple[float, float]
     displacement_m: float
     pressure_pa: float
+    unexplained_pa: float
     residual_m: float
 
 
@@ -91,6 +94,7 @@ class Probe:
 
     def _probed(self, pixel: Pixel | None, result: Result, nodes: np.ndarray, node: int) -> Probed:
         estimate = result.trusted_estimate
+        unexplained = None if estimate is None else estimate.unexplained_pressure_pa
         return Probed(
             pixel=pixel,
             point_m=self._point(pixel, result) if pixel else np.full(3, np.nan),
@@ -100,6 +104,7 @@ class Probe:
             node_pixel=self._seen_at(nodes[node]),
             displacement_m=float(estimate.displacement_m[node]) if estimate else np.nan,
             pressure_pa=float(estimate.contact_pressure_pa[node]) if estimate else np.nan,
+            unexplained_pa=0.0 if unexplained is None else float(unexplained[node]),
             residual_m=_residual(pixel, result) if pixel else np.nan,
         )
 

@@ -38,7 +38,10 @@ class LayerKind:
 LAYERS: Mapping[str, LayerKind] = MappingProxyType(
     {
         "membrane": LayerKind(
-            "Membrane", "Deformed membrane, coloured by contact pressure p_c", ESTIMATE
+            "Membrane",
+            "Deformed membrane, coloured by contact pressure p_c;\n"
+            "hatched: pressure without evidence of contact, not in the force",
+            ESTIMATE,
         ),
         "texture": LayerKind(
             "Texture",
@@ -63,10 +66,14 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             "Measured points", "Depth image as points in the bubble frame", frozenset({"cloud"})
         ),
         "force": LayerKind(
-            "Force arrow", "Resultant of the contact pressure, at the centre of pressure", PATCH
+            "Force arrow",
+            "Whole force of the contact, friction included, at the centre of pressure",
+            PATCH,
         ),
         "readout": LayerKind(
-            "Readout", "Force, peak pressure and patch area, in the view", PATCH
+            "Readout",
+            "Force, its tangential part, peak pressure and patch area, in the view",
+            PATCH,
         ),
         "frustum": LayerKind(
             "Camera frustum", "Field of view of the depth camera", at_first=False

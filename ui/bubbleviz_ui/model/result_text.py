@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bubbleviz.diagnostics.probe import Probed
 from bubbleviz.result import Result
 from bubbleviz_ui.model.units import Units
 
@@ -31,3 +32,21 @@ def force_text(result: Result, units: Units) -> str:
         return units.force.text(None)
     force = float(np.linalg.norm(patch.force_n))
     return units.force.with_interval(force, estimate.force_half_width_n)
+
+
+def tangential_text(result: Result, units: Units) -> str:
+    """The part of the force that is friction; a dash where no friction was estimated."""
+    patch = result.trusted_patch
+    if patch is None:
+        return units.force.text(None)
+    tangential = float(np.linalg.norm(patch.tangential_force_n))
+    # An estimated amplitude is never exactly 0.
+    estimated = tangential > 0.0 or not patch.force_n.any()
+    return units.force.text(tangential if estimated else None)
+
+
+def pressure_text(place: Probed, units: Units) -> str:
+    """Contact pressure at a place, or the pressure there that is not contact."""
+    if place.unexplained_pa > 0.0:
+        return f"{units.pressure.text(place.unexplained_pa)} without evidence of contact"
+    return f"p_c {units.pressure.text(place.pressure_pa)}"

@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 from bubbleviz.diagnostics.probe import Probed
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.result_text import pressure_text
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import menu_button
@@ -171,7 +172,7 @@ def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
     return (
         f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",
         f"x {x} · y {y} · z {z} {length.symbol}",
-        f"u {length.text(place.displacement_m)} · p_c {units.pressure.text(place.pressure_pa)}",
+        f"u {length.text(place.displacement_m)} · {pressure_text(place, units)}",
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.diagnostics.probe import Probed
+from bubbleviz_ui.model.result_text import pressure_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene_text import write_in
@@ -59,7 +60,7 @@ class PlaceText:
 def beside(place: Probed, units: Units) -> str:
     """Lines about a place, in the operator's units; the residual only where it is known."""
     lines = [
-        f"p_c {units.pressure.text(place.pressure_pa)}",
+        pressure_text(place, units),
         f"u {units.length.text(place.displacement_m)}",
         f"residual {units.fine_length.text(place.residual_m)}",
         f"node {place.node}",

@@ -100,6 +100,12 @@ class Surface:
         self._pressure[:] = self._units.pressure.of(1.0) * shape.pressure_pa
         self.poly.Modified()
 
+    def around(self, nodes: np.ndarray) -> pv.PolyData:
+        """The triangles at some nodes (n,) bool, as drawn."""
+        assert self._mesh is not None
+        triangles = self._mesh.triangles
+        return pv.PolyData(self._points, cells(triangles[nodes[triangles].any(axis=1)]))
+
     def edge(
         self, estimate: Estimate | None, patch: Patch, levels: tuple[float, ...] = (0.0,)
     ) -> np.ndarray:

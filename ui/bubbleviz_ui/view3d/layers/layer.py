@@ -17,6 +17,9 @@ from bubbleviz_ui.view3d.layers.drawn_surface import Shape, Surface
 from bubbleviz_ui.view3d.render_view import LIGHTS, View
 from bubbleviz_ui.view3d.scale_ranges import Ranges
 
+PERIOD, STROKE = 8, 3
+"""Of hatching, along a row of pixels of the picture."""
+
 
 @dataclass(frozen=True)
 class Canvas:
@@ -116,6 +119,14 @@ def in_front(actor: Any, units: float) -> None:
     mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, units)
     mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)
     mapper.SetRelativeCoincidentTopologyPointOffsetParameter(units)
+
+
+def hatch(actor: Any) -> None:
+    """Draw strokes of an actor alone, diagonal and equally far apart from any point of view."""
+    code = f"if (mod(gl_FragCoord.x + gl_FragCoord.y, {PERIOD}.0) >= {STROKE}.0) discard;"
+    light = "//VTK::Light::Impl"
+    shader = actor.GetShaderProperty()
+    shader.AddFragmentShaderReplacement(light, True, f"{code}\n{light}", False)
 
 
 def light_plainly(actor: Any) -> None:

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import pyvista as pv
+
 from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import ColourBar
 from bubbleviz_ui.view3d.colour_maps import lookup_table, pressure_colours
-from bubbleviz_ui.view3d.layers.layer import Canvas, Layer, Picture, in_front, light_plainly
+from bubbleviz_ui.view3d.layers.layer import (
+    Canvas,
+    Layer,
+    Picture,
+    hatch,
+    in_front,
+    light_plainly,
+)
 
 
 class MembraneLayer(Layer):
     """The deformed surface with a colour bar in the operator's pressure unit.
 
-    One colour of its own, at rest, while the estimate is not to be trusted.
+    One colour of its own, at rest, while the estimate is not to be trusted; hatched where pressure
+    is no evidence of contact.
     """
 
     name, cut = "membrane", True
@@ -34,6 +44,11 @@ class MembraneLayer(Layer):
         light_plainly(actor)
         actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
         actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
+        self._unexplained = pv.Triangle()  # an empty mesh cannot be added
+        self._hatching = self.add(self._unexplained, color=theme.UNTRUSTED, lighting=False)
+        self._hatching.SetPickable(False)
+        in_front(self._hatching, -90.0)
+        hatch(self._hatching)
         self._bar = ColourBar(canvas.view, self._table, "contact pressure", upper=True)
 
     def draw(self, picture: Picture) -> None:
@@ -48,6 +63,11 @@ class MembraneLayer(Layer):
         if picture.choices.colour_map != self._map:
             self._map = picture.choices.colour_map
             self._table.values = pressure_colours(self._map)
+        unexplained = None if estimate is None else estimate.unexplained_pressure_pa
+        there = unexplained is not None and bool(unexplained.any())
+        self._hatching.SetVisibility(there)
+        if unexplained is not None and there:
+            self._unexplained.copy_from(self.canvas.surface.around(unexplained > 0.0))
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the surface and its bar."""

@@ -7,7 +7,7 @@ import textwrap
 from typing import Any
 
 from bubbleviz.result import Result
-from bubbleviz_ui.model.result_text import DOUBTS, force_text
+from bubbleviz_ui.model.result_text import DOUBTS, force_text, tangential_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_bar import beside_bars
@@ -23,10 +23,11 @@ SMALLEST, TALL = 0.75, 400
 """Share of these sizes in a low view, and height from which all is as large as it is, px."""
 APART = "   "
 """Between what may be in lines of its own."""
+HATCHED = "hatched: pressure without evidence of contact, not in the force"
 
 
 class ReadoutLayer(Layer):
-    """Two lines in the upper left corner: a headline and what belongs to it."""
+    """Lines in the upper left corner: a headline and what belongs to it."""
 
     name = "readout"
 
@@ -60,7 +61,8 @@ class ReadoutLayer(Layer):
         _put(self._rest, rest, 1.0 - share * (TOP + BELOW) / height)
         self._rest.SetInput(self._about)
         if self._room_for(self._rest) < 1.0:
-            self._rest.SetInput("\n".join(map(self._wrapped, self._about.split(APART))))
+            parts = self._about.replace("\n", APART).split(APART)
+            self._rest.SetInput("\n".join(map(self._wrapped, parts)))
 
     def _wrapped(self, line: str) -> str:
         """A line in as many as it needs."""
@@ -77,7 +79,7 @@ class ReadoutLayer(Layer):
 
 
 def readout(result: Result, units: Units) -> tuple[str, str]:
-    """Headline and second line for a result."""
+    """Headline, and the lines below it, for a result."""
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return "", ""
@@ -91,7 +93,11 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
     if result.object_patch is not None:
         by_object = units.area.text(result.object_patch.area_m2)
         patches = f"patch (white) {area}{APART}by object (green) {by_object}"
-    return f"contact  {force_text(result, units)}", f"peak {peak}{APART}{patches}"
+    tangential = f"tangential {tangential_text(result, units)}"
+    unexplained = estimate.unexplained_pressure_pa
+    hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
+    rest = f"peak {peak}{APART}{tangential}{APART}{patches}{hatched}"
+    return f"contact  {force_text(result, units)}", rest
 
 
 def _put(text: Any, size: float, top: float) -> None:
