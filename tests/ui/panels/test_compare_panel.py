@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fakes import DentSource
+from fakes import DentSource, small_sensor
 from live_bench import Bench, sensor_file
 from PySide6.QtCore import QPoint, Qt
-from window_driver import Driver
+from window_driver import Driver, texts
 
 from bubbleviz.calibration.pressure_zero import ENOUGH
+from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.result import Result
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.choices import Setting
@@ -156,6 +157,54 @@ def test_settings_that_differ_in_kappa_differ_in_area_alone(drive: Drive) -> Non
     assert number(area(panel.a)) > 1.2 * number(area(panel.b))
     a, b = (number(column.values["residual"].text()) for column in (panel.a, panel.b))
     assert a == pytest.approx(b, rel=0.02)
+
+
+def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive: Drive) -> None:
+    sensor = small_sensor()
+    known = sensor.membrane.model_copy(update={"prestretch": 1.3})
+    exact = sensor.model_copy(update={"membrane": known})
+    driver = drive(DentSource, sensor=exact, frame=6)
+    window, panel = driver.window, driver.window.compare
+    window.panels["compare"].show()
+
+    def tangential() -> str:
+        """As the whole window shows it."""
+        (said,) = [text for text in texts(driver) if "tangential" in text]
+        shown = said.split("tangential ")[1].split("   ")[0]
+        assert window.status.labels["force"].toolTip().endswith(f"by depth alone: {shown}")
+        return shown
+
+    estimate = window.controller.result.estimate
+    whole, normal = estimate.force_n, estimate.force_n - estimate.friction_n.sum(axis=0)
+    friction = np.linalg.norm(whole - normal)
+    assert friction > 0.05 and tangential() == f"{friction:.2f} N"
+    driver.wait(lambda: text(driver, "tangential") == f"{friction:.2f} N")
+    driver.state.choose(force_unit="mN")
+    driver.settle()
+    assert tangential() == f"{1e3 * friction:.0f} mN" == text(driver, "tangential")
+    driver.state.choose(force_unit="N")
+    driver.settle()
+    assert panel.b.values["tangential"].text() == "– N"  # the linear model has none
+
+    panel.a.friction.setFocus()
+    panel.a.friction.selectAll()
+    driver.bot.keyClicks(panel.a.friction, "0")
+    driver.bot.keyClick(panel.a.friction, Qt.Key.Key_Return)
+    assert panel.a.friction.text() == "none"
+    driver.wait(lambda: text(driver, "tangential") == "– N")
+    driver.bot.mouseClick(panel.a.used, LEFT)
+    driver.wait(lambda: driver.pipeline.options.friction == 0.0)
+    driver.settle()
+    estimate = window.controller.result.estimate
+    assert not estimate.friction_n.any() and np.linalg.norm(estimate.force_n) > 0.1
+    assert tangential() == "– N"
+    for _ in range(2):
+        window.undo_stack.undo()
+    driver.wait(lambda: driver.pipeline.options.friction == EstimatorOptions().friction)
+    driver.settle()
+    driver.wait(lambda: tangential() == f"{friction:.2f} N")
+    driver.seek(0)
+    assert window.status.labels["force"].toolTip().endswith("by depth alone: 0.00 N")
 
 
 def test_a_setting_is_used_everywhere_and_undone(drive: Drive) -> None:

@@ -59,6 +59,8 @@ class Setting:
         Side of the squares of pixels that are averaged.
     kappa : float or None
         As in `Choices`; None: that of the window.
+    friction : float or None
+        Coefficient of friction μ to expect of contacts with the exact membrane; 0: none.
     """
 
     solver: str | None = None
@@ -67,11 +69,12 @@ class Setting:
     nodes: int | None = None
     block: int | None = None
     kappa: float | None = None
+    friction: float | None = None
 
     @property
     def options(self) -> EstimatorOptions:
         """What the estimator takes."""
-        usual = EstimatorOptions.named(self.solver)
+        usual = EstimatorOptions.named(self.solver, self.friction)
         return replace(
             usual,
             relinearisations=usual.relinearisations if self.recasts is None else self.recasts,

@@ -23,10 +23,12 @@ from PySide6.QtWidgets import (
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS
+from bubbleviz.membrane.rubber_model.friction_forward import MOST_FRICTION
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared, ComparedOptions, CompareRequest, Failed
 from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
+from bubbleviz_ui.model.result_text import tangential_text
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind, bind_member, options
@@ -45,6 +47,7 @@ ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "total": ("Total time", lambda m, u: u.duration.text(m.total_ms)),
     "solve": ("Solver time", lambda m, u: u.duration.text(m.solve_ms)),
     "force": ("Force", lambda m, u: u.force.with_interval(m.force_n, m.force_half_width_n)),
+    "tangential": ("Tangential force", lambda m, u: tangential_text(m.result, u)),
     "area": ("Patch area", lambda m, u: u.area.text(m.area_m2)),
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
@@ -63,6 +66,8 @@ class Column:
         self.pressure_scale = QDoubleSpinBox(
             minimum=0.1, maximum=100.0, singleStep=0.5, suffix=" ×"
         )
+        self.friction = QDoubleSpinBox(minimum=0.0, maximum=MOST_FRICTION, singleStep=0.1)
+        self.friction.setSpecialValueText("none")
         self.recasts = QSpinBox(minimum=0, maximum=5)
         self.nodes = QSpinBox(singleStep=STEP)
         self.nodes.setRange(0, min(NODES, MAX_NODES))
@@ -77,6 +82,7 @@ class Column:
         usual = EstimatorOptions()
         self._bind("solver", None)
         self._bind("pressure_scale", usual.pressure_scale)
+        self._bind("friction", usual.friction)
         self._bind("recasts", usual.relinearisations)
         self._bind("nodes", 0)
         self._bind("block", 0)
@@ -170,6 +176,11 @@ class ComparePanel(QWidget):
             "Pressure prior": (
                 "pressure_scale",
                 "Contact pressure expected, in gauge pressures: the larger, the less smoothing",
+            ),
+            "Friction μ": (
+                "friction",
+                "Coefficient of friction to expect of contacts; lowest value: none. Only the exact"
+                " membrane (rubber) has friction",
             ),
             "Ray-cast passes": ("recasts", "How often rays are cast again within a frame"),
             "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),

@@ -12,15 +12,15 @@ from bubbleviz.live.latency import LatencyReport
 from bubbleviz.result import Result
 from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import History
-from bubbleviz_ui.model.result_text import doubt_text, force_text
+from bubbleviz_ui.model.result_text import doubt_text, force_text, tangential_text
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import NOTHING, Units
 
 TIPS = {
     "sensor": "Sensor",
     "frame": "Frame shown and its time in the recording",
-    "force": "Force F: resultant of the contact pressure p_c (Eq. 23) on the membrane, ± half of"
-    " its 95 % interval by depth noise, γ0, gauge pressure and λ",
+    "force": "Force F: resultant of contact pressure p_c (Eq. 23) and friction on the membrane,"
+    " ± half of its 95 % interval by noise, friction, γ0, gauge pressure and λ",
     "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact"
     " patch panel says by which rule",
     "gas": "Gas pressure change p_v against the reference: measured, else by the gas law (Eq. 6)"
@@ -120,7 +120,8 @@ class StatusBar(QStatusBar):
         }
         for name, text in texts.items():
             self.labels[name].setText(text)
-        self.labels["force"].setToolTip(doubt_text(result) or TIPS["force"])
+        tangential = f"its tangential part, by depth alone: {tangential_text(result, units)}"
+        self.labels["force"].setToolTip(doubt_text(result) or f"{TIPS['force']};\n{tangential}")
         self._solve_ms = result.times_ms.get("total")
 
     def show_rates(self, solve_hz: float, render_hz: float, dropped: int) -> None:

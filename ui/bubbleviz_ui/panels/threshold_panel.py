@@ -34,6 +34,10 @@ HEIGHT = 300
 """Of both plots, screen pixels."""
 LARGEST_M2, STEP_M2 = 0.01, 5e-6  # m²: any bubble; 5 mm²
 COLUMNS = ("Area", "Force", "Peak pressure", "")
+TIPS = {
+    "Force": "Length of the force on the part, friction included; as vectors, the forces of all"
+    " parts, removed ones too, add up to the force of the frame"
+}
 
 
 class ThresholdPanel(QWidget):
@@ -63,7 +67,10 @@ class ThresholdPanel(QWidget):
     def _lay_out(self) -> None:
         row = fill(QHBoxLayout(), QLabel("Remove parts below"), (self.least, 1))
         table = self.table
-        table.setHorizontalHeaderLabels(list(COLUMNS))
+        for column, title in enumerate(COLUMNS):
+            header = QTableWidgetItem(title)
+            header.setToolTip(TIPS.get(title, ""))
+            table.setHorizontalHeaderItem(column, header)
         table.verticalHeader().hide()
         table.verticalHeader().setDefaultSectionSize(ROW)
         table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
