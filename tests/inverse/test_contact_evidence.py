@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from bubbleviz.frames.recording import Recording
 from bubbleviz.inverse.contact_evidence import evident
 from bubbleviz.inverse.contact_problem import ContactPressure
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
 
 MESH = mesh_cap(spherical_cap(0.045, 0.02), 800)
 OUT = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
@@ -38,7 +43,7 @@ def two_parts(share, sigma):
 
 @pytest.mark.parametrize(
     ("share", "sigma", "kept"),
-    [(0.08, 0.01, False), (0.15, 0.01, True), (0.15, 0.5, False)],
+    [(0.08, 0.01, False), (0.12, 0.01, False), (0.2, 0.01, True), (0.2, 0.5, False)],
 )
 def test_a_part_is_contact_by_its_load_and_by_evidence_of_its_own(share, sigma, kept):
     contact, beside = two_parts(share, sigma)
@@ -57,3 +62,16 @@ def test_a_single_contact_is_one_however_weak():
         np.array([[1e6]]),
     )  # fmt: skip
     np.testing.assert_array_equal(evident(MESH, alone), weak > 0.0)
+
+
+@pytest.mark.parametrize("frame", [64, 65, 66, 67])
+def test_the_real_press_is_one_contact_in_each_frame_by_itself(punyo_press: Path, frame: int):
+    """While it is loaded; its gas pressure needs no zero."""
+    source = Recording(punyo_press)
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), source.intrinsics)
+    estimate = pipeline.process(source[frame], frozenset({"estimate"})).estimate
+    source.close()
+    pressed = estimate.contact_pressure_pa > 0.0
+    nodes, load = pipeline.mesh.nodes[pressed], estimate.contact_pressure_pa[pressed]
+    middle = nodes[np.argmax(load)]
+    assert estimate.status == "ok" and np.linalg.norm(nodes - middle, axis=1).max() < 0.014
