@@ -1,4 +1,8 @@
-"""The reference surface from a mesh file: checked, oriented, its open boundary as the rim."""
+"""The reference surface from a mesh file: checked, oriented, its open boundary as the rim.
+
+By hand because trimesh tells that a mesh is wrong, not which edge, triangle or node is; and its
+import takes a quarter of a second, whenever a sensor with a mesh is loaded.
+"""
 
 from __future__ import annotations
 

@@ -199,3 +199,40 @@ def test_a_sliver_is_refused_whichever_way_it_points(cap):
         nodes[c] = nodes[a] + 0.5 * along + [0.0, 0.0, 5e-10]
         with pytest.raises(InputError, match="no area"):
             membrane_from_triangles(nodes, triangles)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_binary_file_may_mix_polygons(tmp_path, order):
+    """And carry texture coordinates, edges, and bytes behind its last element."""
+    path = tmp_path / "mixed.ply"
+    name = {"<": "little", ">": "big"}[order]
+    head = (
+        f"ply\nformat binary_{name}_endian 1.0\nelement vertex 7\nproperty float y\n"
+        "property double x\nproperty float z\nelement face 4\n"
+        "property list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+        "element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header\n"
+    )
+    rim = [0.02 * np.exp(1j * np.pi * k / 3) for k in range(6)]
+    nodes = [(0.0, 0.0, 0.01), *((w.real, w.imag, 0.0) for w in rim)]
+    faces = [(0, 1, 2), (0, 2, 3, 4), (0, 4, 5), (0, 5, 6, 1)]
+    body = b"".join(struct.pack(f"{order}fdf", y, x, z) for x, y, z in nodes)
+    for face in faces:
+        k = len(face)
+        body += struct.pack(f"{order}B{k}iB{2 * k}f", k, *face, 2 * k, *[0.5] * (2 * k))
+    path.write_bytes(head.encode() + body + struct.pack(f"{order}ii", 0, 1) + b"\n")
+    mesh = load_membrane(path)
+    np.testing.assert_allclose(mesh.nodes, nodes, atol=1e-8)
+    assert sorted(map(sorted, mesh.triangles.tolist())) == [
+        [0, 1, 2], [0, 1, 6], [0, 2, 3], [0, 3, 4], [0, 4, 5], [0, 5, 6]
+    ]  # fmt: skip
+    path.write_bytes(head.encode() + body[:-1])
+    with pytest.raises(InputError, match="truncated"):
+        load_membrane(path)
+
+
+def test_an_ascii_file_that_was_cut_off_is_refused(tmp_path, cap):
+    path = tmp_path / "cut.ply"
+    write_ply_ascii(path, cap.nodes, cap.triangles)
+    path.write_text(path.read_text().rsplit("\n", 2)[0])  # its last vertex
+    with pytest.raises(InputError, match="truncated"):
+        load_membrane(path)
