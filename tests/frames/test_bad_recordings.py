@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
 from mcap.reader import make_reader
+from mcap.records import Chunk, Message, MessageIndex
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import IndexType, Writer
 
 from bubbleviz.commands.info import recording_info
@@ -155,6 +157,37 @@ def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(
             found.append(0)
     assert found == sorted(found) and len(set(found)) > 5
     assert found[0] == 0 and found[-1] == 20
+
+
+def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path: Path) -> None:
+    path, cut = fill(BagMaker("mcap file"), frames=20).write(tmp_path), tmp_path / "cut.mcap"
+    rewrite(path)
+    whole, frames = path.read_bytes(), 0
+    with path.open("rb") as file:
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                before, inside = frames, breakup_chunk(record)
+                frames += sum(isinstance(m, Message) and len(m.data) > 3000 for m in inside)
+                # a file system may give a file its size before it has what was written to it
+                cut.write_bytes(whole[: file.tell() - 1000] + bytes(1000))
+                assert not before or frames_up_to_the_cut(cut) == before
+            if isinstance(record, Chunk | MessageIndex) and frames:
+                cut.write_bytes(whole[: file.tell()])
+                assert frames_up_to_the_cut(cut) == frames
+    assert frames == 20
+
+
+def test_a_chunk_whose_checksum_is_another_is_refused(tmp_path: Path) -> None:
+    path = fill(BagMaker("mcap file")).write(tmp_path)
+    rewrite(path)
+    with path.open("rb") as file:
+        chunk = next(
+            r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk)
+        )
+    checksum = chunk.uncompressed_crc.to_bytes(4, "little")
+    path.write_bytes(path.read_bytes().replace(checksum, bytes([checksum[0] ^ 1]) + checksum[1:]))
+    with pytest.raises(InputError, match="checksum does not match"):
+        read_all(path)
 
 
 def rewrite(path: Path, **options: Any) -> None:

@@ -6,7 +6,7 @@ rosbags is imported with the first recording: the window starts without it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,8 +16,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
-from bubbleviz.frames.bags.cut_mcap import MAGIC, CutMcapReader
-from bubbleviz.frames.bags.mcap_storage import McapStorage
+from bubbleviz.frames.bags.mcap_storage import MAGIC, McapStorage
 from bubbleviz.frames.bags.ros1_storage import Ros1Storage
 from bubbleviz.frames.bags.sqlite_storage import SqliteStorage
 from bubbleviz.frames.bags.storage import Entries, Storage
@@ -93,8 +92,8 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.note = ""
-        self._storages: list[tuple[Any, Storage]] = []
-        self._reader: Any = None
+        self._storages: list[Storage] = []
+        self._open_files = ExitStack()
         try:
             found = self.path.exists()
         except (OSError, ValueError):
@@ -115,20 +114,16 @@ class Bag:
 
     def close(self) -> None:
         """Let go of files."""
-        for _, storage in self._storages:
-            storage.close()
         self._storages = []
-        reader, self._reader = self._reader, None
-        if reader is not None:
-            reader.close()
+        self._open_files.close()
 
     def messages(self, topic: Topic) -> Messages:
         """Messages of a topic in the order of their log times."""
         with damage(self.path, f"the index of {topic.name}"):
             parts = [
                 (storage, storage.entries(connection.id))
-                for reader, storage in self._storages
-                for connection in reader.connections
+                for storage in self._storages
+                for connection in storage.connections
                 if (connection.topic, connection.msgtype) == (topic.name, topic.type)
             ]
             return Messages(self, topic, parts)
@@ -141,7 +136,7 @@ class Bag:
 
     def inflate(self, payload: bytes) -> bytes:
         """Undo rosbag2's compression of single messages, where the bag has it."""
-        return decompress("zstd", payload) if self._compressed_messages else payload
+        return decompress(payload) if self._compressed_messages else payload
 
     @property
     def inflates(self) -> bool:
@@ -161,31 +156,45 @@ class Bag:
     def _open_ros1(self) -> None:
         from rosbags.rosbag1 import Reader
 
-        reader = Reader(self.path)
-        reader.open()
-        self._reader = reader
-        self._storages = [(reader, Ros1Storage(reader))]
+        self._storages = [Ros1Storage(self._opened(Reader(self.path)))]
 
     def _open_ros2(self) -> None:
         from rosbags.rosbag2.reader import DirectoryReader
 
-        readers = []
         described = (self.path / "metadata.yaml").exists()
         if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
-            folder = DirectoryReader(self.path)
-            folder.open()
-            self._reader = folder
+            folder = self._opened(DirectoryReader(self.path))
             self._compressed_messages = folder.metadata.compression_mode == "message"
-            readers = list(folder.storages)
+            self._storages = [_storage(reader) for reader in folder.storages]
         else:
-            self._reader = _Readers()
-            for file in self._bare_files():
-                readers.append(_open_bare(file))
-                self._reader.append(readers[-1])
-                self.note = self.note or _what_is_missing(readers[-1])
-        for reader in readers:
-            mcap = type(reader).__name__ in ("McapReader", "CutMcapReader")
-            self._storages.append((reader, McapStorage(reader) if mcap else SqliteStorage(reader)))
+            self._storages = [self._open_bare(file) for file in self._bare_files()]
+
+    def _open_bare(self, file: Path) -> Storage:
+        from rosbags.rosbag2.storage_mcap import McapReader
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+        kinds = {".mcap": McapReader, ".db3": Sqlite3Reader}
+        if file.suffix not in kinds:
+            raise InputError(
+                f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
+            )
+        if file.suffix != ".mcap" or _is_whole_mcap(file):
+            return _storage(self._opened(kinds[file.suffix](file)))
+        storage = McapStorage(self._open_files.enter_context(file.open("rb")))
+        lost = (
+            f"; {storage.lost_bytes / 1e3:.3g} kB behind it are lost" if storage.lost_bytes else ""
+        )
+        self.note = self.note or (
+            f"{file.name} ends early, as when recording or copying is cut off: it is here up to "
+            f"its last whole chunk{lost}"
+        )
+        return storage
+
+    def _opened(self, reader: Any) -> Any:
+        """A reader of rosbags, open until the bag is closed."""
+        reader.open()
+        self._open_files.callback(reader.close)
+        return reader
 
     def _bare_files(self) -> list[Path]:
         if self.path.is_file():
@@ -200,44 +209,17 @@ class Bag:
 
     def _find_topics(self) -> tuple[Topic, ...]:
         counts: dict[tuple[str, str], int] = {}
-        for reader, _ in self._storages:
-            for connection in reader.connections:
+        for storage in self._storages:
+            for connection in storage.connections:
                 key = (str(connection.topic), str(connection.msgtype))
                 counts[key] = counts.get(key, 0) + int(connection.msgcount)
         return tuple(Topic(name, kind, count) for (name, kind), count in counts.items())
 
 
-class _Readers(list[Any]):
-    """Readers of bare files, closed together."""
-
-    def close(self) -> None:
-        for reader in self:
-            reader.close()
-
-
-def _open_bare(file: Path) -> Any:
-    from rosbags.rosbag2.storage_mcap import McapReader
-    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-
-    kinds = {".mcap": McapReader, ".db3": Sqlite3Reader}
-    if file.suffix not in kinds:
-        raise InputError(
-            f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
-        )
-    whole = file.suffix != ".mcap" or _is_whole_mcap(file)
-    reader = kinds[file.suffix](file) if whole else CutMcapReader(file)
-    reader.open()
-    return reader
-
-
-def _what_is_missing(reader: Any) -> str:
-    if not isinstance(reader, CutMcapReader):
-        return ""
-    lost = f"; {reader.lost_bytes / 1e3:.3g} kB behind it are lost" if reader.lost_bytes else ""
-    return (
-        f"{reader.path.name} ends early, as when recording or copying is cut off: it is here up "
-        f"to its last whole chunk{lost}"
-    )
+def _storage(reader: Any) -> Storage:
+    """Random access to a file of a rosbag2 that rosbags has opened."""
+    is_mcap = type(reader).__name__ == "McapReader"
+    return McapStorage(reader.bio, reader) if is_mcap else SqliteStorage(reader)
 
 
 def _is_whole_mcap(file: Path) -> bool:

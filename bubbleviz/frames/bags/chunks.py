@@ -1,4 +1,8 @@
-"""Compressed chunks of a bag, decompressed only as far as they are read."""
+"""Chunks of a bag as files, read and decompressed only as far as asked for.
+
+The libraries' readers decompress a whole chunk for each message: to open a recording, which needs
+sixteen bytes of each, would take as long as to read all of it.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,9 @@ import bz2
 import sys
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, BinaryIO
 
 from lz4.frame import LZ4FrameDecompressor
 
@@ -19,110 +24,90 @@ else:
 MAX_SIZE = 1 << 30
 """No chunk or message of a sensor is larger, B; a file that says so is damaged."""
 
-Read = Callable[[int, int], bytes]
-"""Bytes of a file from an offset, exactly as many as asked for."""
+_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    "zstd": zstd.ZstdDecompressor,
+    "lz4": LZ4FrameDecompressor,
+    "bz2": bz2.BZ2Decompressor,
+}
+_FIRST_PIECE = 1 << 15  # B of a chunk to read for a header, which is enough in most
 
 
-def decompressor(codec: str) -> Any:
-    """Incremental decompressor for `zstd`, `lz4` or `bz2`."""
-    if codec == "zstd":
-        return zstd.ZstdDecompressor()
-    if codec == "lz4":
-        return LZ4FrameDecompressor()
-    if codec == "bz2":
-        return bz2.BZ2Decompressor()
-    raise ValueError(f"unknown compression {codec[:20]!r}")
+class FilePart:
+    """Bytes `start` … `start + size` of a file that others read, too, as a file of its own."""
 
+    memory = 0
 
-def decompress(codec: str, data: bytes) -> bytes:
-    """Decompress one whole block, refusing one that grows beyond any sensor's message."""
-    out = decompressor(codec).decompress(data, MAX_SIZE)
-    if len(out) >= MAX_SIZE:
-        raise ValueError("a compressed message is implausibly large")
-    return out
+    def __init__(self, file: BinaryIO | FilePart, start: int, size: int) -> None:
+        self.size = size
+        self._file, self._start, self._at = file, start, 0
+
+    def seek(self, at: int) -> None:
+        """Continue at a byte."""
+        self._at = at
+
+    def read(self, count: int) -> bytes:
+        """As many bytes as asked for, fewer at the end."""
+        self._file.seek(self._start + self._at)
+        data = self._file.read(max(0, min(count, self.size - self._at)))
+        self._at += len(data)
+        return data
 
 
 class LazyChunk:
-    """A chunk that is read and decompressed only as far as asked for.
+    """A compressed chunk as a file.
 
     Parameters
     ----------
-    read : callable
-        Reads (offset, count) bytes of the file.
-    start, compressed_size : int
-        Where the compressed bytes are.
-    codec : str
-        `zstd`, `lz4`, `bz2`; empty when nothing is compressed.
-    size : int or None
-        Decompressed size where the file tells.
+    packed : FilePart
+        The compressed bytes.
+    codec : {"zstd", "lz4", "bz2"}
+    size : int
+        Decompressed size, or more where the file does not tell.
     crc : int
         CRC-32 of the decompressed bytes, 0 for none; checked once all are there.
     """
 
-    _FIRST_PIECE = 1 << 15  # enough for a header in most chunks
-
-    def __init__(
-        self,
-        read: Read,
-        start: int,
-        compressed_size: int,
-        codec: str,
-        *,
-        size: int | None = None,
-        crc: int = 0,
-    ) -> None:
-        self._read, self._next, self._end = read, start, start + compressed_size
-        self._start = start
-        self._inflater: Any = decompressor(codec) if codec else None
-        self._piece = self._FIRST_PIECE
+    def __init__(self, packed: FilePart, codec: str, *, size: int = MAX_SIZE, crc: int = 0) -> None:
+        if codec not in _DECOMPRESSORS:
+            raise ValueError(f"unknown compression {codec[:20]!r}")
+        if size > MAX_SIZE:
+            raise ValueError(f"a chunk of {size} bytes is implausibly large")
+        self.size = size
+        self._packed, self._piece = packed, _FIRST_PIECE
+        self._inflater = _DECOMPRESSORS[codec]()
         self._crc = crc
         self._out = bytearray()
-        self._size = compressed_size if not codec else size
-        if self._size is not None and self._size > MAX_SIZE:
-            raise ValueError(f"a chunk of {self._size} bytes is implausibly large")
+        self._at = 0
 
     @property
     def memory(self) -> int:
         """Bytes held."""
         return len(self._out)
 
-    def slice(self, start: int, stop: int, *, short: bool = False) -> bytes:
-        """Decompressed bytes start … stop; fewer at the chunk's end only when `short`."""
-        if self._size is not None:
-            stop = min(stop, self._size) if short else stop
-            if not 0 <= start <= stop <= self._size:
-                raise ValueError("a message lies outside its chunk")
-        if stop > MAX_SIZE:
-            raise ValueError("a message is implausibly large")
-        if self._inflater is None:
-            return self._read(self._start + start, stop - start)
-        self._fill(stop, short)
-        return bytes(memoryview(self._out)[start:stop])
+    def seek(self, at: int) -> None:
+        """Continue at a byte."""
+        self._at = at
 
-    def _fill(self, stop: int, short: bool) -> None:
-        if len(self._out) >= stop:
-            return
-        if self._size is not None and 2 * stop > self._size:
-            stop = self._size  # most of it is wanted: take all, which also checks the CRC
+    def read(self, count: int) -> bytes:
+        """As many bytes as asked for, fewer at the end."""
+        stop = min(self._at + count, self.size)
+        if stop > len(self._out):
+            # where most of it is wanted take all, which also checks the CRC
+            self._fill(self.size if 2 * stop > self.size else stop)
+        part = bytes(memoryview(self._out)[self._at : stop])
+        self._at += len(part)
+        return part
+
+    def _fill(self, stop: int) -> None:
         while len(self._out) < stop and not self._inflater.eof:
-            piece = self._next_piece() if self._inflater.needs_input else b""
+            piece = self._packed.read(self._piece) if self._inflater.needs_input else b""
+            self._piece *= 4 if piece else 1
             got = self._inflater.decompress(piece, stop - len(self._out))
             self._out += got
-            if not got and not piece and not self._inflater.eof:
+            if not (piece or got):  # cut short
                 break
-        if len(self._out) < stop and not short:
-            raise ValueError("a compressed chunk ends early")
-        if self._crc and len(self._out) == self._size:
-            if zlib.crc32(self._out) != self._crc:
-                raise ValueError("a chunk's checksum does not match")
-            self._crc = 0
-
-    def _next_piece(self) -> bytes:
-        count = min(self._piece, self._end - self._next)
-        piece = self._read(self._next, count) if count else b""
-        self._next += count
-        self._piece *= 4
-        return piece
+        if self._crc and len(self._out) == self.size and zlib.crc32(self._out) != self._crc:
+            raise ValueError("a chunk's checksum does not match")
 
 
 class ChunkCache:
@@ -131,21 +116,23 @@ class ChunkCache:
     _MAX_CHUNKS = 8
     _MAX_MEMORY = 64 << 20
 
-    def __init__(self, load: Callable[[int], LazyChunk]) -> None:
+    def __init__(self, load: Callable[[int], FilePart | LazyChunk]) -> None:
         self._load = load
-        self._chunks: OrderedDict[int, LazyChunk] = OrderedDict()
+        self._chunks: OrderedDict[int, FilePart | LazyChunk] = OrderedDict()
 
-    def __getitem__(self, number: int) -> LazyChunk:
-        """Chunk `number`, from memory or from the file."""
+    @contextmanager
+    def at(self, number: int, offset: int) -> Iterator[FilePart | LazyChunk]:
+        """Chunk `number` at an offset; forgotten if reading it fails, for it may be damaged."""
         if number not in self._chunks:
             self._chunks[number] = self._load(number)
             self._evict()
         self._chunks.move_to_end(number)
-        return self._chunks[number]
-
-    def drop(self, number: int) -> None:
-        """Forget a chunk that turned out to be damaged."""
-        self._chunks.pop(number, None)
+        try:
+            self._chunks[number].seek(offset)
+            yield self._chunks[number]
+        except Exception:
+            self._chunks.pop(number, None)
+            raise
 
     def _evict(self) -> None:
         memory = sum(chunk.memory for chunk in self._chunks.values())
@@ -154,3 +141,11 @@ class ChunkCache:
         ):
             _, oldest = self._chunks.popitem(last=False)
             memory -= oldest.memory
+
+
+def decompress(data: bytes) -> bytes:
+    """Decompress one zstd message, refusing one that grows beyond any sensor's."""
+    out = zstd.ZstdDecompressor().decompress(data, MAX_SIZE)
+    if len(out) >= MAX_SIZE:
+        raise ValueError("a compressed message is implausibly large")
+    return out

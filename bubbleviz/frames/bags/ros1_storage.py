@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-from pathlib import Path
 from typing import Any
 
-from bubbleviz.frames.bags.chunks import MAX_SIZE, ChunkCache, LazyChunk
+from bubbleviz.frames.bags.chunks import MAX_SIZE, ChunkCache, FilePart, LazyChunk
 from bubbleviz.frames.bags.storage import Entries
 
-_MESSAGE_OP, _CONNECTION_OP = 2, 7  # record types of ROS 1 bags, version 2.0
 _MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin like these
-_MAX_HEADER = 1 << 16  # B; ROS writes less than 1 kB
 
 
 class Ros1Storage:
@@ -24,9 +20,8 @@ class Ros1Storage:
     """
 
     def __init__(self, reader: Any) -> None:
+        self.connections = reader.connections
         self._reader = reader
-        self._file_size = Path(reader.path).stat().st_size
-        self._file = Path(reader.path).open("rb")  # noqa: SIM115 (closed by close)
         self._cache = ChunkCache(self._load)
 
     def entries(self, channel: int) -> Entries:
@@ -35,53 +30,26 @@ class Ros1Storage:
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
         """Payload of a message, or its first `limit` bytes."""
-        try:
-            data = self._cache[chunk]
-            opcode = _CONNECTION_OP
-            while opcode == _CONNECTION_OP:  # a message may follow its connection record
-                opcode, start, size = self._record(data, offset)
-                offset = start + size
-            if opcode != _MESSAGE_OP:
+        # imported by the reader already
+        from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
+
+        with self._cache.at(chunk, offset) as data:
+            opcode = RecordType.CONNECTION
+            while opcode == RecordType.CONNECTION:  # a message may follow its connection record
+                opcode = Header.read(data).get_uint8("op")
+                size = read_uint32(data)
+                if size > MAX_SIZE:
+                    raise ValueError("a message is implausibly large")
+                if opcode == RecordType.CONNECTION:
+                    read_bytes(data, size)
+            if opcode != RecordType.MSGDATA:
                 raise ValueError("the index points to something that is no message")
-            return data.slice(start, start + (size if limit is None else min(size, limit)))
-        except Exception:
-            self._cache.drop(chunk)
-            raise
+            return bytes(read_bytes(data, size if limit is None else min(size, limit)))
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _bytes(self, offset: int, count: int) -> bytes:
-        if not (offset >= 0 and count >= 0 and offset + count <= self._file_size):
-            raise ValueError("an offset lies outside the file")
-        self._file.seek(offset)
-        data = self._file.read(count)
-        if len(data) != count:
-            raise ValueError("the file ends early")
-        return data
-
-    def _load(self, position: int) -> LazyChunk:
+    def _load(self, position: int) -> FilePart | LazyChunk:
         chunk = self._reader.chunks[position]
-        magic = self._bytes(chunk.datapos, min(4, chunk.datasize))
+        packed = FilePart(self._reader.bio, chunk.datapos, chunk.datasize)
+        magic = packed.read(4)
+        packed.seek(0)
         codec = next((name for begin, name in _MAGICS.items() if magic.startswith(begin)), "")
-        return LazyChunk(self._bytes, chunk.datapos, chunk.datasize, codec)
-
-    @staticmethod
-    def _record(data: LazyChunk, offset: int) -> tuple[int, int, int]:
-        """Opcode, and start and size of the data, of the record at `offset` of a chunk."""
-        (length,) = struct.unpack("<I", data.slice(offset, offset + 4))
-        if length > _MAX_HEADER:
-            raise ValueError("a record header is implausibly large")
-        header = data.slice(offset + 4, offset + 4 + length + 4)
-        (size,) = struct.unpack_from("<I", header, length)
-        if size > MAX_SIZE:
-            raise ValueError("a message is implausibly large")
-        opcode, position = -1, 0
-        while position < length:
-            (field,) = struct.unpack_from("<I", header, position)
-            name, _, value = header[position + 4 : position + 4 + field].partition(b"=")
-            if name == b"op" and len(value) == 1:
-                opcode = value[0]
-            position += 4 + field
-        return opcode, offset + 4 + length + 4, size
+        return LazyChunk(packed, codec) if codec else packed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 from pathlib import Path
 from typing import Any
@@ -17,17 +16,13 @@ class SqliteStorage:
     Parameters
     ----------
     reader : rosbags.rosbag2.storage_sqlite3.Sqlite3Reader
-        Open; tells which file.
+        Open; has the database.
     """
 
     def __init__(self, reader: Any) -> None:
-        path = Path(reader.path)
-        _check_whole(path)
-        uri = path.resolve().as_uri()
-        # the worker that reads need not be the thread that opened; Recording has the lock
-        self._database = sqlite3.connect(
-            f"{uri}?mode=ro&immutable=1", uri=True, check_same_thread=False
-        )
+        _check_whole(Path(reader.path))
+        self.connections = reader.connections
+        self._database = reader.dbconn
 
     def entries(self, channel: int) -> Entries:
         """Positions of the messages of a topic."""
@@ -36,14 +31,11 @@ class SqliteStorage:
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
         """Payload of a message, or its first `limit` bytes (without reading the rest)."""
-        with self._database.blobopen("messages", "data", offset, readonly=True) as blob:
-            if len(blob) > MAX_SIZE:
+        with self._database.blob_open("main", "messages", "data", offset, False) as blob:
+            size = blob.length()
+            if size > MAX_SIZE:
                 raise ValueError("a message is implausibly large")
-            return blob.read(-1 if limit is None else min(limit, len(blob)))
-
-    def close(self) -> None:
-        """Close the database."""
-        self._database.close()
+            return bytes(blob.read(size if limit is None else min(limit, size)))
 
 
 def _check_whole(path: Path) -> None:

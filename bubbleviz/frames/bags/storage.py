@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -32,13 +32,18 @@ class Entries:
 
 
 class Storage(Protocol):
-    """One file of a bag. Anything it raises but MemoryError means the file is damaged."""
+    """One file of a bag. Anything it raises means the file is damaged.
+
+    Attributes
+    ----------
+    connections : list
+        With `id`, `topic`, `msgtype` and `msgcount`, as rosbags has them.
+    """
+
+    connections: list[Any]
 
     def entries(self, channel: int) -> Entries:
         """Positions of the messages of a channel (rosbags' connection id), in any order."""
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
         """Payload of the message at a position; only its first `limit` bytes when given."""
-
-    def close(self) -> None:
-        """Let go of the file."""
