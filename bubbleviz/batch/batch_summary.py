@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
 import secrets
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from bubbleviz.batch.summary_row import Row
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files.output_files import cannot_write
-from bubbleviz.files.tables import table
+from bubbleviz.files.tables import table, write_rows
 from bubbleviz.result import TRUSTED
 
 _HEADER = (
@@ -88,10 +87,7 @@ def write_summary(path: Path, rows: Sequence[Row]) -> None:
     """Write a CSV line a recording, SI units; takes the place of that of an earlier run."""
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
     try:
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [field.name for field in fields(Row)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        write_rows(temporary, [asdict(row) for row in rows])
         os.replace(temporary, path)  # noqa: PTH105 - whole_file would refuse
     except OSError as error:
         raise cannot_write(path, error) from error

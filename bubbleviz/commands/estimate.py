@@ -18,7 +18,8 @@ from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
 from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
-from bubbleviz.files.result_writer import UNKNOWN, ResultWriter, write_csv
+from bubbleviz.files.result_writer import UNKNOWN, ResultWriter, csv_row
+from bubbleviz.files.tables import write_rows
 from bubbleviz.frames.frame_source import FrameSource, shown_name
 from bubbleviz.frames.message_decoding import has_returns
 from bubbleviz.frames.recording import Recording
@@ -327,7 +328,8 @@ def _solve(
             writer.add(result)
         writer.finish(**made_by)
         if table:
-            write_csv(writer.rows, table, pipeline.model.sensor.name)
+            sensor = pipeline.model.sensor.name
+            write_rows(table, [csv_row(row, sensor) for row in writer.rows])
         return writer.rows
 
 

@@ -17,7 +17,8 @@ from bubbleviz.commands.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing, whole_file
 from bubbleviz.files.pose_reader import parse_pose
-from bubbleviz.files.pose_writer import PoseCsvWriter, PoseRow
+from bubbleviz.files.pose_writer import PoseRow
+from bubbleviz.files.tables import write_rows
 from bubbleviz.frames.frame_source import FrameSource, shown_name
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import fitting_sensor
@@ -148,14 +149,12 @@ def pose_recording(
 def _follow(
     source: Recording, chosen: range, pipeline: Pipeline, out: Path, *, object_patch: bool
 ) -> list[PoseRow]:
-    rows, products = [], OF_OBJECT if object_patch else PRODUCTS
+    products = OF_OBJECT if object_patch else PRODUCTS
     zero = zero_of(source, pipeline)
-    with whole_file(out) as temporary, PoseCsvWriter(temporary, areas=object_patch) as writer:
+    with whole_file(out) as temporary:
         shown = tqdm(chosen, unit="frame", disable=None)  # only on a terminal
-        for result in followed(source, shown, pipeline, products, zero):
-            row = PoseRow.of(result)
-            writer.add(row)
-            rows.append(row)
+        rows = [PoseRow.of(each) for each in followed(source, shown, pipeline, products, zero)]
+        write_rows(temporary, [row.columns(areas=object_patch) for row in rows])
     return rows
 
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.export.exporter import estimate_of
 from bubbleviz.files.result_writer import add_measured_force, csv_row, summary_row
+from bubbleviz.files.tables import write_rows
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.wording import how_to_install
@@ -102,10 +102,8 @@ def table_of(
 
 def write_csv(table: Table, path: Path) -> None:
     """Write CSV, UTF-8, a header line; `nan` for what is not known, no κ where it is automatic."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(table)
-        writer.writerows(zip(*table.values(), strict=True))
+    rows = zip(*table.values(), strict=True)
+    write_rows(path, [dict(zip(table, row, strict=True)) for row in rows])
 
 
 def write_parquet(table: Table, path: Path) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.files.output_files import whole_file
+from bubbleviz.files.tables import write_rows
 from bubbleviz.result import Pose, Result
 
 
@@ -67,6 +67,10 @@ class PoseRow:
             object_patch_area_m2=by_object.area_m2 if by_object else np.nan,
         )
 
+    def columns(self, *, areas: bool) -> dict[str, Any]:
+        """Values by column of POSES.csv, with or without the areas of both patches."""
+        return {key: v for key, v in asdict(self).items() if areas or key not in _AREAS}
+
 
 _AREAS = ("patch_area_m2", "object_patch_area_m2")
 
@@ -78,34 +82,6 @@ def _numbers(pose: Pose) -> list[float]:
         return [np.nan] * 7
     quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
     return [*T[:3, 3].tolist(), *quaternion.tolist()]
-
-
-class PoseCsvWriter:
-    """Writes POSES.csv line by line.
-
-    Parameters
-    ----------
-    path : Path
-        Give the temporary path of `whole_file`.
-    areas : bool, optional
-        With the areas of both patches.
-    """
-
-    def __init__(self, path: Path, *, areas: bool = False) -> None:
-        self._file = path.open("w", newline="", encoding="utf-8")
-        names = [field.name for field in fields(PoseRow) if areas or field.name not in _AREAS]
-        self._writer = csv.DictWriter(self._file, names, extrasaction="ignore")
-        self._writer.writeheader()
-
-    def __enter__(self) -> PoseCsvWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def add(self, row: PoseRow) -> None:
-        """Write the line of a frame."""
-        self._writer.writerow(asdict(row))
 
 
 def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]) -> int:
@@ -123,9 +99,7 @@ def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]
     with whole_file(path) as temporary:
         if form == "csv":
             areas = any(np.isfinite(row.object_patch_area_m2) for row in rows)
-            with PoseCsvWriter(temporary, areas=areas) as writer:
-                for row in rows:
-                    writer.add(row)
+            write_rows(temporary, [row.columns(areas=areas) for row in rows])
             return len(rows)
         lines = [_tum(row) for row in rows if row.status == "ok"]
         temporary.write_text("".join(lines), encoding="utf-8")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 import tempfile
 import zipfile
@@ -276,14 +275,6 @@ class ResultWriter:
         }
         np.lib.format.write_array_header_1_0(member, header)
         return member
-
-
-def write_csv(rows: list[dict[str, Any]], path: Path, sensor: str) -> None:
-    """Write RESULT.csv: one line a frame, the columns of `csv_row`."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(csv_row(rows[0], sensor))
-        writer.writerows(csv_row(row, sensor).values() for row in rows)
 
 
 def csv_row(row: dict[str, Any], sensor: str) -> dict[str, Any]:

@@ -1,11 +1,11 @@
-"""Tables of dataclass rows: on the terminal, as CSV and as JSON, written whole or not at all."""
+"""Tables: on the terminal, as CSV and as JSON, written whole or not at all."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,20 @@ def to_json(data: Any) -> str:
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
-    """CSV file of dataclass rows of one kind, the field names as header."""
-    records = [asdict(row) for row in rows]
-    with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(records[0]) if records else [])
+    """CSV file of dataclass rows of one kind."""
+    with whole_file(path) as temporary:
+        write_rows(temporary, [asdict(row) for row in rows])
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """CSV of rows by column, in UTF-8 with a header line; `nan` for NaN, nothing for None.
+
+    Give the temporary path of `whole_file`.
+    """
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
         writer.writeheader()
-        writer.writerows(records)
+        writer.writerows(rows)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

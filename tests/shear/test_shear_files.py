@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
-from bubbleviz.files.result_writer import ResultWriter, write_csv
+from bubbleviz.files.result_writer import ResultWriter, csv_row
+from bubbleviz.files.tables import write_rows
 from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
 from tests.frames.bagmaker import PERIOD, SECOND
@@ -32,7 +33,7 @@ def test_a_result_has_traction_and_slip(tmp_path: Path) -> None:
         for result in results:
             writer.add(result)
         writer.finish()
-    write_csv(writer.rows, tmp_path / "result.csv", "dome")
+    write_rows(tmp_path / "result.csv", [csv_row(row, "dome") for row in writer.rows])
     with np.load(path) as found:
         n = len(mesh.nodes)
         assert found["traction_pa"].shape == found["tangential_displacement_m"].shape == (3, n, 3)
