@@ -1,4 +1,7 @@
-"""Jobs in processes of this computer."""
+"""Jobs in processes of this computer.
+
+Not by a pool of the standard library, for the reasons that `worker_process` gives.
+"""
 
 from __future__ import annotations
 

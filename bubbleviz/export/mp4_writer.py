@@ -85,9 +85,9 @@ class Mp4Writer:
 class _Encoder:
     """A process of ffmpeg; OSError with its first message where it fails.
 
-    It has a process group of its own, so that ^C does not reach it. imageio-ffmpeg does this with
-    Python code after a fork, where SciPy's factorisations of other threads print a traceback
-    (scipy#25404).
+    It has a process group of its own, so that ^C does not reach it. By hand because imageio-ffmpeg,
+    and imageio with it, does this with Python code after a fork, where SciPy's factorisations of
+    other threads print a traceback (scipy#25404).
     """
 
     def __init__(self, path: Path, size: tuple[int, ...], fps: float, messages: IO[bytes]) -> None:

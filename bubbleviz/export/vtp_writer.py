@@ -1,6 +1,7 @@
 """VTK XML poly data (.vtp) and the two indices of a series of them, written without VTK.
 
-VTK's own objects belong to the window's thread; a file may be written on any.
+By hand because VTK comes with the window's extra only and its objects belong to the window's
+thread; meshio and trimesh do not write .vtp.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """A separate process for calls that may hang, crash or exhaust its memory.
 
-A pool of the standard library breaks as a whole when one of its processes dies, and its processes
-outlive a parent that was killed; this one does neither. It has one BLAS thread.
+By hand because a pool of the standard library (`ProcessPoolExecutor`) breaks as a whole when one
+of its processes dies, cannot end a job that has begun, and leaves its processes alive when their
+parent is killed; one pool a process, each with its own start and end, takes more lines than this.
+It has one BLAS thread.
 """
 
 from __future__ import annotations
