@@ -13,12 +13,12 @@ from test_zenoh import robot
 from wire import HEIGHT, WIDTH
 
 import bubbleviz as bv
+from benchmarks.window.live_soak import free_port
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.source_status import STOPPED_AFTER_S
 from bubbleviz.sensor import Sensor
-from benchmarks.window.live_soak import free_port
 
 BEFORE, GAP_S = 4, 2.5
 """Frames before and after each gap, and its length: more than twice the time that is waited."""
