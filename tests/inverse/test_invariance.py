@@ -53,6 +53,7 @@ FULL = [
     for obj in ("sphere", "puck")
     for depth in (0.15, 0.3)
     for noise in (QUIET, LOUD)
+    if (name, obj, depth) != ("sensor", "puck", 0.3)  # that press finds no equilibrium
 ]
 
 
