@@ -50,7 +50,7 @@ def main() -> None:
         film(recording, Path(folder) / "press.mp4")
         subprocess.run(
             [get_ffmpeg_exe(), "-loglevel", "error", "-i", f"{folder}/press.mp4", "-loop", "0",
-             "-quality", "70", str(temporary)],
+             "-quality", "68", str(temporary)],
             check=True,
         )  # fmt: skip
 

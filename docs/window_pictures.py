@@ -50,6 +50,7 @@ SHOWN = ("kappa", "threshold", "compare", "tools", "pose", "calibration", "plots
 ALWAYS = ("playback", "status")
 COMPUTED_S = 5.0  # until a panel has what it computes by itself
 FIRM_M2 = 400e-6  # area of the patch
+AREAS = 8  # of one colour, in a picture
 GAMMA0 = 3  # step of the calibration panel
 SECTION = {
     "section_axis": "y", "exaggeration": 2.0, "colour_map": "viridis",
@@ -89,9 +90,12 @@ def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
 
 
 def in_few_colours(out: Path) -> None:
-    """Make a file half as large, which nobody sees."""
+    """Make a file half as large, which nobody sees; large areas keep their colour undithered."""
     image = Image.open(out).convert("RGB")
-    colours = image.quantize(256, Image.Quantize.FASTOCTREE)
+    areas = sorted(image.getcolors(image.width * image.height) or [], reverse=True)[:AREAS]
+    shades = image.quantize(256 - AREAS, Image.Quantize.FASTOCTREE).getpalette() or []
+    colours = Image.new("P", (1, 1))
+    colours.putpalette([value for _, rgb in areas for value in rgb] + shades[: 3 * (256 - AREAS)])
     image.quantize(palette=colours, dither=Image.Dither.FLOYDSTEINBERG).save(out, optimize=True)
     print(f"wrote {out}")
 
@@ -102,7 +106,7 @@ def pop_up(session: WindowSession, kind: type[QWidget], out: Path) -> None:
     (dialog,) = (each for each in session.window.findChildren(kind) if each.isVisible())
     dialog.grab().save(str(out))
     dialog.close()
-    print(f"wrote {out}")
+    in_few_colours(out)
 
 
 def open_panel(session: WindowSession, name: str, **choices: Any) -> None:
