@@ -92,10 +92,11 @@ def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
 def in_few_colours(out: Path) -> None:
     """Make a file half as large, which nobody sees; large areas keep their colour undithered."""
     image = Image.open(out).convert("RGB")
-    areas = sorted(image.getcolors(image.width * image.height) or [], reverse=True)[:AREAS]
+    found, counts = np.unique(np.asarray(image).reshape(-1, 3), axis=0, return_counts=True)
+    areas = found[np.argsort(-counts)[:AREAS]]
     shades = image.quantize(256 - AREAS, Image.Quantize.FASTOCTREE).getpalette() or []
     colours = Image.new("P", (1, 1))
-    colours.putpalette([value for _, rgb in areas for value in rgb] + shades[: 3 * (256 - AREAS)])
+    colours.putpalette(areas.ravel().tolist() + shades[: 3 * (256 - AREAS)])
     image.quantize(palette=colours, dither=Image.Dither.FLOYDSTEINBERG).save(out, optimize=True)
     print(f"wrote {out}")
 
