@@ -19,7 +19,7 @@ from bubbleviz.errors import InputError
 
 FlowPreset = Literal["fast", "balanced", "fine"]
 """Finest level of the pyramid and rounds of refinement: what sets time and error. The least that
-finds the force as well as the others, by `benchmarks shear`, is what is used where none is chosen."""
+finds the force as well as the others, by `benchmarks shear`, is used where none is chosen."""
 
 BLOCK_PX = 8
 """Side of a block, of which one motion is told; as far as OpenCV's patches reach."""

@@ -32,7 +32,6 @@ COMMANDS = {
     "info": ("info", "REC"),
     "estimate": ("estimate", "REC", "--sensor", "SENSOR", "--out", "OUT", "--csv", "CSV"),
     "screenshot": ("open", "REC", "--sensor", "SENSOR", "--screenshot", "PNG"),
-    "bench": ("bench", "window", "REC", "--sensor", "SENSOR"),
 }
 
 

