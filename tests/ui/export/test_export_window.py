@@ -59,7 +59,8 @@ class Bench:
         self._patch.setattr(export_dialog, "new_file", lambda *_, **__: (out, chosen))
         assert self.dialog.export.isEnabled()
         self.driver.bot.mouseClick(self.dialog.export, LEFT)
-        assert self.driver.window.exporting.busy or self.dialog.said.text(), "nothing began"
+        # A short export may be over before what it says has arrived.
+        self.driver.wait(lambda: self.driver.window.exporting.busy or self.dialog.said.text())
 
     def export(self, title: str, out: Path, chosen: str = "") -> str:
         """Export, wait until it is over; what is said then."""
