@@ -10,10 +10,10 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import connected_parts
 
 MISPLACED_LOAD = 0.15
-"""Share of the load that the exact membrane misplaces on a real sensor while it is being loaded: in
-the one real press, single nodes far from the contact carry up to 0.12 of it in frames that are
-solved by themselves; the rest is margin. The depth camera's temporal filter mixes images of a
-moving membrane, which no shape in equilibrium explains."""
+"""Share of the largest contact's load that the exact membrane misplaces on a real sensor while it
+is being loaded: in the one real press, single nodes far from the contact carry up to 0.14 of it in
+frames that are solved by themselves; the rest is margin. The depth camera's temporal filter mixes
+images of a moving membrane, which no shape in equilibrium explains."""
 
 
 def _substantial(mesh: MembraneMesh, pressure: np.ndarray) -> np.ndarray:
@@ -21,7 +21,7 @@ def _substantial(mesh: MembraneMesh, pressure: np.ndarray) -> np.ndarray:
     touching = pressure > 0.0
     count, part = connected_parts(mesh.rings, touching)
     loads = np.bincount(part, (mesh.areas * pressure)[touching], minlength=count)
-    touching[touching] = (loads >= MISPLACED_LOAD * loads.sum())[part]
+    touching[touching] = (loads >= MISPLACED_LOAD * loads.max(initial=0.0))[part]
     return touching
 
 

@@ -18,9 +18,9 @@ between 0.5 and 1.5. On rubber dragged and twisted by another solver, half and t
 the force by 0.2 % in the median and 2.4 % at most at 1 % of depth noise."""
 
 _LEAST_SHARE = 0.25
-"""Share of the load from which a contact has amplitudes of its own. While the real press is being
-loaded, those of single nodes with a tenth of the load fitted what the model misses there, and the
-solution alternated between two supports."""
+"""Share of the largest contact's load from which a contact has amplitudes of its own. While the
+real press is being loaded, those of single nodes with a tenth of it fitted what the model misses
+there, and the solution alternated between two supports."""
 
 
 def friction_loads(
@@ -28,7 +28,7 @@ def friction_loads(
 ) -> np.ndarray:
     """Forces on the nodes under a unit of each amplitude, (n, 3, 3 contacts), N.
 
-    Contacts that carry a small share of the load have no amplitudes.
+    Contacts that are small beside the largest have no amplitudes.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def friction_loads(
     count, contact = connected_parts(rings, touching)
     nodes = np.flatnonzero(touching)
     load = pressure[nodes] * np.linalg.norm(area_vectors[nodes], axis=1)
-    share = np.bincount(contact, load, minlength=count) / load.sum()
-    large = np.flatnonzero(share >= _LEAST_SHARE)
+    loads = np.bincount(contact, load, minlength=count)
+    large = np.flatnonzero(loads >= _LEAST_SHARE * loads.max())
     forces = np.zeros((len(x), 3, 3 * len(large)))
     for k, number in enumerate(large):
         own = nodes[contact == number]

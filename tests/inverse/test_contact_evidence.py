@@ -75,3 +75,19 @@ def test_the_real_press_is_one_contact_in_each_frame_by_itself(punyo_press: Path
     nodes, load = pipeline.mesh.nodes[pressed], estimate.contact_pressure_pa[pressed]
     middle = nodes[np.argmax(load)]
     assert estimate.status == "ok" and np.linalg.norm(nodes - middle, axis=1).max() < 0.014
+
+
+def test_many_equal_contacts_are_all_contacts():
+    """None of eight carries much of the whole, but each as much as the others."""
+    around = 0.03 * np.exp(1j * np.arange(8) * np.pi / 4)
+    there = MESH.nodes[:, 0] + 1j * MESH.nodes[:, 1]
+    pressure = np.zeros(len(MESH.nodes))
+    for place in around:
+        node = np.argmin(np.abs(there - place))
+        pressure[node] = 1e-2 / MESH.areas[node]
+    nodes = np.flatnonzero(pressure)
+    contact = ContactPressure(
+        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, nodes,
+        np.zeros(0), np.diag((0.01 * pressure[nodes]) ** 2),
+    )  # fmt: skip
+    np.testing.assert_array_equal(evident(MESH, contact), pressure > 0.0)
