@@ -180,7 +180,8 @@ class TruthBank:
     def _kept(self, press: Press) -> Sighting:
         if self._folder is None:
             return self._sighting(press, self._made(press))
-        path = self._folder / f"{press.object_name}_{round(1e6 * press.depth_m)}um_{self.seed}.npz"
+        name = Path(press.object_name).stem
+        path = self._folder / f"{name}_{round(1e6 * press.depth_m)}um_{self.seed}.npz"
         if not path.exists():
             _save(self._sighting(press, self._made(press)), path)
         return _load(press, path)

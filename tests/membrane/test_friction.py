@@ -13,7 +13,7 @@ from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.object_shapes import puck
+from bubbleviz.simulation.presses import made
 from tests.oracles.rubber_oracle import AxialRubber
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
@@ -185,8 +185,8 @@ def test_a_plate_that_sticks_to_a_pressed_dome_twists_its_free_part():
 def test_without_friction_it_is_the_press_that_was():
     membrane, gas = dome(300)
     poses = [pose(0.003, H - depth) for depth in (0.002, 0.004, 0.006)]
-    free = RubberForward(membrane, gas).press(puck(), poses[-1])
-    *_, slippery = FrictionForward(membrane, gas, 1e-4).follow(puck(), poses)
+    free = RubberForward(membrane, gas).press(made("puck"), poses[-1])
+    *_, slippery = FrictionForward(membrane, gas, 1e-4).follow(made("puck"), poses)
     assert_equilibrium(slippery)
     difference = slippery.displacement_3d_m - free.displacement_3d_m
     assert np.abs(difference).max() < 1e-6
@@ -216,7 +216,7 @@ def test_sticking_and_slipping_takes_few_factorisations():
     membrane, gas = dome(300)
     pressed, turned = pose(z=H - 0.005), pose(1e-3, H - 0.005, np.radians(3.0))
     poses = [pressed, turned, pose(3e-3, H - 0.006, np.radians(9.0))]
-    contacts = list(FrictionForward(membrane, gas, 0.5).follow(puck(), poses))
+    contacts = list(FrictionForward(membrane, gas, 0.5).follow(made("puck"), poses))
     for contact in contacts:
         assert_equilibrium(contact)
     assert sum(contact.iterations for contact in contacts) < 90
@@ -227,7 +227,7 @@ def test_a_sticking_object_takes_the_membrane_along():
     membrane, gas = dome(300)
     model = FrictionForward(membrane, gas, 5.0)
     before, after = (pose(z=H - 0.005), pose(1e-3, H - 0.005, np.radians(3.0)))
-    pressed, moved = model.follow(puck(), [before, after])
+    pressed, moved = model.follow(made("puck"), [before, after])
     assert_equilibrium(moved)
     assert moved.dissipated_j < 0.05 * -force(pressed)[2] * 1e-3
     held = (pressed.contact_pressure_pa > 0.0) & (moved.contact_pressure_pa > 0.0)
@@ -252,7 +252,7 @@ def test_work_of_the_object_is_stored_or_lost_to_slip(friction, lost):
         *(pose(1e-4 * k, z) for k in range(1, 26)),
         *(pose(2.5e-3, z, np.radians(k)) for k in range(1, 13)),
     ]
-    contacts = list(model.follow(puck(), poses))
+    contacts = list(model.follow(made("puck"), poses))
     for contact in contacts:
         assert_equilibrium(contact)
     work = 0.0
@@ -275,7 +275,7 @@ def test_a_twisted_puck_slips_at_its_outer_ring_first():
     membrane, gas = dome(600)
     model = FrictionForward(membrane, gas, 0.5)
     depth = H - 0.004
-    *_, contact = model.follow(puck(), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))])
+    *_, contact = model.follow(made("puck"), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))])
     assert_equilibrium(contact)
     radius = np.hypot(*model.mesh.deformed(contact.displacement_3d_m)[:, :2].T)
     touching = contact.contact_pressure_pa > 0.0

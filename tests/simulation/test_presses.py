@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.edge import EDGE_OBJECTS
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.refine import refine
 from bubbleviz.sensor import load_sensor
@@ -10,7 +11,6 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.inflated_rubber import InflatedRubber
 from bubbleviz.simulation.presses import (
-    EDGE_OBJECTS,
     GRID_OBJECTS,
     HELD_OUT_OBJECTS,
     Press,
@@ -65,6 +65,7 @@ VOLUMES_MM3 = {
 @pytest.mark.parametrize("name", ["cross", *EDGE_OBJECTS])
 def test_objects_of_the_study_are_watertight_with_their_volume(name):
     obj = made(name)
+    name = obj.name
     a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
     edges = np.sort(obj.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
