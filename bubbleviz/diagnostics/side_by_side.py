@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.diagnostics.frame_numbers import numbers_of
 from bubbleviz.diagnostics.overlap import iou
@@ -117,12 +115,8 @@ class SideBySide:
             raise AssertionError("asked for all of them")
         errors: dict[str, float] = {}
         if truth is not None and estimate.trusted:
-            force = float(np.linalg.norm(truth.force_n))
-            difference = float(np.linalg.norm(patch.force_n - truth.force_n))
-            errors = {
-                "iou": iou(patch.pixel_mask, truth.patch_mask),
-                "force_error": difference / force if force > 0.0 else float("nan"),
-            }
+            errors["iou"] = iou(patch.pixel_mask, truth.patch_mask)
+            errors["force_error"] = truth.force_error(patch.force_n)
         numbers = numbers_of(result, pipeline.model.gas)
         return Measured(
             result,

@@ -94,6 +94,11 @@ class Truth:
             slip_share=_slip_share(slip, np.where(load > 0.0, areas, 0.0)),
         )
 
+    def force_error(self, force_n: np.ndarray) -> float:
+        """Distance of a force (3,) from the true one over its length; NaN where that is 0."""
+        size = float(np.linalg.norm(self.force_n))
+        return float(np.linalg.norm(force_n - self.force_n)) / size if size > 0.0 else float("nan")
+
 
 def _slip_share(slip_m: np.ndarray, touching_m2: np.ndarray) -> float:
     """Share of the touching area (n,) that slips; NaN where that is not known."""

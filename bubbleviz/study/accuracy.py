@@ -303,7 +303,7 @@ def errors_of(pipeline: Pipeline, result: Result, sighting: Sighting, stride: in
     away = patch.center_of_pressure_m - truth.center_of_pressure_m
     return Errors(
         iou=iou(patch.pixel_mask, truth.patch_mask[::stride, ::stride]),
-        force_error_relative=float(np.linalg.norm(patch.force_n - truth.force_n)) / force,
+        force_error_relative=truth.force_error(patch.force_n),
         force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
         area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
         cop_error_m=float(np.linalg.norm(away)),

@@ -235,8 +235,7 @@ def _quality(results: list[Result], source: SyntheticSource, order: list[int]) -
         truth = source.truth(index)
         if truth.patch_mask.any() and result.patch and result.patch.pixel_mask is not None:
             overlaps.append(iou(result.patch.pixel_mask, truth.patch_mask))
-            off = np.linalg.norm(result.patch.force_n - truth.force_n)
-            errors.append(off / np.linalg.norm(truth.force_n))
+            errors.append(truth.force_error(result.patch.force_n))
     if not overlaps:
         return {}
     return {

@@ -26,7 +26,7 @@ class DraggedPress:
     Attributes
     ----------
     object_name : str
-        Of a generator in `object_shapes`.
+        As of `presses.made`.
     depth_m : float
         Beyond first touch, along −z of B.
     drag_m, twist_rad : float
