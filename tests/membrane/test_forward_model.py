@@ -3,7 +3,8 @@
 import clarabel
 import numpy as np
 import pytest
-from plate import plate
+from domes import plate
+from domes import pose as posed
 from scipy import sparse
 from scipy.optimize import brentq
 
@@ -35,9 +36,7 @@ def gas_of(mesh, *, chamber=2.2e-3, model="exact", gauge=2585.5):
 
 
 def at(x=0.0, y=0.0, z=H):
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
+    return posed(x, y, z)
 
 
 def assert_equilibrium(contact):

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from plate import plate
+from domes import GAUGE, A, H, force, gas_of, plate, pose
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import (
     build_mesh,
@@ -25,7 +24,6 @@ from bubbleviz.sensor import load_sensor
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.rubber_oracle import AxialRubber
 
-A, H, GAUGE = 0.045, 0.020, 2500.0
 BALL = 0.015  # of the preset
 TRUTHS = {
     "dome": AxialRubber.dome(A, H, 1.2, GAUGE),
@@ -72,15 +70,11 @@ def test_force_of_a_press(name, ball):
     truth = TRUTHS[name]
     depth = 0.35 * truth.height_m
     mesh = swept_mesh(truth.rest, 1200)
-    gas = Gas(101_325.0 + GAUGE, 3e-4 + mesh.cap_volume(), mesh.areas)
     membrane = prestressed(mesh, GAUGE, truth.mu_h_n_per_m)
-    pose = np.eye(4)
-    pose[2, 3] = truth.height_m - depth
     obj = load_object("sphere") if np.isfinite(ball) else plate()
-    contact = RubberForward(membrane, gas).press(obj, pose)
+    contact = RubberForward(membrane, gas_of(mesh)).press(obj, pose(z=truth.height_m - depth))
     assert contact.converged
-    pressed = -contact.nodal_force_n.sum(axis=0)[2]
-    assert pressed == pytest.approx(truth.press(depth, ball).force_n, rel=0.01)
+    assert force(contact) == pytest.approx(truth.press(depth, ball).force_n, rel=0.01)
 
 
 def oval(nodes):

@@ -14,7 +14,7 @@ from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.simulation.presses import made
-from tests.membrane.plate import plate
+from tests.membrane.domes import plate
 
 PRECISION = Precision(1e12, 3e-3)
 WEAK = 1e-3 * np.eye(6)

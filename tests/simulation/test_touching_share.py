@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.rigid_object import load_object
+from tests.membrane.domes import CAP, GAUGE, A, H, dome, pose
 from tests.oracles.rubber_oracle import AxialRubber
 
-A, H, GAUGE, DEPTH, BALL = 0.045, 0.020, 2500.0, 0.006, 0.015
-CAP = spherical_cap(A, H)
+DEPTH, BALL = 0.006, 0.015
 
 
 def exact_area() -> float:
@@ -28,14 +26,9 @@ def exact_area() -> float:
 
 def pressed(nodes: int) -> tuple[MembraneMesh, np.ndarray]:
     """Mesh and contact pressure of the ball."""
-    mesh = mesh_cap(CAP, nodes)
-    membrane = RubberMembrane.uniform(mesh, GAUGE, GAUGE * (A**2 + H**2) / (4.0 * H), 1.2)
-    air = 101_325.0
-    gas = Gas(air + GAUGE, 3e-4 + mesh.cap_volume(), mesh.areas, -GAUGE, air)
-    pose = np.eye(4)
-    pose[2, 3] = H - DEPTH
-    contact = RubberForward(membrane, gas).press(load_object("sphere"), pose)
-    return mesh, contact.contact_pressure_pa
+    model = RubberForward(*dome(nodes))
+    contact = model.press(load_object("sphere"), pose(z=H - DEPTH))
+    return model.mesh, contact.contact_pressure_pa
 
 
 def test_the_contact_of_a_ball_is_as_large_as_by_its_equations():
