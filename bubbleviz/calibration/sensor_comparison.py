@@ -75,7 +75,7 @@ def compare(old: Sensor, new: Identification) -> Comparison:
         raise InputError(f"{old.name}: of another camera; nothing to compare by pixel")
     model = SensorModel.of(old, intrinsics)
     pixels = model.pixels
-    before = _expected(model.view.range_image(np.zeros(len(model.mesh.nodes))), pixels)
+    before = _expected(model.view.rest_range, pixels)
     after = _expected(new.modelled_range_m, new.pixels)
     measured = np.where(mask, new.statistics.range_m, np.nan)
     misfits = [

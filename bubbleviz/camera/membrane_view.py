@@ -55,6 +55,11 @@ class MembraneView:
         image.ravel()[hits.ray] = hits.range_m
         return image
 
+    @cached_property
+    def rest_range(self) -> np.ndarray:
+        """Range (H, W) of the membrane at rest, m."""
+        return self.range_image(np.zeros(len(self.mesh.nodes)))
+
     def patch_pixels(self, estimate: Estimate, patch: Patch, level: float = 0.0) -> np.ndarray:
         """Pixels (H, W) that see where a patch exceeds a level."""
         mesh, estimate, levels = patch.finest(self.mesh, estimate)

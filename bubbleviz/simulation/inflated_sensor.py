@@ -47,7 +47,7 @@ class InflatedSensor:
     ) -> None:
         self.name, self.camera, self.noise, self.seed = name, camera, noise, seed
         self.times_s = np.arange(frames) / 30.0
-        self._range_m = MembraneView(camera, membrane).range_image(np.zeros(len(membrane.nodes)))
+        self._range_m = MembraneView(camera, membrane).rest_range
         self.pressures_pa: np.ndarray | None = None
         if gas_pressure_pa is not None:
             shaken = np.random.default_rng([seed, 3]).standard_normal(frames)

@@ -139,8 +139,7 @@ class TruthBank:
     ) -> None:
         self._presses, self.seed, self._folder, self._limit_s = presses, seed, folder, limit_s
         self.camera, self.mesh = presses.camera, presses.mesh
-        rest = np.zeros_like(self.mesh.nodes)
-        self.rest_range_m = MembraneView(self.camera, self.mesh).range_image(rest)
+        self.rest_range_m = MembraneView(self.camera, self.mesh).rest_range
         self.rest_pressure_pa = presses.pneumatics.reference_pressure_pa
         self._sightings: dict[Press, Sighting] = {}
 
