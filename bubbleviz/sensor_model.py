@@ -25,23 +25,12 @@ _MAX_BLOCK = 32
 
 @dataclass(frozen=True)
 class SensorModel:
-    """What estimating, simulating and calibrating need of one sensor.
-
-    Attributes
-    ----------
-    sensor : Sensor
-    camera : DepthCamera
-        In the bubble frame B.
-    mesh : MembraneMesh
-        Reference surface.
-    pixels : PixelModel or None
-        Calibration of each pixel, where there is one.
-    """
+    """What estimating, simulating and calibrating need of one sensor."""
 
     sensor: Sensor
-    camera: DepthCamera
-    mesh: MembraneMesh
-    pixels: PixelModel | None = None
+    camera: DepthCamera  # in the bubble frame B
+    mesh: MembraneMesh  # reference surface
+    pixels: PixelModel | None = None  # calibration of each pixel, where there is one
 
     @classmethod
     def of(

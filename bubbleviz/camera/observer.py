@@ -35,61 +35,35 @@ _LOOKS = 4
 
 @dataclass(frozen=True)
 class Measured:
-    """What one frame says of the pixels in use, before a model is known.
+    """What one frame says of the pixels in use, before a model is known."""
 
-    Attributes
-    ----------
-    depth_m : (H, W) array
-        The z-depth image, m; NaN where there is no return.
-    noise : float
-        Factor by which this frame is noisier than expected, at least 1.
-    total, moment : (B,) array
-        Sums over the pixels of each block: of 1/σ² at that noise, 1/m², and of that times the
-        residual, 1/m.
-    """
-
-    depth_m: np.ndarray
-    noise: float
+    depth_m: np.ndarray  # (H, W), the z-depth image, m; NaN where there is no return
+    noise: float  # factor by which this frame is noisier than expected, at least 1
+    # total, moment: (B,), sums over the pixels of each block: of 1/σ² at that noise, 1/m², and of
+    # that times the residual, 1/m
     total: np.ndarray
     moment: np.ndarray
 
 
 @dataclass(frozen=True)
 class Observation:
-    """Range residuals of one frame against the reference configuration.
+    """Range residuals of one frame against the reference configuration."""
 
-    Attributes
-    ----------
-    residual_m : (B,) array
-        Weighted mean of measured minus reference range in each block, m; 0 where no pixel is valid.
-    weight : (B,) array
-        1/σ² of each block's mean, 1/m²; 0 where no pixel is valid.
-    trusted : float
-        Share of the weight that robust weighting left: 1 where noise explains every pixel.
-    """
-
+    # (B,), weighted mean of measured minus reference range in each block, m; 0 where no pixel is
+    # valid
     residual_m: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # (B,), 1/σ² of each block's mean, 1/m²; 0 where no pixel is valid
+    # share of the weight that robust weighting left: 1 where noise explains every pixel
     trusted: float
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Model of the block residuals around a displacement: y(u) ≈ offset_m + D u.
+    """Model of the block residuals around a displacement: y(u) ≈ offset_m + D u."""
 
-    Attributes
-    ----------
-    hits : Hits
-        Where the block rays meet the membrane, of those that meet it at rest.
-    offset_m : (k,) array
-        Constant part for each hit, m; 0 around u = 0.
-    nodes : (k, 3) int array
-        Corners of the triangle of each hit.
-    """
-
-    hits: Hits
-    offset_m: np.ndarray
-    nodes: np.ndarray
+    hits: Hits  # where the block rays meet the membrane, of those that meet it at rest
+    offset_m: np.ndarray  # (k,), constant part for each hit, m; 0 around u = 0
+    nodes: np.ndarray  # (k, 3) int, corners of the triangle of each hit
 
     def along_rays(self, displacement_m: np.ndarray) -> np.ndarray:
         """D u of Eq. 20, (k,)."""
@@ -106,46 +80,23 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class ShapeRanges:
-    """Model of the block residuals around a shape: y(x + δ) ≈ model_m + D δ.
+    """Model of the block residuals around a shape: y(x + δ) ≈ model_m + D δ."""
 
-    Attributes
-    ----------
-    block : (k,) int array
-        Blocks whose ray meets the membrane, here and at rest.
-    model_m : (B,) array
-        0 for the others.
-    jacobian : (k, 3n) sparse array
-        D of those blocks, three columns a node.
-    hits : Hits
-        Where those rays meet it.
-    cast_at_m : (n, 3) array
-        Shape at which all rays were cast.
-    """
-
-    block: np.ndarray
-    model_m: np.ndarray
-    jacobian: sparse.csr_array
-    hits: Hits
-    cast_at_m: np.ndarray
+    block: np.ndarray  # (k,) int, blocks whose ray meets the membrane, here and at rest
+    model_m: np.ndarray  # (B,), 0 for the others
+    jacobian: sparse.csr_array  # (k, 3n) sparse, D of those blocks, three columns a node
+    hits: Hits  # where those rays meet it
+    cast_at_m: np.ndarray  # (n, 3), shape at which all rays were cast
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Residual that a model leaves.
+    """Residual that a model leaves."""
 
-    Attributes
-    ----------
-    rms_m : float
-        Weighted root mean square of the block residuals, m.
-    deviations : float
-        Typical block residual in standard deviations.
-    clumping : float
-        Variance of the sums over squares of blocks over that of white residuals: 1 for white
-        noise, the number of blocks worth one sample where noise is correlated.
-    """
-
-    rms_m: float
-    deviations: float
+    rms_m: float  # weighted root mean square of the block residuals, m
+    deviations: float  # typical block residual in standard deviations
+    # variance of the sums over squares of blocks over that of white residuals: 1 for white noise,
+    # the number of blocks worth one sample where noise is correlated
     clumping: float
 
 

@@ -32,28 +32,15 @@ _STRAIGHT = 1e-9
 
 @dataclass(frozen=True)
 class Hits:
-    """Rays that meet the mesh.
+    """Rays that meet the mesh."""
 
-    Attributes
-    ----------
-    ray : (k,) int array
-        Index of each ray that hits, ascending.
-    triangle : (k,) int array
-        Triangle it hits.
-    barycentric : (k, 3) array
-        Coordinates of the hit on that triangle.
-    range_m : (k,) array
-        Distance from the origin along the unit ray, m.
-    sensitivity : (k, 3) array
-        ∂(range)/∂u of the triangle's three nodes for motion along their reference normals:
-        b_i (n_i·m)/(r̂·m) with the facet's unit normal m. Eq. 19 has b_i (r̂·n̂) instead, which is
-        the projection of the motion on the ray and not the derivative of the range.
-    """
-
-    ray: np.ndarray
-    triangle: np.ndarray
-    barycentric: np.ndarray
-    range_m: np.ndarray
+    ray: np.ndarray  # (k,) int, index of each ray that hits, ascending
+    triangle: np.ndarray  # (k,) int, triangle it hits
+    barycentric: np.ndarray  # (k, 3), coordinates of the hit on that triangle
+    range_m: np.ndarray  # (k,), distance from the origin along the unit ray, m
+    # (k, 3), ∂(range)/∂u of the triangle's three nodes for motion along their reference normals:
+    # b_i (n_i·m)/(r̂·m) with the facet's unit normal m. Eq. 19 has b_i (r̂·n̂) instead, which is
+    # the projection of the motion on the ray and not the derivative of the range.
     sensitivity: np.ndarray
 
     def of(self, some: np.ndarray) -> Hits:
@@ -69,21 +56,11 @@ class Hits:
 
 
 class _Facets(NamedTuple):
-    """Triangles seen from the rays' origin.
+    """Triangles seen from the rays' origin."""
 
-    Attributes
-    ----------
-    faces : (m, 3, 3) array
-        Cross products of the corners, opposite each corner.
-    facing : (m, 3) array
-        Node normals times the facet's vector.
-    offset : (m,) array
-        Distance of its plane times the length of that vector.
-    """
-
-    faces: np.ndarray
-    facing: np.ndarray
-    offset: np.ndarray
+    faces: np.ndarray  # (m, 3, 3), cross products of the corners, opposite each corner
+    facing: np.ndarray  # (m, 3), node normals times the facet's vector
+    offset: np.ndarray  # (m,), distance of its plane times the length of that vector
 
     @classmethod
     def of(cls, local: np.ndarray, normals: np.ndarray, triangles: np.ndarray) -> _Facets:

@@ -22,31 +22,19 @@ OUTERMOST = 0.5
 
 @dataclass(frozen=True)
 class Inspection:
-    """The requested diagnostics of a frame.
+    """The requested diagnostics of a frame."""
 
-    Attributes
-    ----------
-    images : dict
-        (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used`
-        bool; `flow`, length of the motion in the colour image in pixels, by blocks.
-    ends : dict
-        Between them lie all but the outermost values of each image.
-    colour : SeenColour or None
-    no_flow : str
-        Why there is no image of the flow, in a few words; empty where the reference says it.
-    reference : str
-        What shear is measured against, in words; empty where nobody asked for it.
-    kappa_curve : KappaCurve or None
-    components : tuple of Component
-        Parts of the patch, those too, that are left out for their size.
-    """
-
+    # (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used` bool;
+    # `flow`, length of the motion in the colour image in pixels, by blocks
     images: dict[str, np.ndarray] = field(default_factory=dict)
+    # between them lie all but the outermost values of each image
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     colour: SeenColour | None = None
+    # why there is no image of the flow, in a few words; empty where the reference says it
     no_flow: str = ""
-    reference: str = ""
+    reference: str = ""  # what shear is measured against, in words; empty where nobody asked for it
     kappa_curve: KappaCurve | None = None
+    # parts of the patch, those too, that are left out for their size
     components: tuple[Component, ...] = ()
 
 

@@ -17,23 +17,13 @@ KAPPAS = np.geomspace(0.1, 100.0, 61)
 
 @dataclass(frozen=True)
 class KappaCurve:
-    """Patches of one frame at many thresholds.
+    """Patches of one frame at many thresholds."""
 
-    Attributes
-    ----------
-    kappa : (k,) array
-        Multiples of the mean contact pressure, rising.
-    area_m2 : (k,) array
-        Area of the patch on the reference surface.
-    histogram_m2 : (k − 1,) array
-        Area whose pressure lies between one threshold and the next.
-    iou : (k,) array or None
-        Intersection over union of the patch's pixels with the true ones; None without a truth.
-    """
-
-    kappa: np.ndarray
-    area_m2: np.ndarray
+    kappa: np.ndarray  # (k,), multiples of the mean contact pressure, rising
+    area_m2: np.ndarray  # (k,), area of the patch on the reference surface
+    # (k − 1,), area whose pressure lies between one threshold and the next
     histogram_m2: np.ndarray
+    # (k,), intersection over union of the patch's pixels with the true ones; None without a truth
     iou: np.ndarray | None = None
 
     def area_at(self, kappa: float) -> float:

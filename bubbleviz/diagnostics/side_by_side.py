@@ -21,38 +21,22 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
 @dataclass(frozen=True)
 class Measured:
-    """One setting on one frame; NaN where there is no number, or no truth to compare with.
+    """One setting on one frame; NaN where there is no number, or no truth to compare with."""
 
-    Attributes
-    ----------
-    result : Result
-        What it made of the frame.
-    mesh : MembraneMesh
-        Reference surface it did that on.
-    solver, status : str
-    total_ms, solve_ms : float
-        Depth image in → patch and its pixels out; the solver alone.
-    force_n, area_m2, residual_m : float
-        As in `Patch` and `Estimate`.
-    force_half_width_n : float
-        Half of the 95 % interval of the force.
-    iou : float
-        Of the patch's pixels with the true ones.
-    force_error : float
-        Length of the difference of the force vectors over the length of the true one.
-    """
-
-    result: Result
-    mesh: MembraneMesh
+    result: Result  # what it made of the frame
+    mesh: MembraneMesh  # reference surface it did that on
     solver: str
     status: str
+    # total_ms, solve_ms: depth image in → patch and its pixels out; the solver alone
     total_ms: float
     solve_ms: float
+    # force_n, area_m2, residual_m: as in `Patch` and `Estimate`
     force_n: float
     area_m2: float
     residual_m: float
-    force_half_width_n: float = float("nan")
-    iou: float = float("nan")
+    force_half_width_n: float = float("nan")  # half of the 95 % interval of the force
+    iou: float = float("nan")  # of the patch's pixels with the true ones
+    # length of the difference of the force vectors over the length of the true one
     force_error: float = float("nan")
 
 

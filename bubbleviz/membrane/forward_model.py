@@ -20,54 +20,25 @@ Outer = Literal["joint", "bracket", "relaxed"]
 
 @dataclass(frozen=True)
 class Contact:
-    """Equilibrium of the membrane pressed by a rigid object, and how well it holds.
+    """Equilibrium of the membrane pressed by a rigid object, and how well it holds."""
 
-    Attributes
-    ----------
-    displacement_m : (n,) array
-        u along the reference normals, m; 0 on the rim.
-    displacement_3d_m : (n, 3) array
-        The whole displacement, m.
-    contact_pressure_pa : (n,) array
-        p_c ≥ 0, Pa.
-    nodal_force_n : (n, 3) array
-        Of the object on the membrane, N.
-    gap_m : (n,) array
-        Bound g on u from the object, m; inf where its normal line does not meet it.
-    gas_pressure_change_pa : float
-        p_v, Pa.
-    complementarity : float
-        max |φ p_c| with φ = g − u, Pa·m (Eq. 13).
-    penetration_m : float
-        max(u − g, 0) over the free nodes, m.
-    rim_penetration_m : float
-        The same on the clamped rim, which cannot give way; above 0 the object sits on it.
-    balance_residual : float
-        max |K u − A p_v + A∘p_c| relative to the largest of its terms (Eq. 5).
-    gas_law_residual : float
-        |P(V(u)) − P0 − p_v| / P0.
-    iterations : int
-        Sparse factorisations.
-    outer_iterations : int
-        Gas-law iterations; 1 where it is solved together with the contact.
-    converged : bool
-        Contact and gas law both hold.
-    """
-
-    displacement_m: np.ndarray
-    displacement_3d_m: np.ndarray
-    contact_pressure_pa: np.ndarray
-    nodal_force_n: np.ndarray
+    displacement_m: np.ndarray  # (n,), u along the reference normals, m; 0 on the rim
+    displacement_3d_m: np.ndarray  # (n, 3), the whole displacement, m
+    contact_pressure_pa: np.ndarray  # (n,), p_c ≥ 0, Pa
+    nodal_force_n: np.ndarray  # (n, 3), of the object on the membrane, N
+    # (n,), bound g on u from the object, m; inf where its normal line does not meet it
     gap_m: np.ndarray
-    gas_pressure_change_pa: float
-    complementarity: float
-    penetration_m: float
+    gas_pressure_change_pa: float  # p_v, Pa
+    complementarity: float  # max |φ p_c| with φ = g − u, Pa·m (Eq. 13)
+    penetration_m: float  # max(u − g, 0) over the free nodes, m
+    # the same on the clamped rim, which cannot give way; above 0 the object sits on it
     rim_penetration_m: float
+    # max |K u − A p_v + A∘p_c| relative to the largest of its terms (Eq. 5)
     balance_residual: float
-    gas_law_residual: float
-    iterations: int
-    outer_iterations: int
-    converged: bool
+    gas_law_residual: float  # |P(V(u)) − P0 − p_v| / P0
+    iterations: int  # sparse factorisations
+    outer_iterations: int  # gas-law iterations; 1 where it is solved together with the contact
+    converged: bool  # contact and gas law both hold
 
 
 class ForwardModel:

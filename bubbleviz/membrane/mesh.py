@@ -10,21 +10,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MembraneMesh:
-    """Reference configuration S0 in the bubble frame B.
+    """Reference configuration S0 in the bubble frame B."""
 
-    Attributes
-    ----------
-    nodes : (n, 3) array
-        Node positions x0 in m.
-    triangles : (m, 3) int array
-        Node indices, counter-clockwise seen from outside (normals point out of the sensor).
-    rim : (n,) bool array
-        Nodes clamped at the rim, where u = 0.
-    """
-
-    nodes: np.ndarray
+    nodes: np.ndarray  # (n, 3), node positions x0 in m
+    # (m, 3) int, node indices, counter-clockwise seen from outside (normals point out of the
+    # sensor)
     triangles: np.ndarray
-    rim: np.ndarray
+    rim: np.ndarray  # (n,) bool, nodes clamped at the rim, where u = 0
 
     @cached_property
     def facet_vectors(self) -> np.ndarray:

@@ -16,28 +16,13 @@ PressureRule = Callable[[float, float], float]
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Solution of L u = A p − λ, u ≤ g, λ ≥ 0, λ (g − u) = 0 on the free nodes.
+    """Solution of L u = A p − λ, u ≤ g, λ ≥ 0, λ (g − u) = 0 on the free nodes."""
 
-    Attributes
-    ----------
-    displacement : (f,) array
-        u, m.
-    reaction : (f,) array
-        λ = A p_c / γ0, m.
-    pressure : float
-        p = p_v / γ0, 1/m.
-    active : (f,) bool array
-        Nodes in contact.
-    iterations : int
-        Sparse factorisations.
-    converged : bool
-    """
-
-    displacement: np.ndarray
-    reaction: np.ndarray
-    pressure: float
-    active: np.ndarray
-    iterations: int
+    displacement: np.ndarray  # (f,), u, m
+    reaction: np.ndarray  # (f,), λ = A p_c / γ0, m
+    pressure: float  # p = p_v / γ0, 1/m
+    active: np.ndarray  # (f,) bool, nodes in contact
+    iterations: int  # sparse factorisations
     converged: bool
 
 

@@ -10,21 +10,13 @@ from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 
 
 class Refined(NamedTuple):
-    """A finer mesh and where its nodes are on the coarser one.
+    """A finer mesh and where its nodes are on the coarser one."""
 
-    Attributes
-    ----------
-    mesh : MembraneMesh
-        The coarser one's nodes come first.
-    ends : (k, 2) int array
-        Nodes of the coarser mesh that each node lies midway between; twice the same for its own.
-    parent : (m,) int array
-        Triangle of the coarser mesh that each triangle is part of.
-    """
-
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # the coarser one's nodes come first
+    # (k, 2) int, nodes of the coarser mesh that each node lies midway between; twice the same for
+    # its own
     ends: np.ndarray
-    parent: np.ndarray
+    parent: np.ndarray  # (m,) int, triangle of the coarser mesh that each triangle is part of
 
     def values(self, coarse: np.ndarray) -> np.ndarray:
         """Values on the coarser nodes (n, …), interpolated linearly to the finer ones."""

@@ -25,22 +25,13 @@ from bubbleviz.result import Pose, Stage
 
 @dataclass(frozen=True)
 class Solution:
-    """A pose of one frame.
+    """A pose of one frame."""
 
-    Attributes
-    ----------
-    first, pose : Fit
-        Stage one and stage two.
-    ms : (float, float)
-        Wall time of the stages.
-    motion : Motion
-        Pose and velocity with what this frame adds.
-    """
-
+    # first, pose: stage one and stage two
     first: Fit
     pose: Fit
-    ms: tuple[float, float]
-    motion: Motion
+    ms: tuple[float, float]  # wall time of the stages
+    motion: Motion  # pose and velocity with what this frame adds
 
     def as_pose(self, contact: ContactPoints) -> Pose:
         """What consumers see."""

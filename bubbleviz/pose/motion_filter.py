@@ -24,22 +24,12 @@ _LONGEST_S = 0.5
 
 @dataclass(frozen=True)
 class Motion:
-    """Pose and velocity, with their covariance.
+    """Pose and velocity, with their covariance."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    velocity : (6,) array
-        In B about `center`, m/s and rad/s.
-    covariance : (12, 12) array
-        Of small motions in B about `center`, and of the velocity.
-    center : (3,) array
-    """
-
-    T_B_O: np.ndarray
-    velocity: np.ndarray
-    covariance: np.ndarray
-    center: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    velocity: np.ndarray  # (6,), in B about `center`, m/s and rad/s
+    covariance: np.ndarray  # (12, 12), of small motions in B about `center`, and of the velocity
+    center: np.ndarray  # (3,)
 
     @classmethod
     def at_rest(cls, T_B_O: np.ndarray, deviation: np.ndarray, center: np.ndarray) -> Motion:

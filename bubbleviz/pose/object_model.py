@@ -27,33 +27,18 @@ _LARGEST = 20.0
 
 @dataclass(frozen=True)
 class Closest:
-    """The places on an object that are closest to some points, all in O.
+    """The places on an object that are closest to some points, all in O."""
 
-    Attributes
-    ----------
-    place : (k, 3) array
-    normal : (k, 3) array
-        Outward surface normal there, smooth but across creases.
-    """
-
-    place: np.ndarray
-    normal: np.ndarray
+    place: np.ndarray  # (k, 3)
+    normal: np.ndarray  # (k, 3), outward surface normal there, smooth but across creases
 
 
 @dataclass(frozen=True)
 class Creases:
-    """Points along the convex edges of an object, in O.
+    """Points along the convex edges of an object, in O."""
 
-    Attributes
-    ----------
-    tree : cKDTree
-        Of the points (c, 3).
-    normals : (c, 2, 3) array
-        Of the two faces that meet there.
-    """
-
-    tree: Any
-    normals: np.ndarray
+    tree: Any  # of the points (c, 3)
+    normals: np.ndarray  # (c, 2, 3), of the two faces that meet there
 
 
 class ObjectModel:

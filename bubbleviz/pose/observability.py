@@ -21,21 +21,14 @@ LEAST_RADIUS_M = 2e-3
 
 @dataclass(frozen=True)
 class Directions:
-    """Six independent small motions, from the best determined to the least.
+    """Six independent small motions, from the best determined to the least."""
 
-    Attributes
-    ----------
-    motions : (6, 6) array
-        In columns, in B about the patch's centre: translation, then rotation in rad, such that a
-        unit of each moves the patch's edge by about 1 m.
-    deviation_m : (6,) array
-        Standard deviation of each at the patch's edge by the contact normals alone.
-    determined : (6,) bool array
-    """
-
+    # (6, 6), in columns, in B about the patch's centre: translation, then rotation in rad, such
+    # that a unit of each moves the patch's edge by about 1 m
     motions: np.ndarray
+    # (6,), standard deviation of each at the patch's edge by the contact normals alone
     deviation_m: np.ndarray
-    determined: np.ndarray
+    determined: np.ndarray  # (6,) bool
 
     @property
     def open(self) -> np.ndarray:

@@ -45,18 +45,10 @@ _CONVERGED_M = 2e-5
 
 @dataclass(frozen=True)
 class Precision:
-    """How precisely the estimate knows where the membrane is.
+    """How precisely the estimate knows where the membrane is."""
 
-    Attributes
-    ----------
-    information_per_m4 : float
-        Sum of 1/σ² of the range pixels per area of membrane.
-    resolution_m : float
-        Distance over which the estimate's errors are one.
-    """
-
-    information_per_m4: float
-    resolution_m: float
+    information_per_m4: float  # sum of 1/σ² of the range pixels per area of membrane
+    resolution_m: float  # distance over which the estimate's errors are one
 
     @property
     def per_area(self) -> float:
@@ -71,56 +63,31 @@ class Precision:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the pose before a frame.
+    """What is known of the pose before a frame."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    information : (6, 6) array
-        Inverse covariance of small motions in B about the patch's centre.
-    """
-
-    T_B_O: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    # (6, 6), inverse covariance of small motions in B about the patch's centre
     information: np.ndarray
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A pose and how well it fits.
+    """A pose and how well it fits."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    fitness : float
-        Share of the patch within `INLIER_M` of the object, 0 to 1.
-    rmse_m : float
-        Root mean square distance of that share; NaN where there is none.
-    correspondences : int
-        Number of contact points in that share.
-    cost : float
-        Robust misfit in units of the noise, squared; lower is better.
-    surface : (6, 6) array
-        Information of the contact normals about small motions in B about the patch's centre.
-    outline : (6, 6) array
-        Information of all else: points beside the object and the free membrane, about shifts alone.
-    distance_m : (k,) array
-        Signed distance of each contact point from the object, positive outside.
-    places_m : (k, 3) array
-        The closest places on the object, in B.
-    history : (i, 2) array
-        Fitness, and rmse in m, at the start and after every iteration.
-    """
-
-    T_B_O: np.ndarray
-    fitness: float
-    rmse_m: float
-    correspondences: int
-    cost: float
+    T_B_O: np.ndarray  # (4, 4)
+    fitness: float  # share of the patch within `INLIER_M` of the object, 0 to 1
+    rmse_m: float  # root mean square distance of that share; NaN where there is none
+    correspondences: int  # number of contact points in that share
+    cost: float  # robust misfit in units of the noise, squared; lower is better
+    # (6, 6), information of the contact normals about small motions in B about the patch's centre
     surface: np.ndarray
+    # (6, 6), information of all else: points beside the object and the free membrane, about shifts
+    # alone
     outline: np.ndarray
+    # (k,), signed distance of each contact point from the object, positive outside
     distance_m: np.ndarray
-    places_m: np.ndarray
-    history: np.ndarray
+    places_m: np.ndarray  # (k, 3), the closest places on the object, in B
+    history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
 
 
 @dataclass(frozen=True)

@@ -29,35 +29,20 @@ CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frame
 
 @dataclass(frozen=True)
 class InflatedRubber:
-    """A membrane of known rubber.
-
-    Attributes
-    ----------
-    name : str
-    rim_semi_axes_m : (ax, ay)
-    gauge_pressure_pa : float
-        G at rest.
-    mu_h_n_per_m : float
-    tension_n_per_m : float
-        γ0: the one tension that balances the gauge pressure over the surface at rest, as
-        identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
-        where shape and pressure do not tell it.
-    shape : callable
-        Membrane under a gauge pressure in Pa.
-    sheet : MembraneMesh
-        The same triangles stretched by λ over the rim, before there is any pressure.
-    sheet_stretch : float
-        That λ.
-    """
+    """A membrane of known rubber."""
 
     name: str
-    rim_semi_axes_m: tuple[float, float]
-    gauge_pressure_pa: float
+    rim_semi_axes_m: tuple[float, float]  # (ax, ay)
+    gauge_pressure_pa: float  # G at rest
     mu_h_n_per_m: float
+    # γ0: the one tension that balances the gauge pressure over the surface at rest, as
+    # identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
+    # where shape and pressure do not tell it.
     tension_n_per_m: float
-    shape: Callable[[float], MembraneMesh]
+    shape: Callable[[float], MembraneMesh]  # membrane under a gauge pressure in Pa
+    # the same triangles stretched by λ over the rim, before there is any pressure
     sheet: MembraneMesh
-    sheet_stretch: float
+    sheet_stretch: float  # that λ
 
     @cached_property
     def rest(self) -> MembraneMesh:

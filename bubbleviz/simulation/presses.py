@@ -25,19 +25,10 @@ LARGEST_TILT_RAD = 0.14  # 8°; chosen
 
 @dataclass(frozen=True)
 class Press:
-    """One object pressed to one depth.
+    """One object pressed to one depth."""
 
-    Attributes
-    ----------
-    object_name : str
-        As of `made`.
-    depth_m : float
-        How far beyond first touch, along −z of B.
-    held_out : bool
-    """
-
-    object_name: str
-    depth_m: float
+    object_name: str  # as of `made`
+    depth_m: float  # how far beyond first touch, along −z of B
     held_out: bool
 
     def pose(self, mesh: MembraneMesh, seed: int) -> np.ndarray:

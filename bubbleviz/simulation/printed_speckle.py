@@ -22,24 +22,12 @@ _NOISE_STREAM = 3  # of the seed; those of `DepthNoise` come before
 
 @dataclass(frozen=True)
 class Speckle:
-    """How the membrane is printed and seen.
+    """How the membrane is printed and seen."""
 
-    Attributes
-    ----------
-    blot_m : float or None
-        Size of a blot, m; by default 8 pixels wide in the image.
-    noise : float
-        σ of the grey levels (0 … 255).
-    shaded : bool
-        Brightest where the membrane faces the camera, with its light.
-    seed : int
-        Of print and noise.
-    """
-
-    blot_m: float | None = None
-    noise: float = 2.0
-    shaded: bool = True
-    seed: int = 0
+    blot_m: float | None = None  # size of a blot, m; by default 8 pixels wide in the image
+    noise: float = 2.0  # σ of the grey levels (0 … 255)
+    shaded: bool = True  # brightest where the membrane faces the camera, with its light
+    seed: int = 0  # of print and noise
 
     def __post_init__(self) -> None:
         if self.blot_m is not None and not 0.0 < self.blot_m < 0.1:

@@ -31,40 +31,21 @@ TRUTH_NODES = 2_600
 
 
 class RubberTruth(NamedTuple):
-    """A press as the camera would see it without noise.
+    """A press as the camera would see it without noise."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    mesh : MembraneMesh
-    contact : Contact
-    range_m : (H, W) array
-        NaN where a ray misses the membrane.
-    """
-
-    T_B_O: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
     mesh: MembraneMesh
     contact: Contact
-    range_m: np.ndarray
+    range_m: np.ndarray  # (H, W), NaN where a ray misses the membrane
 
 
 @dataclass(frozen=True)
 class RubberPresses:
-    """Presses objects into one exact membrane.
+    """Presses objects into one exact membrane."""
 
-    Attributes
-    ----------
-    camera : DepthCamera
-        That sees it.
-    mesh : MembraneMesh
-        Before it is refined.
-    rubber : callable
-        The membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little.
-    pneumatics : Pneumatics
-    """
-
-    camera: DepthCamera
-    mesh: MembraneMesh
+    camera: DepthCamera  # that sees it
+    mesh: MembraneMesh  # before it is refined
+    # the membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little
     rubber: Callable[[MembraneMesh], RubberMembrane]
     pneumatics: Pneumatics
 

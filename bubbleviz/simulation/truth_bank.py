@@ -51,13 +51,7 @@ class Presses(Protocol):
 
 @dataclass(frozen=True)
 class LinearPresses:
-    """Presses objects into the paper's linear membrane.
-
-    Attributes
-    ----------
-    model : SensorModel
-    nodes : int
-    """
+    """Presses objects into the paper's linear membrane."""
 
     model: SensorModel
     nodes: int = TRUTH_NODES
@@ -98,22 +92,12 @@ class LinearPresses:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A press as the camera would see it without noise, and what is true of it.
-
-    Attributes
-    ----------
-    press : Press
-    mesh : MembraneMesh
-        Reference surface that the truth is on.
-    truth : Truth
-    range_m : (H, W) array
-        Range along each ray, NaN where it misses the membrane.
-    """
+    """A press as the camera would see it without noise, and what is true of it."""
 
     press: Press
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # reference surface that the truth is on
     truth: Truth
-    range_m: np.ndarray
+    range_m: np.ndarray  # (H, W), range along each ray, NaN where it misses the membrane
 
 
 class TruthBank:

@@ -17,24 +17,12 @@ _SHIFTS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of a quadratic programme.
+    """Solution of a quadratic programme."""
 
-    Attributes
-    ----------
-    motion : (f, 3) array
-        m.
-    load : (f,) array
-        Contact force along each plane's normal, N, not below 0.
-    held : (f,) bool array
-        Nodes on their planes.
-    pull : (f, 3) array
-        What must hold the nodes, N: 0 for those that are free.
-    """
-
-    motion: np.ndarray
-    load: np.ndarray
-    held: np.ndarray
-    pull: np.ndarray
+    motion: np.ndarray  # (f, 3), m
+    load: np.ndarray  # (f,), contact force along each plane's normal, N, not below 0
+    held: np.ndarray  # (f,) bool, nodes on their planes
+    pull: np.ndarray  # (f, 3), what must hold the nodes, N: 0 for those that are free
 
 
 class ContactStep:

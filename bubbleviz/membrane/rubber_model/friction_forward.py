@@ -33,50 +33,26 @@ _SHARES = (0.5, 0.25, 0.1)
 
 @dataclass(frozen=True)
 class FrictionContact(RubberContact):
-    """Equilibrium with friction; `stable` where no pivot of the tangent is negative.
+    """Equilibrium with friction; `stable` where no pivot of the tangent is negative."""
 
-    Attributes
-    ----------
-    slip_m : (n,) array
-        Way that each touching node slipped over the object since the contact before, m; 0 where
-        nothing touches.
-    stick_error_m : float
-        Largest distance of a sticking node from its anchor, m.
-    cone_violation : float
-        Largest |t| of a node over μ times its load, less 1; 0 where none is above.
-    dissipated_j : float
-        Work lost to slip since the contact before, J.
-    """
-
+    # (n,), way that each touching node slipped over the object since the contact before, m; 0 where
+    # nothing touches
     slip_m: np.ndarray
-    stick_error_m: float
+    stick_error_m: float  # largest distance of a sticking node from its anchor, m
+    # largest |t| of a node over μ times its load, less 1; 0 where none is above
     cone_violation: float
-    dissipated_j: float
+    dissipated_j: float  # work lost to slip since the contact before, J
 
 
 @dataclass(frozen=True)
 class _State:
-    """Where membrane and object are, and what is between them.
+    """Where membrane and object are, and what is between them."""
 
-    Attributes
-    ----------
-    x : (n, 3) array
-        Nodes, m.
-    load : (n,) array
-        Contact force along the object's normal, N.
-    pull : (n, 3) array
-        Of the nodes on the object across its normal, N.
-    anchors : (n, 3) array
-        Places on the object, in O, m; NaN for nodes that do not touch.
-    pose : (4, 4) array
-        T_B_O.
-    """
-
-    x: np.ndarray
-    load: np.ndarray
-    pull: np.ndarray
-    anchors: np.ndarray
-    pose: np.ndarray
+    x: np.ndarray  # (n, 3), nodes, m
+    load: np.ndarray  # (n,), contact force along the object's normal, N
+    pull: np.ndarray  # (n, 3), of the nodes on the object across its normal, N
+    anchors: np.ndarray  # (n, 3), places on the object, in O, m; NaN for nodes that do not touch
+    pose: np.ndarray  # (4, 4), T_B_O
 
     def away(self) -> np.ndarray:
         """From the anchors to the nodes, (n, 3), m."""

@@ -22,27 +22,14 @@ stiffer tangent is singular to rounding."""
 
 
 class Friction(NamedTuple):
-    """Nodes that stick and slip at some place, near an equilibrium or in it.
+    """Nodes that stick and slip at some place, near an equilibrium or in it."""
 
-    Attributes
-    ----------
-    pull : (k, 3) array
-        Of the nodes on the object across its normals by the law, N.
-    slip : (k, 3) array
-        s of nodes that slip, m.
-    grip : Grip
-        For a step from here.
-    stiffness : (k, 3, 3) array
-        Of the pull across the direction of slip, and as the normal turns, N/m.
-    start : (k, 3) array
-        The part of the pull that this stiffness has added so far, N.
-    """
-
-    pull: np.ndarray
-    slip: np.ndarray
-    grip: Grip
+    pull: np.ndarray  # (k, 3), of the nodes on the object across its normals by the law, N
+    slip: np.ndarray  # (k, 3), s of nodes that slip, m
+    grip: Grip  # for a step from here
+    # (k, 3, 3), of the pull across the direction of slip, and as the normal turns, N/m
     stiffness: np.ndarray
-    start: np.ndarray
+    start: np.ndarray  # (k, 3), the part of the pull that this stiffness has added so far, N
 
     @classmethod
     def at(

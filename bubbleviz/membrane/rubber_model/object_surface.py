@@ -29,20 +29,12 @@ _LEAST_M = 1e-6
 
 
 class Planes(NamedTuple):
-    """Half-spaces that points may not leave: n·(x + δ − x) ≥ −gap, one a point.
+    """Half-spaces that points may not leave: n·(x + δ − x) ≥ −gap, one a point."""
 
-    Attributes
-    ----------
-    gap : (k,) array
-        Signed distance, m, negative inside the object; inf where there is no condition.
-    normal : (k, 3) array
-        Unit, out of the object.
-    turn : (k, 3, 3) array
-        Its derivative by the point, symmetric, 1/m: the curvature of the surface.
-    """
-
+    # (k,), signed distance, m, negative inside the object; inf where there is no condition
     gap: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray  # (k, 3), unit, out of the object
+    # (k, 3, 3), its derivative by the point, symmetric, 1/m: the curvature of the surface
     turn: np.ndarray
 
     @classmethod

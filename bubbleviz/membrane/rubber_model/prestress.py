@@ -37,14 +37,9 @@ _SYMMETRIC = np.array(
 
 @dataclass(frozen=True)
 class Prestress:
-    """Stress of a surface that holds a gauge pressure, a smooth field on its map to the disc.
+    """Stress of a surface that holds a gauge pressure, a smooth field on its map to the disc."""
 
-    Attributes
-    ----------
-    weights : (3, p) array
-        Of Zernike polynomials in S, N/m: half of its trace, of its difference, and its shear.
-    """
-
+    # (3, p), of Zernike polynomials in S, N/m: half of its trace, of its difference, and its shear
     weights: np.ndarray
 
     @classmethod

@@ -20,28 +20,18 @@ DISTANCE_AIM_M, DISTANCE_ACCEPTED_M = 1e-9, 1e-8
 
 @dataclass(frozen=True)
 class RubberContact(Contact):
-    """Equilibrium of the exact membrane with an object, and how well it holds.
+    """Equilibrium of the exact membrane with an object, and how well it holds."""
 
-    Attributes
-    ----------
-    energy_j : float
-        Stored in membrane and gas over the reference configuration: the work of the object, less
-        what friction has dissipated.
-    rim_force_n : (3,) array
-        Of the rim on the membrane, N.
-    gas_force_n : (3,) array
-        Of the gas on it: gauge pressure times the area vector of the rim's opening, N.
-    rest_force_n : (3,) array
-        Resultant of f_rest, which stands in for what the reference surface lacks of equilibrium, N.
-    stable : bool
-        The energy is at a minimum.
-    """
-
+    # stored in membrane and gas over the reference configuration: the work of the object, less what
+    # friction has dissipated
     energy_j: float
-    rim_force_n: np.ndarray
+    rim_force_n: np.ndarray  # (3,), of the rim on the membrane, N
+    # (3,), of the gas on it: gauge pressure times the area vector of the rim's opening, N
     gas_force_n: np.ndarray
+    # (3,), resultant of f_rest, which stands in for what the reference surface lacks of
+    # equilibrium, N
     rest_force_n: np.ndarray
-    stable: bool
+    stable: bool  # the energy is at a minimum
 
     @property
     def force_balance_n(self) -> float:
@@ -52,18 +42,10 @@ class RubberContact(Contact):
 
 @dataclass(frozen=True)
 class Missed:
-    """By how much a state misses equilibrium.
+    """By how much a state misses equilibrium."""
 
-    Attributes
-    ----------
-    balance : float
-        Largest force left at a node over the largest load on one.
-    distance_m : float
-        Largest distance of loaded nodes from the object, and of others inside it.
-    """
-
-    balance: float
-    distance_m: float
+    balance: float  # largest force left at a node over the largest load on one
+    distance_m: float  # largest distance of loaded nodes from the object, and of others inside it
 
     @property
     def size(self) -> float:

@@ -32,21 +32,11 @@ _FLATTEST = 1e-4
 
 @dataclass(frozen=True)
 class _State:
-    """A place on the way to equilibrium.
+    """A place on the way to equilibrium."""
 
-    Attributes
-    ----------
-    x : (n, 3) array
-        Nodes, m.
-    load : (n,) array
-        Contact force along the object's normal, N.
-    planes : Planes
-        The object's, at x.
-    """
-
-    x: np.ndarray
-    load: np.ndarray
-    planes: Planes
+    x: np.ndarray  # (n, 3), nodes, m
+    load: np.ndarray  # (n,), contact force along the object's normal, N
+    planes: Planes  # the object's, at x
 
 
 @dataclass(frozen=True)
@@ -63,16 +53,10 @@ class _Solved:
 
 @dataclass(frozen=True)
 class PressStart:
-    """A place near an equilibrium.
+    """A place near an equilibrium."""
 
-    Attributes
-    ----------
-    displacement_3d_m : (n, 3) array
-    contact_pressure_pa : (n,) array
-    """
-
-    displacement_3d_m: np.ndarray
-    contact_pressure_pa: np.ndarray
+    displacement_3d_m: np.ndarray  # (n, 3)
+    contact_pressure_pa: np.ndarray  # (n,)
 
 
 class RubberForward:

@@ -32,21 +32,11 @@ _TURNS = ((1, 1.0), (2, -1.0), (4, 1.0))
 
 
 class _Facets(NamedTuple):
-    """Current triangles, components first, so that a whole mesh is one array operation.
+    """Current triangles, components first, so that a whole mesh is one array operation."""
 
-    Attributes
-    ----------
-    edges : (3, 3, m) array
-        Opposite each corner, by component and corner, m.
-    vector : (3, m) array
-        Unit normal times twice the area, m².
-    height : (m,) array
-        A sixth of the sum of the corners' z, m; V = Σ vector_z × height.
-    """
-
-    edges: np.ndarray
-    vector: np.ndarray
-    height: np.ndarray
+    edges: np.ndarray  # (3, 3, m), opposite each corner, by component and corner, m
+    vector: np.ndarray  # (3, m), unit normal times twice the area, m²
+    height: np.ndarray  # (m,), a sixth of the sum of the corners' z, m; V = Σ vector_z × height
 
     @classmethod
     def of(cls, corners: np.ndarray) -> _Facets:
@@ -70,22 +60,14 @@ class _Facets(NamedTuple):
 
 
 class _Pattern(NamedTuple):
-    """Where the entries of the triangles go in a symmetric sparse matrix; fixed by the mesh.
+    """Where the entries of the triangles go in a symmetric sparse matrix; fixed by the mesh."""
 
-    Attributes
-    ----------
-    indices, indptr : int arrays
-        Of the columns.
-    slots : (6 · 9 · m,) int array
-        Place in the data of every entry of the blocks (pair of corners, 3, 3, m).
-    mirror : int array
-        Place of the transposed entry.
-    """
-
+    # indices, indptr: int arrays, of the columns
     indices: np.ndarray
     indptr: np.ndarray
+    # (6 · 9 · m,) int, place in the data of every entry of the blocks (pair of corners, 3, 3, m)
     slots: np.ndarray
-    mirror: np.ndarray
+    mirror: np.ndarray  # int, place of the transposed entry
 
     @classmethod
     def of(cls, corners: np.ndarray, moving: np.ndarray, nodes: int) -> _Pattern:

@@ -87,20 +87,12 @@ class Factor:
 
 
 class Grip(NamedTuple):
-    """What friction does to nodes on their planes.
+    """What friction does to nodes on their planes."""
 
-    Attributes
-    ----------
-    stuck : (k,) bool array
-        Nodes that do not move across their normals but for `back`.
-    back : (k, 3) array
-        Motion of the stuck ones to where they stick, m.
-    drag : (k, 3) array
-        Of nodes that slip: μ times the direction. Their force across the normal is −drag × load.
-    """
-
-    stuck: np.ndarray
-    back: np.ndarray
+    stuck: np.ndarray  # (k,) bool, nodes that do not move across their normals but for `back`
+    back: np.ndarray  # (k, 3), motion of the stuck ones to where they stick, m
+    # (k, 3), of nodes that slip: μ times the direction. Their force across the normal is −drag ×
+    # load.
     drag: np.ndarray
 
     def of(self, nodes: np.ndarray) -> Grip:

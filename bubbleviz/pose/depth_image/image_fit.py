@@ -25,53 +25,25 @@ _MAD = 0.6745
 
 @dataclass(frozen=True)
 class ImageStep:
-    """A step of the pose.
+    """A step of the pose."""
 
-    Attributes
-    ----------
-    motion : (6,) array
-        In B about the patch's centre.
-    information : (6, 6) array
-        Of the image about it.
-    way_m : float
-        Of the patch's edge.
-    """
-
-    motion: np.ndarray
-    information: np.ndarray
-    way_m: float
+    motion: np.ndarray  # (6,), in B about the patch's centre
+    information: np.ndarray  # (6, 6), of the image about it
+    way_m: float  # of the patch's edge
 
 
 @dataclass(frozen=True)
 class PredictedImage:
-    """The depth image that the object would make, linear around a pose.
+    """The depth image that the object would make, linear around a pose."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    center : (3,) array
-    pixel : (b,) int array
-        Which of the observer's pixels are looked at.
-    every : int
-        How many of those that could be each stands for.
-    expected_m : (b,) array
-        Residuals of these pixels, as the observer has them, at the pose.
-    jacobian : (b, 6) array
-        Their derivatives by small motions in B about the centre.
-    held : (b,) bool array
-        Pixels that see membrane lying on a face.
-    rounding : (b,) array
-        Derivatives of their residuals by the radius of the object's edges.
-    """
-
-    T_B_O: np.ndarray
-    center: np.ndarray
-    pixel: np.ndarray
-    every: int
-    expected_m: np.ndarray
-    jacobian: np.ndarray
-    held: np.ndarray
-    rounding: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    center: np.ndarray  # (3,)
+    pixel: np.ndarray  # (b,) int, which of the observer's pixels are looked at
+    every: int  # how many of those that could be each stands for
+    expected_m: np.ndarray  # (b,), residuals of these pixels, as the observer has them, at the pose
+    jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
+    held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
+    rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
 
     def residual_m(self, change_m: np.ndarray, T_B_O: np.ndarray) -> np.ndarray:
         """Measured minus modelled (b,) at a pose close by; NaN where there is no return."""

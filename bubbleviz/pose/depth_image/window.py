@@ -21,22 +21,12 @@ from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser
 
 
 class Tangent(NamedTuple):
-    """The factorised tangent at some nodes.
-
-    Attributes
-    ----------
-    factor : Factor
-    gas : (3f,) array
-        Change of the volume by motions of the moving nodes, m².
-    stiffness : float
-        Fall of the gas pressure with it, Pa/m³; 0 where the pressure is measured.
-    moving : (f,) int array
-    """
+    """The factorised tangent at some nodes."""
 
     factor: Factor
-    gas: np.ndarray
-    stiffness: float
-    moving: np.ndarray
+    gas: np.ndarray  # (3f,), change of the volume by motions of the moving nodes, m²
+    stiffness: float  # fall of the gas pressure with it, Pa/m³; 0 where the pressure is measured
+    moving: np.ndarray  # (f,) int
 
     def moved(self, forces: np.ndarray) -> np.ndarray:
         """Motions (j, k, 3) of the nodes under forces (j, k, 3) on them."""
