@@ -60,16 +60,11 @@ def load_object(
 
 
 def object_mesh(
-    path: str | Path, unit: Literal["m", "mm"] | None = None
+    path: str | Path,  # PLY, OBJ, STL or VTK
+    # unit of the file; by default millimetres where the name ends in `_mm`, else metres
+    unit: Literal["m", "mm"] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) in m and triangles (m, 3) of an object's file.
-
-    Parameters
-    ----------
-    path : path
-        PLY, OBJ, STL or VTK.
-    unit : {"m", "mm"}, optional
-        Unit of the file; by default millimetres where the name ends in `_mm`, else metres.
 
     Raises
     ------

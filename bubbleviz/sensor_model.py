@@ -34,17 +34,12 @@ class SensorModel:
 
     @classmethod
     def of(
-        cls, sensor: Sensor, intrinsics: Intrinsics | None = None, nodes: int | None = None
+        cls,
+        sensor: Sensor,
+        intrinsics: Intrinsics | None = None,  # of the recording; they win over the sensor file's
+        nodes: int | None = None,  # size of the mesh of an analytic dome in place of the file's
     ) -> SensorModel:
         """Build what a sensor file describes.
-
-        Parameters
-        ----------
-        sensor : Sensor
-        intrinsics : Intrinsics, optional
-            Of the recording; they win over the sensor file's.
-        nodes : int, optional
-            Size of the mesh of an analytic dome in place of the file's.
 
         Raises
         ------
@@ -84,15 +79,13 @@ class SensorModel:
         """The membrane as the camera sees it."""
         return MembraneView(self.camera, self.mesh)
 
-    def observer(self, block: int | None = None) -> RangeObserver:
-        """What range images say of the membrane, by blocks of pixels.
-
-        Parameters
-        ----------
-        block : int, optional
-            Side in pixels; half a mesh edge seen from the camera where not given, so that averaging
-            loses nothing.
-        """
+    def observer(
+        self,
+        # side in pixels; half a mesh edge seen from the camera where not given, so that averaging
+        # loses nothing
+        block: int | None = None,
+    ) -> RangeObserver:
+        """What range images say of the membrane, by blocks of pixels."""
         noise = self.sensor.camera.noise_relative
         return RangeObserver(
             self.camera, self.mesh, noise, self.pixels, block or self._block(), self.view.at_rest

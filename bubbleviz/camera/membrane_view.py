@@ -96,17 +96,15 @@ class MembraneView:
         return mask
 
 
-def _fill(mask: np.ndarray, bounds: np.ndarray, first: np.ndarray, last: np.ndarray) -> None:
-    """Set the pixels of some convex areas, by the span of columns in each of their rows.
-
-    Parameters
-    ----------
-    mask : (H, W) bool array
-    bounds : (k, m, 3) array
-        An area is where all k products with (column, row, 1) are positive.
-    first, last : (m,) array
-        Its rows.
-    """
+def _fill(
+    mask: np.ndarray,  # (H, W) bool
+    # (k, m, 3), an area is where all k products with (column, row, 1) are positive
+    bounds: np.ndarray,
+    # first, last: (m,), its rows
+    first: np.ndarray,
+    last: np.ndarray,
+) -> None:
+    """Set the pixels of some convex areas, by the span of columns in each of their rows."""
     height, width = mask.shape
     first, last = first.clip(0, height).astype(int), last.clip(-1, height - 1).astype(int)
     count = np.maximum(last - first + 1, 0) * bounds.any(axis=(0, 2))

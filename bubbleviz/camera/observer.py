@@ -101,29 +101,17 @@ class Misfit:
 
 
 class RangeObserver:
-    """Turns z-depth images of one camera into block residuals and models them.
-
-    Parameters
-    ----------
-    camera : DepthCamera
-    mesh : MembraneMesh
-    noise_relative : float
-        σ of range / range, where no calibration tells.
-    pixels : PixelModel, optional
-        Calibration of each pixel.
-    block : int
-        Side of a block in pixels.
-    seen : (H·W,) int array, optional
-        Triangle that each pixel sees at rest, as of `MembraneView`; found where not given.
-    """
+    """Turns z-depth images of one camera into block residuals and models them."""
 
     def __init__(
         self,
         camera: DepthCamera,
         mesh: MembraneMesh,
-        noise_relative: float,
-        pixels: PixelModel | None = None,
-        block: int = 1,
+        noise_relative: float,  # σ of range / range, where no calibration tells
+        pixels: PixelModel | None = None,  # calibration of each pixel
+        block: int = 1,  # side of a block in pixels
+        # (H·W,) int, triangle that each pixel sees at rest, as of `MembraneView`; found where not
+        # given
         seen: np.ndarray | None = None,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
@@ -226,17 +214,14 @@ class RangeObserver:
         """Measured minus reference range of the pixels in use, (k,), m; NaN: no return."""
         return self._used.residuals(depth_m)
 
-    def observe(self, depth_m: np.ndarray, expected_m: np.ndarray | None = None) -> Observation:
-        """Block residuals of a z-depth image.
-
-        Parameters
-        ----------
-        depth_m : (H, W) array
-            z-depth in m, NaN for no return.
-        expected_m : (B,) array, optional
-            Model of the block residuals; pixels far from it count less (Huber 1964), where there
-            are more of them than noise has.
-        """
+    def observe(
+        self,
+        depth_m: np.ndarray,  # (H, W), z-depth in m, NaN for no return
+        # (B,), model of the block residuals; pixels far from it count less (Huber 1964), where
+        # there are more of them than noise has
+        expected_m: np.ndarray | None = None,
+    ) -> Observation:
+        """Block residuals of a z-depth image."""
         return self.weigh(self.measure(depth_m), expected_m)
 
     def measure(self, depth_m: np.ndarray) -> Measured:
@@ -334,17 +319,14 @@ class RangeObserver:
         return replace(linear, offset_m=linear.offset_m - linear.along_rays(displacement_m))
 
     def relinearise(
-        self, linear: Linearisation, displacement_m: np.ndarray, triangles: np.ndarray
+        self,
+        linear: Linearisation,
+        displacement_m: np.ndarray,  # (n,)
+        triangles: np.ndarray,  # (m,) bool
     ) -> Linearisation:
         """The same model, around a displacement (n,) close by for the rays of some triangles.
 
         Each of these rays walks to its triangle, which takes a fraction of casting them all.
-
-        Parameters
-        ----------
-        linear : Linearisation
-        displacement_m : (n,) array
-        triangles : (m,) bool array
         """
         some = np.flatnonzero(triangles[linear.hits.triangle])
         nodes = self.mesh.deformed(displacement_m)
@@ -394,16 +376,13 @@ class RangeObserver:
         facets = self._facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))
         return max(facets, min(1.0, SURELY * found))
 
-    def around(self, nodes: np.ndarray, last: ShapeRanges | None = None) -> ShapeRanges:
-        """Model of the block residuals around a shape.
-
-        Parameters
-        ----------
-        nodes : (n, 3) array
-            In B, m.
-        last : ShapeRanges, optional
-            Of a shape before: close by, rays walk on from the triangles that they met there.
-        """
+    def around(
+        self,
+        nodes: np.ndarray,  # (n, 3), in B, m
+        # of a shape before: close by, rays walk on from the triangles that they met there
+        last: ShapeRanges | None = None,
+    ) -> ShapeRanges:
+        """Model of the block residuals around a shape."""
         if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
             cast_at, hits = last.cast_at_m, self._caster.recast(nodes, self.mesh.normals, last.hits)
         else:

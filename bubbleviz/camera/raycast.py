@@ -73,18 +73,14 @@ class _Facets(NamedTuple):
 
 
 class RayCaster:
-    """Casts one bundle of rays from one origin onto a mesh whose nodes may move.
+    """Casts one bundle of rays from one origin onto a mesh whose nodes may move."""
 
-    Parameters
-    ----------
-    origin : (3,) array
-        Camera centre c in B, m.
-    directions : (k, 3) array
-        Unit rays r̂ in B.
-    triangles : (m, 3) int array
-    """
-
-    def __init__(self, origin: np.ndarray, directions: np.ndarray, triangles: np.ndarray) -> None:
+    def __init__(
+        self,
+        origin: np.ndarray,  # (3,), camera centre c in B, m
+        directions: np.ndarray,  # (k, 3), unit rays r̂ in B
+        triangles: np.ndarray,  # (m, 3) int
+    ) -> None:
         self.origin = np.asarray(origin, float)
         self.directions = np.ascontiguousarray(directions, float)
         self.triangles = triangles
@@ -97,17 +93,13 @@ class RayCaster:
         rays[:, 3:] = self.directions
         return rays
 
-    def cast(self, nodes: np.ndarray, normals: np.ndarray, rays: np.ndarray | None = None) -> Hits:
-        """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`.
-
-        Parameters
-        ----------
-        nodes : (n, 3) array
-            Current node positions in B, m.
-        normals : (n, 3) array
-            Reference node normals, the directions in which nodes move.
-        rays : (j,) int array, optional
-        """
+    def cast(
+        self,
+        nodes: np.ndarray,  # (n, 3), current node positions in B, m
+        normals: np.ndarray,  # (n, 3), reference node normals, the directions in which nodes move
+        rays: np.ndarray | None = None,  # (j,) int
+    ) -> Hits:
+        """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`."""
         return self.met(nodes, normals, self.first(nodes, rays), rays)
 
     def met(

@@ -34,20 +34,10 @@ class KappaCurve:
 def kappa_curve(
     mesh: MembraneMesh,
     estimate: Estimate,
-    truth: np.ndarray | None = None,
-    view: MembraneView | None = None,
+    truth: np.ndarray | None = None,  # (H, W) bool, true pixels of the patch
+    view: MembraneView | None = None,  # needed to compare with the truth
 ) -> KappaCurve:
-    """Curve of an estimate; of zeros without contact pressure.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-    estimate : Estimate
-    truth : (H, W) bool array, optional
-        True pixels of the patch.
-    view : MembraneView, optional
-        Needed to compare with the truth.
-    """
+    """Curve of an estimate; of zeros without contact pressure."""
     pressure = estimate.contact_pressure_pa
     levels = KAPPAS * mean_pressure(mesh, pressure)
     areas = np.zeros(len(KAPPAS))

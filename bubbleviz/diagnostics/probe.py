@@ -34,15 +34,13 @@ class Probed:
 
 
 class Probe:
-    """Finds places in results of one camera and membrane.
+    """Finds places in results of one camera and membrane."""
 
-    Parameters
-    ----------
-    camera : DepthCamera
-    mesh : MembraneMesh
-    """
-
-    def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
+    def __init__(
+        self,
+        camera: DepthCamera,
+        mesh: MembraneMesh,
+    ) -> None:
         self._camera, self._mesh = camera, mesh
 
     def at_pixel(self, pixel: Pixel, result: Result) -> Probed | None:

@@ -43,19 +43,17 @@ class Measured:
 class SideBySide:
     """Measures settings; keeps what they need built.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    intrinsics : Intrinsics or None
-        Of the recording.
-
     Attributes
     ----------
     pipelines : dict
         Kept ready, by setting.
     """
 
-    def __init__(self, sensor: Sensor, intrinsics: Intrinsics | None = None) -> None:
+    def __init__(
+        self,
+        sensor: Sensor,
+        intrinsics: Intrinsics | None = None,  # of the recording
+    ) -> None:
         self._sensor, self._intrinsics = sensor, intrinsics
         self.pipelines: dict[EstimatorOptions, Pipeline] = {}
 
@@ -66,24 +64,14 @@ class SideBySide:
     def measure(
         self,
         options: EstimatorOptions,
-        frame: Frame,
-        rule: FrameOptions | None = None,
+        frame: Frame,  # its gas pressure as it is to be believed
+        rule: FrameOptions | None = None,  # what makes the patch
         truth: Truth | None = None,
         *,
+        # the frame has one answer; else it is warm-started from the frame before, as in playback
         settled: bool = False,
     ) -> Measured:
         """Process a frame with a setting.
-
-        Parameters
-        ----------
-        options : EstimatorOptions
-        frame : Frame
-            Its gas pressure as it is to be believed.
-        rule : FrameOptions, optional
-            What makes the patch.
-        truth : Truth, optional
-        settled : bool
-            The frame has one answer; else it is warm-started from the frame before, as in playback.
 
         Raises
         ------

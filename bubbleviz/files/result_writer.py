@@ -119,16 +119,13 @@ def add_measured_force(rows: list[dict[str, Any]]) -> None:
         row["measured_force_n"] = float(force)
 
 
-def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
+def nodal_fields(
+    result: Result,  # with its estimate and patch
+    mesh: MembraneMesh,
+) -> dict[str, np.ndarray]:
     """Fields of one frame by key of `NODAL_FIELDS`; NaN for what a frame without data cannot tell.
 
     With those of `SHEAR_FIELDS` where traction was asked for.
-
-    Parameters
-    ----------
-    result : Result
-        With its estimate and patch.
-    mesh : MembraneMesh
     """
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
@@ -144,15 +141,11 @@ def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
     return fields | shear_fields(result)
 
 
-def result_arrays(results: Sequence[Result], mesh: MembraneMesh) -> dict[str, np.ndarray]:
-    """Arrays of RESULT.npz but its masks: numbers of each frame, nodal fields, reference surface.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        With their estimates and patches.
-    mesh : MembraneMesh
-    """
+def result_arrays(
+    results: Sequence[Result],  # with their estimates and patches
+    mesh: MembraneMesh,
+) -> dict[str, np.ndarray]:
+    """Arrays of RESULT.npz but its masks: numbers of each frame, nodal fields, reference surface."""
     fields = [nodal_fields(result, mesh) for result in results]
     rows = [summary_row(result) for result in results]
     add_measured_force(rows)
@@ -183,28 +176,16 @@ class ResultWriter:
     The masks of 36,000 frames are 11 GB, the nodal fields 0.6 GB: the masks go into the archive,
     the nodal fields through unnamed files beside it (a system's folder for temporary files may
     be memory), and only a few numbers a frame are kept.
-
-    Parameters
-    ----------
-    path : Path
-        Where to write; give the temporary path of `whole_file`.
-    mesh : MembraneMesh
-    frames : int
-        F, how many frames will be added.
-    shape : (int, int)
-        H, W of the masks.
-    shear : bool, optional
-        Whether the results have traction.
     """
 
     def __init__(
         self,
-        path: Path,
+        path: Path,  # where to write; give the temporary path of `whole_file`
         mesh: MembraneMesh,
-        frames: int,
-        shape: tuple[int, int],
+        frames: int,  # F, how many frames will be added
+        shape: tuple[int, int],  # H, W of the masks
         *,
-        shear: bool = False,
+        shear: bool = False,  # whether the results have traction
     ) -> None:
         self.rows: list[dict[str, Any]] = []
         self._mesh, self._frames, self._shape = mesh, frames, shape

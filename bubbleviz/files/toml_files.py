@@ -46,17 +46,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
 
 
-def checked(model: type[Model], data: Mapping[str, Any], path: Path, whole: str) -> Model:
+def checked(
+    model: type[Model],
+    data: Mapping[str, Any],
+    path: Path,  # for the message
+    whole: str,  # what to call the file's content where no key is to blame
+) -> Model:
     """What the tables of a file describe.
-
-    Parameters
-    ----------
-    model : type
-    data : mapping
-    path : Path
-        For the message.
-    whole : str
-        What to call the file's content where no key is to blame.
 
     Raises
     ------

@@ -16,14 +16,12 @@ from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import Sensor
 
 
-def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
+def build_mesh(
+    sensor: Sensor,
+    # target number of nodes in place of the file's; a mesh from file keeps its own
+    nodes: int | None = None,
+) -> MembraneMesh:
     """Mesh of the sensor's reference surface S0.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    nodes : int, optional
-        Target number of nodes in place of the file's; a mesh from file keeps its own.
 
     Raises
     ------
@@ -92,26 +90,16 @@ def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
 def build_rubber(
     sensor: Sensor,
     mesh: MembraneMesh,
-    tension_n_per_m: float,
-    rim_slack_m: float | None = None,
+    tension_n_per_m: float,  # γ0, the mean tension, N/m
+    rim_slack_m: float | None = None,  # as of `RubberMembrane`
+    # as of `rest_stress`, found from the mesh where not given; that of a coarser mesh of the
+    # surface saves time
     stress: Prestress | None = None,
 ) -> RubberMembrane:
     """Exact membrane of a sensor on a mesh of its reference surface.
 
     Its stiffness is μh = γ0 / (1 − λ⁻⁶), its stress at rest what holds the gauge pressure. A sensor
     without pre-stretch has constant tension.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    mesh : MembraneMesh
-    tension_n_per_m : float
-        γ0, the mean tension, N/m.
-    rim_slack_m : float, optional
-        As of `RubberMembrane`.
-    stress : Prestress, optional
-        As of `rest_stress`, found from the mesh where not given; that of a coarser mesh of the
-        surface saves time.
     """
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
     if prestretch is None:

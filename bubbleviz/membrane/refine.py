@@ -53,16 +53,14 @@ def refine(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> MembraneMesh
     return refinement(mesh, chosen).mesh
 
 
-def refinement(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> Refined:
-    """Cut triangles into four at the middles of their edges.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-    chosen : (m,) bool array, optional
-        Triangles to cut, all by default. A neighbour with one edge cut is halved, one with more is
-        cut into four itself, so that the mesh stays conforming (Bank, Sherman and Weiser 1983).
-    """
+def refinement(
+    mesh: MembraneMesh,
+    # (m,) bool, triangles to cut, all by default. A neighbour with one edge cut is halved, one with
+    # more is cut into four itself, so that the mesh stays conforming (Bank, Sherman and Weiser
+    # 1983).
+    chosen: np.ndarray | None = None,
+) -> Refined:
+    """Cut triangles into four at the middles of their edges."""
     n, corners = len(mesh.nodes), mesh.triangles
     sides = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, which, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)

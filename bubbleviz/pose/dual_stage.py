@@ -57,22 +57,13 @@ def _stage(fit: Fit, ms: float) -> Stage:
 
 
 class Solver:
-    """Runs the stages.
-
-    Parameters
-    ----------
-    registration : Registration
-    estimator : Estimator or RubberEstimator
-    membrane : RubberMembrane
-        That the object presses into.
-    options : PoseOptions
-    """
+    """Runs the stages."""
 
     def __init__(
         self,
         registration: Registration,
         estimator: Estimator | RubberEstimator,
-        membrane: RubberMembrane,
+        membrane: RubberMembrane,  # that the object presses into
         options: PoseOptions,
     ) -> None:
         self._registration, self._estimator = registration, estimator

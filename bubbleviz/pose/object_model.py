@@ -44,11 +44,6 @@ class Creases:
 class ObjectModel:
     """Surface of a rigid object, to be asked for closest points.
 
-    Parameters
-    ----------
-    obj : RigidObject
-        Watertight or not; its triangles face outward.
-
     Attributes
     ----------
     obj : RigidObject
@@ -63,7 +58,10 @@ class ObjectModel:
         The mesh has no area.
     """
 
-    def __init__(self, obj: RigidObject) -> None:
+    def __init__(
+        self,
+        obj: RigidObject,  # watertight or not; its triangles face outward
+    ) -> None:
         self.obj = obj
         self.size_m = float(np.ptp(obj.vertices, axis=0).max())
         corners = obj.vertices[obj.triangles]

@@ -47,15 +47,12 @@ def directions(surface: np.ndarray, radius_m: float) -> Directions:
     return Directions(unit[:, None] * vectors, deviation, deviation < DETERMINED_M)
 
 
-def open_axes(motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def open_axes(
+    motions: np.ndarray,  # (6, q), columns as in `Directions.motions`
+) -> tuple[np.ndarray, np.ndarray]:
     """Shifts and turns among some motions: unit directions (s, 3) and axes (t, 3) in B.
 
     Where a turn comes with a shift, as a ball's about its middle, the turn counts.
-
-    Parameters
-    ----------
-    motions : (6, q) array
-        Columns as in `Directions.motions`.
     """
     if not motions.size:
         return np.zeros((0, 3)), np.zeros((0, 3))

@@ -117,40 +117,26 @@ _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class Registration:
-    """Fits one object to contact points.
+    """Fits one object to contact points."""
 
-    Parameters
-    ----------
-    model : ObjectModel
-    precision : Precision
-    """
-
-    def __init__(self, model: ObjectModel, precision: Precision) -> None:
+    def __init__(
+        self,
+        model: ObjectModel,
+        precision: Precision,
+    ) -> None:
         self.model, self.precision = model, precision
 
     def stage_one(
         self,
         contact: ContactPoints,
-        start: np.ndarray,
-        prior: Prior,
+        start: np.ndarray,  # (4, 4), T_B_O at which to begin
+        prior: Prior,  # decides where the contact does not
         *,
+        # scale of the robust weights at first: how far off the start may be
         widest_m: float = 5e-3,
-        iterations: int = 12,
+        iterations: int = 12,  # at most
     ) -> Fit:
-        """Fit to the contact points alone, weighted by the pressure on them.
-
-        Parameters
-        ----------
-        contact : ContactPoints
-        start : (4, 4) array
-            T_B_O at which to begin.
-        prior : Prior
-            Decides where the contact does not.
-        widest_m : float
-            Scale of the robust weights at first: how far off the start may be.
-        iterations : int
-            At most.
-        """
+        """Fit to the contact points alone, weighted by the pressure on them."""
         share = contact.areas_m2 * contact.pressure_pa
         share *= contact.areas_m2.sum() / share.sum()
         return self._fit(contact, share, start, prior, widest_m, iterations, around=False)

@@ -37,29 +37,23 @@ class Speckle:
 
 
 class PrintedMembrane:
-    """Renders the speckle, which is fixed to the material, on the deformed membrane.
+    """Renders the speckle, which is fixed to the material, on the deformed membrane."""
 
-    Parameters
-    ----------
-    speckle : Speckle
-    view : MembraneView
-        Of the mesh at rest, which is printed on.
-    """
-
-    def __init__(self, speckle: Speckle, view: MembraneView) -> None:
+    def __init__(
+        self,
+        speckle: Speckle,
+        view: MembraneView,  # of the mesh at rest, which is printed on
+    ) -> None:
         self._speckle, self._view = speckle, view
         middle_m = np.linalg.norm(view.mesh.nodes.mean(axis=0) - view.camera.center)
         self._blot_m = speckle.blot_m or _BLOT_PX * middle_m / view.camera.intrinsics.fx
 
-    def image(self, displacement_m: np.ndarray, index: int) -> np.ndarray:
-        """Grey image (H, W), uint8, of a displacement as of `MembraneMesh.deformed`.
-
-        Parameters
-        ----------
-        displacement_m : (n,) or (n, 3) array
-        index : int
-            Of the frame, for its noise.
-        """
+    def image(
+        self,
+        displacement_m: np.ndarray,  # (n,) or (n, 3) array
+        index: int,  # of the frame, for its noise
+    ) -> np.ndarray:
+        """Grey image (H, W), uint8, of a displacement as of `MembraneMesh.deformed`."""
         mesh = self._view.mesh
         hits = self._view.hits(displacement_m)
         corners = mesh.triangles[hits.triangle]

@@ -101,24 +101,14 @@ class Sighting:
 
 
 class TruthBank:
-    """Solves presses and keeps what it has solved.
-
-    Parameters
-    ----------
-    presses : Presses
-    seed : int
-        Of the poses.
-    folder : Path, optional
-        Keeps the truths of one membrane and seed from run to run.
-    limit_s : float, optional
-        Wall time of a press, beyond which it counts as having no equilibrium.
-    """
+    """Solves presses and keeps what it has solved."""
 
     def __init__(
         self,
         presses: Presses,
-        seed: int,
-        folder: Path | None = None,
+        seed: int,  # of the poses
+        folder: Path | None = None,  # keeps the truths of one membrane and seed from run to run
+        # wall time of a press, beyond which it counts as having no equilibrium
         limit_s: float | None = None,
     ) -> None:
         self._presses, self.seed, self._folder, self._limit_s = presses, seed, folder, limit_s

@@ -26,35 +26,23 @@ class Step:
 
 
 class ContactStep:
-    """min ½ δᵀ (K + β g gᵀ) δ + rᵀ δ over the half-spaces n·δ ≥ −gap of the moving nodes.
-
-    Parameters
-    ----------
-    factoriser, blocks : Factoriser, NodeBlocks
-        Of K's pattern.
-    data : (nnz,) array
-        Of K, N/m: the tangent less the loads' turning with the object's surface, which lets
-        Newton's method converge quadratically on curved objects.
-    residual, gradient : (f, 3) array
-        r in N and g = ∂V/∂x in m².
-    beta : float
-        Stiffness of the gas −dp/dV, Pa/m³.
-    planes : Planes
-        Of the moving nodes.
-    grip : Grip, optional
-        Friction, none by default. The forces have no energy then, and the step goes to where they
-        are in balance.
-    """
+    """min ½ δᵀ (K + β g gᵀ) δ + rᵀ δ over the half-spaces n·δ ≥ −gap of the moving nodes."""
 
     def __init__(
         self,
+        # factoriser, blocks: of K's pattern
         factoriser: Factoriser,
         blocks: NodeBlocks,
+        # (nnz,), of K, N/m: the tangent less the loads' turning with the object's surface, which
+        # lets Newton's method converge quadratically on curved objects
         data: np.ndarray,
+        # residual, gradient: (f, 3), r in N and g = ∂V/∂x in m²
         residual: np.ndarray,
         gradient: np.ndarray,
-        beta: float,
-        planes: Planes,
+        beta: float,  # stiffness of the gas −dp/dV, Pa/m³
+        planes: Planes,  # of the moving nodes
+        # friction, none by default. The forces have no energy then, and the step goes to where they
+        # are in balance.
         grip: Grip | None = None,
     ) -> None:
         self._factoriser, self._blocks, self._data = factoriser, blocks, data

@@ -85,16 +85,6 @@ class FrictionForward:
     with its exact derivative, which is not symmetric where nodes slip, and an active set of the
     nodes that touch. A node sticks from the end of the step in which it was touched.
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-        P0 and V0 of the reference configuration.
-    friction : float
-        Coefficient μ, above 0.
-    rounding_m : float, optional
-        Radius that sharp edges of the objects are given, m.
-
     Raises
     ------
     InputError
@@ -102,7 +92,11 @@ class FrictionForward:
     """
 
     def __init__(
-        self, membrane: RubberMembrane, gas: Gas, friction: float, rounding_m: float = 0.0
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,  # P0 and V0 of the reference configuration
+        friction: float,  # coefficient μ, above 0
+        rounding_m: float = 0.0,  # radius that sharp edges of the objects are given, m
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self.friction = checked_friction(friction)
@@ -112,18 +106,15 @@ class FrictionForward:
         self._weight = float(np.abs(rest.diagonal()).mean())
 
     def follow(
-        self, obj: RigidObject, poses: Iterable[np.ndarray], start: RubberContact | None = None
+        self,
+        obj: RigidObject,
+        # (4, 4), T_B_O. Where the first already touches, the object has come there along −z of B.
+        poses: Iterable[np.ndarray],
+        # a contact at the first pose, without friction so far, in which the nodes stick from then
+        # on
+        start: RubberContact | None = None,
     ) -> Iterator[FrictionContact]:
         """Equilibria with the object at poses, one after the other.
-
-        Parameters
-        ----------
-        obj : RigidObject
-        poses : (4, 4) arrays
-            T_B_O. Where the first already touches, the object has come there along −z of B.
-        start : RubberContact, optional
-            A contact at the first pose, without friction so far, in which the nodes stick from
-            then on.
 
         Raises
         ------

@@ -34,30 +34,15 @@ class Friction(NamedTuple):
     @classmethod
     def at(
         cls,
+        # (k, 3), from the nodes' anchors to the nodes, m; NaN where they have none
         away: np.ndarray,
-        pull: np.ndarray,
-        load: np.ndarray,
-        planes: Planes,
-        coefficient: float,
-        weight: float,
+        pull: np.ndarray,  # (k, 3), q so far, N
+        load: np.ndarray,  # (k,), f_n, N
+        planes: Planes,  # the object's, at the nodes
+        coefficient: float,  # μ
+        weight: float,  # r, N/m
     ) -> Friction:
-        """The law.
-
-        Parameters
-        ----------
-        away : (k, 3) array
-            From the nodes' anchors to the nodes, m; NaN where they have none.
-        pull : (k, 3) array
-            q so far, N.
-        load : (k,) array
-            f_n, N.
-        planes : Planes
-            The object's, at the nodes.
-        coefficient : float
-            μ.
-        weight : float
-            r, N/m.
-        """
+        """The law."""
         anchored, normal = np.isfinite(away[:, 0]) & (load > 0.0), planes.normal
         plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
         s = np.einsum("kij,kj->ki", plane, np.where(anchored[:, None], away, 0.0))

@@ -18,17 +18,15 @@ _SMALLEST_STEP = 0.005
 
 
 class Inflation:
-    """Equilibria of a membrane that nothing touches.
+    """Equilibria of a membrane that nothing touches."""
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    rest_force_n : (n, 3) array, optional
-        Forces f on the nodes beside the gas's: those that hold the reference surface where not
-        given, 0 for a membrane whose mesh is not the equilibrium.
-    """
-
-    def __init__(self, membrane: RubberMembrane, rest_force_n: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        membrane: RubberMembrane,
+        # (n, 3), forces f on the nodes beside the gas's: those that hold the reference surface
+        # where not given, 0 for a membrane whose mesh is not the equilibrium
+        rest_force_n: np.ndarray | None = None,
+    ) -> None:
         self.membrane = membrane
         self._rest = membrane.rest_force if rest_force_n is None else rest_force_n
         self._factoriser = Factoriser(membrane.tangent(membrane.mesh.nodes, 0.0))

@@ -53,15 +53,13 @@ class ObjectSurface:
     Facets that meet at a blunt angle are parts of a smooth surface, whose normal is interpolated
     between their corners; others keep their edge, or are rounded. An object that is not watertight
     is a sheet, and presses from outside.
-
-    Parameters
-    ----------
-    obj : RigidObject
-    rounding_m : float, optional
-        Radius of sharp edges; see `rounded_object`.
     """
 
-    def __init__(self, obj: RigidObject, rounding_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        obj: RigidObject,
+        rounding_m: float = 0.0,  # radius of sharp edges; see `rounded_object`
+    ) -> None:
         self.object = obj
         triangles, corners = obj.triangles, obj.vertices[obj.triangles]
         vectors = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -82,18 +80,14 @@ class ObjectSurface:
         self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
 
     def planes(
-        self, points: np.ndarray, outward: np.ndarray, T_B_O: np.ndarray, reach_m: float
+        self,
+        # points, outward: (k, 3), in B: places on the membrane, m, and its unit normals there
+        points: np.ndarray,
+        outward: np.ndarray,
+        T_B_O: np.ndarray,  # (4, 4)
+        reach_m: float,  # points further from the object than this have no condition
     ) -> Planes:
-        """Conditions on points near the object.
-
-        Parameters
-        ----------
-        points, outward : (k, 3) array
-            In B: places on the membrane, m, and its unit normals there.
-        T_B_O : (4, 4) array
-        reach_m : float
-            Points further from the object than this have no condition.
-        """
+        """Conditions on points near the object."""
         R = T_B_O[:3, :3]
         x, out = (points - T_B_O[:3, 3]) @ R, outward @ R
         gap, normal, turn = Planes.nowhere(len(x))

@@ -19,17 +19,14 @@ _TRIES = 4
 """Times that a radius too large for an object's thinnest part or finest fillet is halved."""
 
 
-def core_of(obj: RigidObject, radius_m: float) -> tuple[np.ndarray, float]:
+def core_of(
+    obj: RigidObject,  # watertight, counter-clockwise seen from outside
+    radius_m: float,
+) -> tuple[np.ndarray, float]:
     """Vertices (n, 3) of an object moved inward until its facets are a radius deeper, and that, m.
 
     Places at the radius from this core are on the object's faces, and on rounded edges between
     them. The radius is a fraction of the one given, or 0, where the core would turn inside out.
-
-    Parameters
-    ----------
-    obj : RigidObject
-        Watertight, counter-clockwise seen from outside.
-    radius_m : float
     """
     inward = _inward(obj)
     vectors = _vectors(obj.vertices, obj.triangles)

@@ -61,19 +61,17 @@ class Missed:
 class RubberAndGas:
     """A membrane and its gas.
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-        P0 and V0 of the reference configuration.
-
     Attributes
     ----------
     reach_m : float
         Nodes further from an object than this do not know of it.
     """
 
-    def __init__(self, membrane: RubberMembrane, gas: Gas) -> None:
+    def __init__(
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,  # P0 and V0 of the reference configuration
+    ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self.reach_m = 2.0 * self.mesh.edge_length
         self._rest_volume = membrane.volume(self.mesh.nodes)
@@ -107,25 +105,13 @@ class RubberAndGas:
 
     def missed(
         self,
-        x: np.ndarray,
-        load: np.ndarray,
+        x: np.ndarray,  # (n, 3)
+        load: np.ndarray,  # (n,), along the normals of the planes, N
         planes: Planes,
-        across: np.ndarray | None = None,
-        off_n: float = 0.0,
+        across: np.ndarray | None = None,  # (n, 3), the forces across the normals, N
+        off_n: float = 0.0,  # by how much their law is missed, N
     ) -> Missed:
-        """How far nodes at x (n, 3) are from equilibrium under contact forces.
-
-        Parameters
-        ----------
-        x : (n, 3) array
-        load : (n,) array
-            Along the normals of the planes, N.
-        planes : Planes
-        across : (n, 3) array, optional
-            The forces across the normals, N.
-        off_n : float
-            By how much their law is missed, N.
-        """
+        """How far nodes at x (n, 3) are from equilibrium under contact forces."""
         pressure, _ = self.gas_at(x)
         if not np.isfinite(pressure):
             return Missed(np.inf, np.inf)

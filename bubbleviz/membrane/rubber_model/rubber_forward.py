@@ -68,17 +68,14 @@ class RubberForward:
     far away as flat triangles would cut into it. It starts from the linear model's
     equilibrium, and where that fails moves the object in from outside in steps. What it finds does
     not depend on the poses before.
-
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-        P0 and V0 of the reference configuration.
-    rounding_m : float, optional
-        Radius that sharp edges of the objects are given, m.
     """
 
-    def __init__(self, membrane: RubberMembrane, gas: Gas, rounding_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,  # P0 and V0 of the reference configuration
+        rounding_m: float = 0.0,  # radius that sharp edges of the objects are given, m
+    ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self._pressed = RubberAndGas(membrane, gas)
         self._rounding_m = rounding_m
@@ -90,22 +87,14 @@ class RubberForward:
     def press(
         self,
         obj: RigidObject,
-        T_B_O: np.ndarray,
-        near: PressStart | None = None,
+        T_B_O: np.ndarray,  # (4, 4)
+        near: PressStart | None = None,  # where to look first
         *,
+        # be content with what is found from there and from the linear model's equilibrium, even if
+        # it has not converged
         quick: bool = False,
     ) -> RubberContact:
         """Equilibrium with the object at the pose.
-
-        Parameters
-        ----------
-        obj : RigidObject
-        T_B_O : (4, 4) array
-        near : PressStart, optional
-            Where to look first.
-        quick : bool, optional
-            Be content with what is found from there and from the linear model's equilibrium, even
-            if it has not converged.
 
         Raises
         ------

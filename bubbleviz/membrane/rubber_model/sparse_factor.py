@@ -141,25 +141,15 @@ class NodeBlocks:
 
     def held(
         self,
-        data: np.ndarray,
-        nodes: np.ndarray,
-        normals: np.ndarray,
-        grip: Grip | None = None,
+        data: np.ndarray,  # (nnz,), of K
+        nodes: np.ndarray,  # (k,) int
+        normals: np.ndarray,  # (k, 3), unit; s is of the size of K's diagonal
+        grip: Grip | None = None,  # of these nodes, without drag where they are stuck
     ) -> np.ndarray:
         """Data of Q K P + s (I − P): K where some nodes only move across their normals.
 
         P takes from a node's motion the part along its normal, or all of it where it is stuck, and
         Q the same from its force, to which it adds as much of the drag.
-
-        Parameters
-        ----------
-        data : (nnz,) array
-            Of K.
-        nodes : (k,) int array
-        normals : (k, 3) array
-            Unit; s is of the size of K's diagonal.
-        grip : Grip, optional
-            Of these nodes, without drag where they are stuck.
         """
         planes = np.broadcast_to(np.eye(3), (len(self._diagonal), 3, 3)).copy()
         lines = normals[:, :, None] * normals[:, None, :]

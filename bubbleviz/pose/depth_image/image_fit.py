@@ -53,18 +53,13 @@ class PredictedImage:
 
 
 class ImageFit:
-    """Fits the pose of one object to depth images.
-
-    Parameters
-    ----------
-    observer : RangeObserver
-    pressed : PressedMembrane
-        Of that object, on the observer's mesh.
-    options : ImageOptions
-    """
+    """Fits the pose of one object to depth images."""
 
     def __init__(
-        self, observer: RangeObserver, pressed: PressedMembrane, options: ImageOptions
+        self,
+        observer: RangeObserver,
+        pressed: PressedMembrane,  # of that object, on the observer's mesh
+        options: ImageOptions,
     ) -> None:
         self._observer, self._pressed, self._options = observer, pressed, options
         camera = observer.camera
@@ -84,15 +79,16 @@ class ImageFit:
 
     def step(
         self,
-        change_m: np.ndarray,
+        change_m: np.ndarray,  # (k,), `RangeObserver.pixel_residuals` of the depth image
         contact: ContactPoints,
-        T_B_O: np.ndarray,
-        directions: Directions,
-        known: np.ndarray,
-        pull: np.ndarray,
+        T_B_O: np.ndarray,  # (4, 4)
+        directions: Directions,  # which of them the contact determines
+        known: np.ndarray,  # (6, 6), information there is already
+        pull: np.ndarray,  # (6,), gradient of what is known at `T_B_O`
         *,
+        # way of the patch's edge over which the last linear model may be used again
         valid_m: float,
-        gas_pressure_pa: float | None = None,
+        gas_pressure_pa: float | None = None,  # measured, absolute
     ) -> ImageStep | None:
         """One Gauss–Newton step; None where the model finds no equilibrium.
 
@@ -100,23 +96,6 @@ class ImageFit:
         gas as well: it may be off as a motion in the directions that the contact determines would
         move it, so that these are known from the faces, and the other directions from what is
         around.
-
-        Parameters
-        ----------
-        change_m : (k,) array
-            `RangeObserver.pixel_residuals` of the depth image.
-        contact : ContactPoints
-        T_B_O : (4, 4) array
-        directions : Directions
-            Which of them the contact determines.
-        known : (6, 6) array
-            Information there is already.
-        pull : (6,) array
-            Gradient of what is known at `T_B_O`.
-        valid_m : float
-            Way of the patch's edge over which the last linear model may be used again.
-        gas_pressure_pa : float, optional
-            Measured, absolute.
         """
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:

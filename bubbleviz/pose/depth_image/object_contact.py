@@ -103,22 +103,13 @@ class Touching:
 
 
 class ObjectContact:
-    """Finds where one object touches a membrane whose nodes move.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    spacing_m : float
-        Distance of the points on the object.
-    pressure_pa, tension_n_per_m : float
-        Under which a face and an edge sink in by the softness.
-    options : PressOptions
-    """
+    """Finds where one object touches a membrane whose nodes move."""
 
     def __init__(
         self,
         model: ObjectModel,
-        spacing_m: float,
+        spacing_m: float,  # distance of the points on the object
+        # pressure_pa, tension_n_per_m: under which a face and an edge sink in by the softness
         pressure_pa: float,
         tension_n_per_m: float,
         options: PressOptions,

@@ -47,18 +47,14 @@ class Press:
 
 
 class PressedMembrane:
-    """Presses one object into a membrane, pose after pose.
-
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-    model : ObjectModel
-    options : PressOptions
-    """
+    """Presses one object into a membrane, pose after pose."""
 
     def __init__(
-        self, membrane: RubberMembrane, gas: Gas, model: ObjectModel, options: PressOptions
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,
+        model: ObjectModel,
+        options: PressOptions,
     ) -> None:
         self.mesh = membrane.mesh
         self._membrane, self._gas, self._options = membrane, gas, options
@@ -78,18 +74,12 @@ class PressedMembrane:
         self._object.forget()
 
     def press(
-        self, T_B_O: np.ndarray, contact: ContactPoints, gas_pressure_pa: float | None = None
+        self,
+        T_B_O: np.ndarray,  # (4, 4)
+        contact: ContactPoints,  # where to look for contact, and the membrane to begin with
+        gas_pressure_pa: float | None = None,  # absolute; by the gas law where it is not measured
     ) -> Press | None:
-        """Press the object at a pose (4, 4); None where no equilibrium is found.
-
-        Parameters
-        ----------
-        T_B_O : (4, 4) array
-        contact : ContactPoints
-            Where to look for contact, and the membrane to begin with.
-        gas_pressure_pa : float, optional
-            Absolute; by the gas law where it is not measured.
-        """
+        """Press the object at a pose (4, 4); None where no equilibrium is found."""
         window = self._around(contact)
         if self._last is not None:
             start = _followed(self._last, T_B_O, self._options.longest_step_m)
