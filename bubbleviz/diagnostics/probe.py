@@ -36,11 +36,7 @@ class Probed:
 class Probe:
     """Finds places in results of one camera and membrane."""
 
-    def __init__(
-        self,
-        camera: DepthCamera,
-        mesh: MembraneMesh,
-    ) -> None:
+    def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
         self._camera, self._mesh = camera, mesh
 
     def at_pixel(self, pixel: Pixel, result: Result) -> Probed | None:

@@ -145,7 +145,7 @@ def result_arrays(
     results: Sequence[Result],  # with their estimates and patches
     mesh: MembraneMesh,
 ) -> dict[str, np.ndarray]:
-    """Arrays of RESULT.npz but its masks: numbers of each frame, nodal fields, reference surface."""
+    """Arrays of RESULT.npz but its masks: numbers of frames, nodal fields, reference surface."""
     fields = [nodal_fields(result, mesh) for result in results]
     rows = [summary_row(result) for result in results]
     add_measured_force(rows)

@@ -83,12 +83,7 @@ class Solver:
             self._image.forget()
 
     def solve(
-        self,
-        frame: Frame,
-        contact: ContactPoints,
-        predicted: Motion,
-        *,
-        settled: bool,
+        self, frame: Frame, contact: ContactPoints, predicted: Motion, *, settled: bool
     ) -> Solution:
         """Both stages from a prediction, which `settled` says is close."""
         stages = self._options.stages
@@ -110,11 +105,7 @@ class Solver:
         return Solution(first, second, times, motion)
 
     def best(
-        self,
-        frame: Frame,
-        contact: ContactPoints,
-        starts: np.ndarray,
-        finalists: int,
+        self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
     ) -> Solution | None:
         """Both stages from those of the starts (s, 4, 4) that fit best; None where none does."""
         stages = self._options.stages

@@ -41,11 +41,7 @@ _NEWTON_STEPS = 40
 class ObjectPatchFinder:
     """Finds the patch of one object, each frame's from the press of the one before."""
 
-    def __init__(
-        self,
-        sensor: SensorModel,
-        obj: ObjectModel,
-    ) -> None:
+    def __init__(self, sensor: SensorModel, obj: ObjectModel) -> None:
         self._sensor, self._object = sensor, obj
         self._press: _FinePress | None = None
 

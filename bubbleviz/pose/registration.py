@@ -119,11 +119,7 @@ _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 class Registration:
     """Fits one object to contact points."""
 
-    def __init__(
-        self,
-        model: ObjectModel,
-        precision: Precision,
-    ) -> None:
+    def __init__(self, model: ObjectModel, precision: Precision) -> None:
         self.model, self.precision = model, precision
 
     def stage_one(

@@ -53,10 +53,7 @@ def _hull(vertices: np.ndarray) -> ConvexHull | None:
 class StartFinder:
     """Lists coarse starts of one object, the most promising first."""
 
-    def __init__(
-        self,
-        model: ObjectModel,
-    ) -> None:
+    def __init__(self, model: ObjectModel) -> None:
         self._model = model
         self._directions = touching_directions(model)
         heights = model.obj.vertices @ self._directions.T

@@ -134,10 +134,7 @@ class PipelineProcess:
 
 
 def _prepared(
-    sensor: Sensor,
-    intrinsics: Intrinsics,
-    options: EstimatorOptions,
-    products: frozenset[Product],
+    sensor: Sensor, intrinsics: Intrinsics, options: EstimatorOptions, products: frozenset[Product]
 ) -> Pipeline:
     pipeline = Pipeline.of(sensor, intrinsics, options)
     pipeline.prepare(products)

@@ -65,11 +65,7 @@ class Factor:
         return out
 
     def solve_with(
-        self,
-        right: np.ndarray,
-        vector: np.ndarray,
-        weight: float,
-        across: np.ndarray | None = None,
+        self, right: np.ndarray, vector: np.ndarray, weight: float, across: np.ndarray | None = None
     ) -> np.ndarray:
         """(K + w v aᵀ)⁻¹ b by Sherman and Morrison.
 

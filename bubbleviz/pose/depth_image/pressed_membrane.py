@@ -50,11 +50,7 @@ class PressedMembrane:
     """Presses one object into a membrane, pose after pose."""
 
     def __init__(
-        self,
-        membrane: RubberMembrane,
-        gas: Gas,
-        model: ObjectModel,
-        options: PressOptions,
+        self, membrane: RubberMembrane, gas: Gas, model: ObjectModel, options: PressOptions
     ) -> None:
         self.mesh = membrane.mesh
         self._membrane, self._gas, self._options = membrane, gas, options
