@@ -43,10 +43,7 @@ from bubbleviz.study.harness import (
     summaries,
 )
 
-EDGE_OBJECTS = tuple(
-    str(Path(__file__).with_name("objects") / f"{name}.ply")
-    for name in ("ring", "rounded_cross", "unequal_balls", "ell", "thin_bar", "small_nut")
-)
+EDGE_OBJECTS = tuple(map(str, sorted(Path(__file__).with_name("objects").glob("*.ply"))))
 """Made to judge the edge; no constant was chosen on them."""
 SETUPS = (accuracy.RUBBER, accuracy.Setup("rubber-base"))
 """With the finer mesh at the contact, and without."""

@@ -37,16 +37,12 @@ class EdgeBound:
     iou: float
 
 
-def edge_bound(estimator: RubberEstimator, sighting: Sighting, degree: int) -> EdgeBound:
-    """Bound for one press under the noise that the estimator was told.
-
-    Parameters
-    ----------
-    estimator : RubberEstimator
-    sighting : Sighting
-    degree : int
-        Of the fields, `PLACE` or `SHAPE`.
-    """
+def edge_bound(
+    estimator: RubberEstimator,
+    sighting: Sighting,
+    degree: int,  # of the fields, `PLACE` or `SHAPE`
+) -> EdgeBound:
+    """Bound for one press under the noise that the estimator was told."""
     truth, own, mesh = sighting.truth, sighting.mesh, estimator.mesh
     touching = truth.contact_pressure_pa > 0.0
     places = own.nodes[touching]

@@ -27,15 +27,12 @@ OBJECT = "hex_nut"
 
 
 class Rest:
-    """Puts everything in a window away, and opens all of it once.
+    """Puts everything in a window away, and opens all of it once."""
 
-    Parameters
-    ----------
-    session : WindowSession
-        What it shows now is what it shows at rest.
-    """
-
-    def __init__(self, session: WindowSession) -> None:
+    def __init__(
+        self,
+        session: WindowSession,  # what it shows now is what it shows at rest
+    ) -> None:
         self._session = session
         self._choices, self._panels = session.state.choices, session.window.open_panels.names
 

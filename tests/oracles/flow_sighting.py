@@ -17,15 +17,9 @@ _HIDDEN_M = 1e-3
 
 
 class FlowSighting(NamedTuple):
-    """A frame of both cameras, which are one.
+    """A frame of both cameras, which are one."""
 
-    Attributes
-    ----------
-    depth_m : (H, W) float32 array
-    flow : FlowField
-    """
-
-    depth_m: np.ndarray
+    depth_m: np.ndarray  # (H, W) float32
     flow: FlowField
 
 

@@ -32,77 +32,40 @@ _START = 1e-5
 
 @dataclass(frozen=True)
 class Meridian:
-    """A solution along the meridian, from the axis to the rim.
+    """A solution along the meridian, from the axis to the rim."""
 
-    Attributes
-    ----------
-    s_m : (k,) array
-        Arc length on the sheet or dome that the stretches are measured from, m.
-    r_m, z_m : (k,) array
-        m.
-    stretches : (k, 2) array
-        λ1 and λ2 over the stress-free material.
-    tensions_n_per_m : (k, 2) array
-        T1 and T2.
-    volume_m3 : float
-        Under the membrane, m³.
-    """
-
-    s_m: np.ndarray
+    s_m: np.ndarray  # (k,), arc length on the sheet or dome that the stretches are measured from, m
+    # r_m, z_m: (k,), m
     r_m: np.ndarray
     z_m: np.ndarray
-    stretches: np.ndarray
-    tensions_n_per_m: np.ndarray
-    volume_m3: float
+    stretches: np.ndarray  # (k, 2), λ1 and λ2 over the stress-free material
+    tensions_n_per_m: np.ndarray  # (k, 2), T1 and T2
+    volume_m3: float  # under the membrane, m³
 
 
 @dataclass(frozen=True)
 class RubberPress:
-    """Exact equilibrium of a rubber membrane pressed on its axis.
-
-    Attributes
-    ----------
-    meridian : Meridian
-    contact_radius_m : float
-        Of the circle where the membrane leaves the object, m.
-    gas_pressure_change_pa : float
-        p_v, Pa.
-    force_n : float
-        On the object along the axis, N.
-    """
+    """Exact equilibrium of a rubber membrane pressed on its axis."""
 
     meridian: Meridian
-    contact_radius_m: float
-    gas_pressure_change_pa: float
-    force_n: float
+    contact_radius_m: float  # of the circle where the membrane leaves the object, m
+    gas_pressure_change_pa: float  # p_v, Pa
+    force_n: float  # on the object along the axis, N
 
 
 @dataclass(frozen=True)
 class AxialRubber:
-    """A round rubber membrane under gauge pressure, at rest.
-
-    Attributes
-    ----------
-    rim_radius_m : float
-    mu_h_n_per_m : float
-    prestretch : float
-        λ of the dome at rest, or of the flat sheet before it is inflated.
-    gauge_pressure_pa : float
-    dome_height_m : float or None
-        Height of a dome whose tension is the same everywhere at rest, so that
-        G R / 2 = μh (1 − λ⁻⁶); None: a sheet that was flat before G bulged it.
-    atmospheric_pressure_pa : float
-    chamber_volume_m3 : float
-        Gas behind the rim plane, m³.
-    """
+    """A round rubber membrane under gauge pressure, at rest."""
 
     rim_radius_m: float
     mu_h_n_per_m: float
-    prestretch: float
+    prestretch: float  # λ of the dome at rest, or of the flat sheet before it is inflated
     gauge_pressure_pa: float
+    # height of a dome whose tension is the same everywhere at rest, so that G R / 2 = μh (1 − λ⁻⁶);
+    # None: a sheet that was flat before G bulged it
     dome_height_m: float | None = None
     atmospheric_pressure_pa: float = 101_325.0
-    chamber_volume_m3: float = 3e-4
+    chamber_volume_m3: float = 3e-4  # gas behind the rim plane, m³
 
     @classmethod
     def dome(
@@ -144,15 +107,12 @@ class AxialRubber:
         return float(self.rest.z_m[0])
 
     def press(
-        self, depth_m: float, ball_radius_m: float = np.inf, face_radius_m: float = np.inf
+        self,
+        depth_m: float,
+        ball_radius_m: float = np.inf,
+        face_radius_m: float = np.inf,  # of the sharp edge that ends ball or plate
     ) -> RubberPress:
         """Press a ball, or a plate where the radius is infinite, `depth_m` below the apex.
-
-        Parameters
-        ----------
-        depth_m, ball_radius_m : float
-        face_radius_m : float, optional
-            Of the sharp edge that ends ball or plate.
 
         Raises
         ------
