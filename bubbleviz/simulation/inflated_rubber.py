@@ -9,7 +9,6 @@ from functools import cached_property, partial
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.inflation import Inflation
@@ -58,29 +57,6 @@ class InflatedRubber:
             chamber_volume_m3=CHAMBER_M3,
             tension_n_per_m=self.tension_n_per_m,
         )
-
-    def rubber(self, mesh: MembraneMesh) -> RubberMembrane:
-        """The membrane in equilibrium at rest, on a mesh with its nodes on the facets of `rest`."""
-        place = TriangleScene(self.rest.nodes, self.rest.triangles).closest(mesh.nodes)
-        corners = self.sheet.nodes[self.sheet.triangles[place.triangle]]
-        flat = replace(mesh, nodes=np.einsum("ij,ijk->ik", place.barycentric, corners))
-        free = self.sheet_stretch**2 * inverse_metric(flat)
-        material = self.gauge_pressure_pa, free, self.mu_h_n_per_m
-        inflation = Inflation(RubberMembrane(mesh, *material), np.zeros_like(mesh.nodes))
-        bulged = replace(mesh, nodes=inflation.at(self.gauge_pressure_pa, mesh.nodes))
-        return RubberMembrane(bulged, *material)
-
-    def resting(self, nodes: int) -> MembraneMesh:
-        """Another mesh of the membrane at rest, of about so many nodes, all on its facets."""
-        height = float(self.rest.nodes[:, 2].max())
-        mesh = mesh_cap(EllipsoidalCap.of(self.rim_semi_axes_m, height), nodes)
-        inner = ~mesh.rim
-        rays = np.zeros((int(inner.sum()), 6))
-        rays[:, :2], rays[:, 2], rays[:, 5] = mesh.nodes[inner, :2], 1.0, -1.0
-        met = TriangleScene(self.rest.nodes, self.rest.triangles).cast(rays)
-        points = mesh.nodes.copy()
-        points[inner, 2] = 1.0 - met.distance
-        return replace(mesh, nodes=points)
 
     @property
     def prestretch(self) -> float:
