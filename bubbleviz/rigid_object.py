@@ -41,10 +41,7 @@ def load_object(
 
     An object that is loaded already comes back as it is.
 
-    Raises
-    ------
-    InputError
-        See `object_mesh`.
+    Raises InputError: see `object_mesh`.
     """
     if isinstance(name, RigidObject):
         return name
@@ -66,10 +63,8 @@ def object_mesh(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) in m and triangles (m, 3) of an object's file.
 
-    Raises
-    ------
-    InputError
-        Unreadable, or above 1 m or below 0.5 mm in size: a unit mistaken for another.
+    Raises InputError: unreadable, or above 1 m or below 0.5 mm in size: a unit mistaken for
+    another.
     """
     path = Path(path)
     vertices, triangles = read_triangles(path)

@@ -41,11 +41,8 @@ class SensorModel:
     ) -> SensorModel:
         """Build what a sensor file describes.
 
-        Raises
-        ------
-        InputError
-            The recording's intrinsics are for another image size than the sensor's camera, or
-            mesh or pixels cannot be read.
+        Raises InputError: the recording's intrinsics are for another image size than the sensor's
+        camera, or mesh or pixels cannot be read.
         """
         own, pixels = sensor.camera, None
         shape = own.height, own.width

@@ -54,10 +54,7 @@ class PixelModel:
     def load(cls, path: Path, shape: tuple[int, int] | None = None) -> PixelModel:
         """Read a pixels file (NPZ) and check that it is for images of `shape`, where given.
 
-        Raises
-        ------
-        InputError
-            The file is unreadable, incomplete or of another image size.
+        Raises InputError: the file is unreadable, incomplete or of another image size.
         """
         try:
             with np.load(path) as data:

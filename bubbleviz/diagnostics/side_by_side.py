@@ -73,10 +73,7 @@ class SideBySide:
     ) -> Measured:
         """Process a frame with a setting.
 
-        Raises
-        ------
-        InputError
-            The setting is impossible.
+        Raises InputError: the setting is impossible.
         """
         pipeline = self._pipeline(options)
         if settled or not pipeline.counts:

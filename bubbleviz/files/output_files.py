@@ -22,10 +22,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Write a file or a folder at the temporary path, which does not exist yet and ends like
     `path` (some writers choose the format by it). When the block raises, nothing remains.
 
-    Raises
-    ------
-    InputError
-        `path` exists, its folder does not, or the disk refuses.
+    Raises InputError: `path` exists, its folder does not, or the disk refuses.
     """
     path = Path(path)
     refuse_existing(path)

@@ -36,10 +36,7 @@ _Columns = Mapping[str, np.ndarray | list[np.ndarray]]
 def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     """Vertices (n, 3) and polygons, each an int array grouped by size (k, corners).
 
-    Raises
-    ------
-    ValueError
-        Not a PLY, truncated, or without vertices and faces.
+    Raises ValueError: not a PLY, truncated, or without vertices and faces.
     """
     header, body = _split(path.read_bytes())
     is_ascii, elements = _parse_header(header)

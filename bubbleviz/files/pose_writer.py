@@ -90,10 +90,7 @@ def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]
     The areas of both patches are columns where any frame has that by the object. A TUM line is
     `time x y z qx qy qz qw`, s and m.
 
-    Raises
-    ------
-    InputError
-        The file exists or cannot be written.
+    Raises InputError: the file exists or cannot be written.
     """
     rows = list(rows)
     with whole_file(path) as temporary:

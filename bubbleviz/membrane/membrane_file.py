@@ -26,10 +26,7 @@ def load_membrane(path: str | Path) -> MembraneMesh:
     The open boundary is the rim, held at z ≈ 0 (it need not be exactly plane; the cap volume
     is that above z = 0). Triangles are turned so that normals point out, to +z.
 
-    Raises
-    ------
-    InputError
-        One line with the file, the edge, triangle or node at fault, and what to do.
+    Raises InputError: one line with the file, the edge, triangle or node at fault, and what to do.
     """
     nodes, triangles = read_triangles(path)
     try:

@@ -23,10 +23,7 @@ def build_mesh(
 ) -> MembraneMesh:
     """Mesh of the sensor's reference surface S0.
 
-    Raises
-    ------
-    InputError
-        The surface cannot be built; names the file and the place.
+    Raises InputError: the surface cannot be built; names the file and the place.
     """
     membrane = sensor.membrane
     cap = cap_of(sensor)
@@ -46,10 +43,7 @@ def _meshed(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
 def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
     """Analytic reference surface of a sensor; None where a mesh file gives it.
 
-    Raises
-    ------
-    InputError
-        Numbers of the surface are missing.
+    Raises InputError: numbers of the surface are missing.
     """
     membrane = sensor.membrane
     if membrane.shape == "mesh":
@@ -66,10 +60,7 @@ def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
     """Tension γ0 in N/m: the sensor file's, else what holds the gauge pressure (Eq. 2).
 
-    Raises
-    ------
-    InputError
-        The surface is flat or hollow, so that no tension holds it.
+    Raises InputError: the surface is flat or hollow, so that no tension holds it.
     """
     given = sensor.pneumatics.tension_n_per_m
     if given is not None:

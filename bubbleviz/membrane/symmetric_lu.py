@@ -18,10 +18,7 @@ def symmetric_lu(
 
     Takes a fraction of the time of `splu` as it is, whose order (COLAMD) knows no symmetry.
 
-    Raises
-    ------
-    RuntimeError
-        The matrix is singular.
+    Raises RuntimeError: the matrix is singular.
     """
     return splu(
         matrix,

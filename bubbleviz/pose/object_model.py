@@ -98,9 +98,7 @@ class ObjectModel:
 def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     """Refuse an object that is in other units than the bubble.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     size = float(np.ptp(obj.vertices, axis=0).max())
     bubble = float(np.ptp(mesh.nodes, axis=0).max())

@@ -30,10 +30,7 @@ from bubbleviz.rigid_object import RigidObject
 class PoseTracker:
     """Pose of one object in each frame.
 
-    Raises
-    ------
-    InputError
-        The object has no area, or is in other units than the bubble.
+    Raises InputError: the object has no area, or is in other units than the bubble.
     """
 
     def __init__(

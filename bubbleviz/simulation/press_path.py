@@ -30,10 +30,7 @@ def press_path(
 ) -> np.ndarray:
     """Poses T_B_O (frames, 4, 4): clear of the membrane, pressed in, dragged, twisted, held.
 
-    Raises
-    ------
-    InputError
-        Fewer frames, or a way or turn that is out of range.
+    Raises InputError: fewer frames, or a way or turn that is out of range.
     """
     if frames < FEWEST:
         raise InputError(f"{frames} frames: drag and twist take {FEWEST} or more")

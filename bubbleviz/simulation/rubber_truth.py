@@ -59,10 +59,7 @@ class RubberPresses:
     def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
 
-        Raises
-        ------
-        SolveError
-            No equilibrium was found.
+        Raises SolveError: no equilibrium was found.
         """
         mesh, contact = refined_press(
             self.rubber, partial(Gas.of, self.pneumatics), self.mesh, model.obj, T_B_O

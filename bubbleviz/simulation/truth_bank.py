@@ -74,10 +74,7 @@ class LinearPresses:
     def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
 
-        Raises
-        ------
-        InputError, SolveError
-            The pose cuts the rim, or has no equilibrium.
+        Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
         """
         mesh = self.mesh
         forward = ForwardModel(mesh, self.model.tension_n_per_m, Gas.of(self.pneumatics, mesh))
@@ -120,10 +117,7 @@ class TruthBank:
     def sighting(self, press: Press) -> Sighting:
         """Solve a press, or remember it.
 
-        Raises
-        ------
-        InputError, SolveError
-            The pose cuts the rim, or has no equilibrium.
+        Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
         """
         if press not in self._sightings:
             self._sightings[press] = self._kept(press)

@@ -82,10 +82,7 @@ class KnownRecording:
 def read_truth(path: Path) -> dict[str, np.ndarray]:
     """Arrays of a TRUTH.npz by `KEYS` and as many of `MORE` as it has, each with a row a frame.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, or is no truth of a simulation.
+    Raises InputError: it cannot be read, or is no truth of a simulation.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

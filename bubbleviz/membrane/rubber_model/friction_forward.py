@@ -85,10 +85,7 @@ class FrictionForward:
     with its exact derivative, which is not symmetric where nodes slip, and an active set of the
     nodes that touch. A node sticks from the end of the step in which it was touched.
 
-    Raises
-    ------
-    InputError
-        μ is out of range.
+    Raises InputError: μ is out of range.
     """
 
     def __init__(
@@ -116,10 +113,7 @@ class FrictionForward:
     ) -> Iterator[FrictionContact]:
         """Equilibria with the object at poses, one after the other.
 
-        Raises
-        ------
-        InputError
-            A pose is no rigid transform in metres.
+        Raises InputError: a pose is no rigid transform in metres.
         """
         surface, state = ObjectSurface(obj, self._rounding_m), None
         for each in poses:

@@ -37,10 +37,7 @@ class Inflation:
         Newton's method down the energy from `near` or else from the reference surface, in steps of
         pressure that shrink where they fail.
 
-        Raises
-        ------
-        SolveError
-            No stable equilibrium: the pressure is beyond the membrane's limit.
+        Raises SolveError: no stable equilibrium: the pressure is beyond the membrane's limit.
         """
         found = None if near is None else self._solve(pressure_pa, near)
         if found is not None:

@@ -96,10 +96,7 @@ class RubberForward:
     ) -> RubberContact:
         """Equilibrium with the object at the pose.
 
-        Raises
-        ------
-        InputError
-            The pose is no rigid transform in metres.
+        Raises InputError: the pose is no rigid transform in metres.
         """
         pose = checked_pose(T_B_O)
         surface = self._surface_of(obj)

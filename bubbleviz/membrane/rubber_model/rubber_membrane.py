@@ -101,10 +101,7 @@ class RubberMembrane:
     Positions x are (n, 3) arrays in m in the bubble frame. Vectors and matrices over the moving
     nodes have three rows a node, in the order of `moving`.
 
-    Raises
-    ------
-    InputError
-        A stress-free triangle has no area, or a number is negative or not finite.
+    Raises InputError: a stress-free triangle has no area, or a number is negative or not finite.
     """
 
     def __init__(
@@ -153,10 +150,7 @@ class RubberMembrane:
     ) -> RubberMembrane:
         """Membrane of the same tension γ0 everywhere.
 
-        Raises
-        ------
-        InputError
-            λ is not above 1, or γ0 not above 0.
+        Raises InputError: λ is not above 1, or γ0 not above 0.
         """
         prestretch = FAR_STRETCHED if prestretch is None else prestretch
         mu_h = shear_stiffness(tension_n_per_m, prestretch)
@@ -368,10 +362,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
     """μh = γ0 / (1 − λ⁻⁶) of rubber stretched by λ both ways under a tension γ0, N/m.
 
-    Raises
-    ------
-    InputError
-        λ is not above 1, or γ0 not above 0.
+    Raises InputError: λ is not above 1, or γ0 not above 0.
     """
     if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
         raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")

@@ -40,10 +40,7 @@ class Factoriser:
     def factor(self, data: np.ndarray) -> Factor:
         """Factorise the matrix of the pattern with these data (nnz,).
 
-        Raises
-        ------
-        RuntimeError
-            The matrix is singular.
+        Raises RuntimeError: the matrix is singular.
         """
         shape = (len(self._order), len(self._order))
         matrix = sparse.csc_array((data[self._places], self._indices, self._indptr), shape=shape)
