@@ -77,6 +77,14 @@ def test_force_of_a_press(name, ball):
     assert force(contact) == pytest.approx(truth.press(depth, ball).force_n, rel=0.01)
 
 
+@pytest.fixture(scope="module")
+def punyo():
+    """The preset, its mesh and γ0."""
+    sensor = load_sensor("punyo_oval_d405")
+    mesh = build_mesh(sensor)
+    return sensor, mesh, reference_tension(sensor, mesh)
+
+
 def oval(nodes):
     return mesh_cap(EllipsoidalCap.of((0.0557, 0.0396), 0.0305, 0.0437), nodes)
 
@@ -160,11 +168,10 @@ def test_zernike_polynomials_are_orthonormal_over_the_disc():
     np.testing.assert_allclose(values.T @ (weight[:, None] * values), np.eye(45), atol=1e-12)
 
 
-def test_the_gauge_pressure_is_counted_once_in_what_is_not_known():
+def test_the_gauge_pressure_is_counted_once_in_what_is_not_known(punyo):
     """γ0's interval holds what the gauge pressure's does: together the variants spread as it."""
-    sensor = load_sensor("punyo_oval_d405")
-    mesh, known = build_mesh(sensor), sensor.calibration
-    tension = reference_tension(sensor, mesh)
+    sensor, mesh, tension = punyo
+    known = sensor.calibration
     usual = build_rubber(sensor, mesh, tension).mean_tension
     varied = varied_rubber(sensor, mesh, tension)
     moved = [each.mean_tension - usual for each in varied[:2]]
@@ -172,11 +179,9 @@ def test_the_gauge_pressure_is_counted_once_in_what_is_not_known():
     assert np.hypot(*moved) == pytest.approx((high - low) / (2 * 1.96), rel=0.05)
 
 
-def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_stretch():
+def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_stretch(punyo):
     """Young–Laplace: the stress-free shape is that of their ratio."""
-    sensor = load_sensor("punyo_oval_d405")
-    mesh = build_mesh(sensor)
-    tension = reference_tension(sensor, mesh)
+    sensor, mesh, tension = punyo
     usual, by_gauge = build_rubber(sensor, mesh, tension), varied_rubber(sensor, mesh, tension)[1]
     low, high = sensor.calibration.gauge_interval_pa
     share = 1.0 + (high - low) / (2 * 1.96) / sensor.pneumatics.gauge_pressure_pa
@@ -185,11 +190,9 @@ def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_str
     np.testing.assert_allclose(by_gauge.stress_free_area, usual.stress_free_area, rtol=1e-3)
 
 
-def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration():
+def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration(punyo):
     """`gauge_sigma_pa` counts in place of the calibration's interval, too."""
-    sensor = load_sensor("punyo_oval_d405")
-    mesh = build_mesh(sensor)
-    tension = reference_tension(sensor, mesh)
+    sensor, mesh, tension = punyo
     section = sensor.pneumatics.model_copy(update={"gauge_sigma_pa": 700.0})
     told = sensor.model_copy(update={"pneumatics": section})
     plain = told.model_copy(update={"calibration": None})
