@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.camera.block_squares import MAD
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.membrane.mesh import cross
@@ -18,9 +19,6 @@ from bubbleviz.pose.depth_image.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.observability import Directions
 from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.rigid_motion import about, motion_between, way_at
-
-_MAD = 0.6745
-"""Median of |z| of a standard normal z."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ class ImageFit:
         """1/σ² of pixels by their residuals (b,), less where they are outliers."""
         if not len(residual_m):
             return residual_m
-        spread = float(np.median(np.abs(residual_m))) / _MAD
+        spread = float(np.median(np.abs(residual_m))) / MAD
         sigma = max(spread, self._options.least_sigma_m)
         outlying = (residual_m / (self._options.outlying * sigma)) ** 2
         weights: np.ndarray = 1.0 / (sigma * (1.0 + outlying)) ** 2
