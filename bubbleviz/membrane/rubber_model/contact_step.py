@@ -58,10 +58,8 @@ class ContactStep:
         stiffened until it does.
         """
         for shift in _SHIFTS:
-            data = self._data
-            if shift:
-                data = self._blocks.shifted(data, shift)
-            step = self.direct(data, held)
+            data = self._blocks.shifted(self._data, shift) if shift else self._data
+            step = self.direct(held, data)
             if self.slope(step) < 0.0 or not step.motion.any():
                 break
         return step
@@ -72,8 +70,9 @@ class ContactStep:
         energy = float(np.sum(self.residual * step.motion))
         return energy - 2.0 * float(step.load.max(initial=0.0)) * float(inside)
 
-    def direct(self, data: np.ndarray, held: np.ndarray) -> Step:
-        """Solve with a tangent of these data (nnz,) as it is, by a primal-dual active set."""
+    def direct(self, held: np.ndarray, data: np.ndarray | None = None) -> Step:
+        """Solve with the tangent, or that of other data (nnz,), by a primal-dual active set."""
+        data = self._data if data is None else data
         gap, normal = self._planes.gap, self._planes.normal
         near = np.isfinite(gap)
         held = held & near

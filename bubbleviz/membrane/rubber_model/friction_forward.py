@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
+from bubbleviz.membrane.rubber_model.contact_step import Step
 from bubbleviz.membrane.rubber_model.friction_law import Friction
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas, RubberContact
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
 
 MOST_FRICTION = 5.0
@@ -98,9 +97,6 @@ class FrictionForward:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self.friction = checked_friction(friction)
         self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
-        rest = membrane.tangent(self.mesh.nodes, 0.0)
-        self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
-        self._weight = float(np.abs(rest.diagonal()).mean())
 
     def follow(
         self,
@@ -133,9 +129,8 @@ class FrictionForward:
         nodes = self.mesh.nodes
         nowhere = np.full(nodes.shape, np.nan)
         if start is None:
-            lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
             lifted = pose.copy()
-            lifted[2, 3] += max(float(nodes[:, 2].max()) - lowest, 0.0)
+            lifted[2, 3] += self._pressed.clear_of(surface, pose)
             return _State(nodes, np.zeros(len(nodes)), np.zeros_like(nodes), nowhere, lifted)
         x = nodes + start.displacement_3d_m
         load = np.linalg.norm(start.nodal_force_n, axis=1)
@@ -177,9 +172,10 @@ class FrictionForward:
             missed = best.missed
             if missed.size < 1.0 or (missed.accepted and since > 1) or since > _PATIENCE:
                 break
-            newton, data = self._linearised(solved)
+            state = solved.state
+            newton = self._pressed.step(state.x, state.load, solved.planes, solved.law)
             try:
-                step = newton.direct(data, solved.state.load[self.membrane.moving] > 0.0)
+                step = newton.direct(state.load[self.membrane.moving] > 0.0)
             except RuntimeError:  # singular
                 break
             count += newton.factorisations
@@ -220,28 +216,14 @@ class FrictionForward:
 
     def _looked_at(self, surface: ObjectSurface, state: _State) -> _Solved:
         planes = self._pressed.planes(surface, state.pose, state.x)
-        law = Friction.at(state.away(), state.pull, state.load, planes, self.friction, self._weight)
+        law = Friction.at(
+            state.away(), state.pull, state.load, planes, self.friction, self._pressed.weight
+        )
         off = float(np.abs(law.pull - state.pull).max())
         missed = self._pressed.missed(state.x, state.load, planes, -law.pull, off)
         away = float(np.linalg.norm(law.grip.back, axis=1).max())
         missed = replace(missed, distance_m=max(missed.distance_m, away))
         return _Solved(state, planes, law, missed)
-
-    def _linearised(self, solved: _Solved) -> tuple[ContactStep, np.ndarray]:
-        state, law, membrane = solved.state, solved.law, self.membrane
-        moving, (pressure, stiffness) = membrane.moving, self._pressed.gas_at(state.x)
-        planes, load = solved.planes.of(moving), state.load[moving]
-        blocks = law.stiffness[moving] - load[:, None, None] * planes.turn
-        touching = np.flatnonzero(load > 0.0)
-        data = membrane.tangent(state.x, pressure).data
-        data = self._blocks.added(data, touching, blocks[touching])
-        residual = membrane.residual(state.x, pressure) + law.start
-        gradient = membrane.volume_gradient(state.x)[moving]
-        step = ContactStep(
-            self._factoriser, self._blocks, data, residual[moving], gradient, stiffness, planes,
-            law.grip.of(moving),
-        )  # fmt: skip
-        return step, data
 
     def _certified(self, solved: _Solved, slip: np.ndarray, dissipated_j: float) -> FrictionContact:
         state, law, planes = solved.state, solved.law, solved.planes

@@ -8,8 +8,11 @@ import numpy as np
 
 from bubbleviz.membrane.forward_model import Contact
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.rubber_model.contact_step import ContactStep
+from bubbleviz.membrane.rubber_model.friction_law import Friction
 from bubbleviz.membrane.rubber_model.object_surface import MOST_TURN_RAD, ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 
 BALANCE_AIM, BALANCE_ACCEPTED = 1e-7, 1e-6
 """Largest force left at a node over the largest load on one: what is aimed at, and what will do
@@ -76,6 +79,40 @@ class RubberAndGas:
         self.reach_m = 2.0 * self.mesh.edge_length
         self._rest_volume = membrane.volume(self.mesh.nodes)
         self._rest_energy = self.energy(self.mesh.nodes)
+        rest = membrane.tangent(self.mesh.nodes, 0.0)
+        self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
+        self.weight = float(np.abs(rest.diagonal()).mean())
+        """Stiffness of a node, N/m."""
+
+    def step(
+        self,
+        x: np.ndarray,  # (n, 3), nodes, m
+        load: np.ndarray,  # (n,), along the normals of the planes, N
+        planes: Planes,
+        law: Friction | None = None,  # there, at all nodes
+        *,
+        turning: bool = True,  # loads turn with the object's surface
+    ) -> ContactStep:
+        """Newton's step from a place."""
+        membrane, moving = self.membrane, self.membrane.moving
+        (pressure, beta), planes, load = self.gas_at(x), planes.of(moving), load[moving]
+        residual, grip = membrane.residual(x, pressure), None
+        data = membrane.tangent(x, pressure).data
+        touching = np.flatnonzero(load > 0.0)
+        if turning:
+            blocks = -load[touching, None, None] * planes.turn[touching]
+            if law is not None:
+                blocks += law.stiffness[moving[touching]]
+                residual, grip = residual + law.start, law.grip.of(moving)
+            data = self._blocks.added(data, touching, blocks)
+        gradient = membrane.volume_gradient(x)[moving]
+        own = self._factoriser, self._blocks, data
+        return ContactStep(*own, residual[moving], gradient, beta, planes, grip)
+
+    def clear_of(self, surface: ObjectSurface, pose: np.ndarray) -> float:
+        """Way along z by which an object is above the membrane at rest, at least 0, m."""
+        lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
+        return max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
 
     def planes(self, surface: ObjectSurface, pose: np.ndarray, x: np.ndarray) -> Planes:
         """Conditions that an object at a pose sets the nodes at x (n, 3)."""

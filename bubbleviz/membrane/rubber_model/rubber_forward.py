@@ -10,11 +10,10 @@ import numpy as np
 from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
+from bubbleviz.membrane.rubber_model.contact_step import Step
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas, RubberContact
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
 
 _STEPS, _PATIENCE = 60, 10
@@ -77,10 +76,7 @@ class RubberForward:
         rounding_m: float = 0.0,  # radius that sharp edges of the objects are given, m
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
-        self._pressed = RubberAndGas(membrane, gas)
-        self._rounding_m = rounding_m
-        pattern = membrane.tangent(self.mesh.nodes, 0.0)
-        self._factoriser, self._blocks = Factoriser(pattern), NodeBlocks(pattern)
+        self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
         self._linear = ForwardModel(self.mesh, membrane.mean_tension, gas)
         self._surface: ObjectSurface | None = None
 
@@ -123,8 +119,7 @@ class RubberForward:
 
     def _from_outside(self, surface: ObjectSurface, pose: np.ndarray) -> _Solved:
         """Equilibrium by moving the object in along −z, in steps that shrink where they fail."""
-        lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
-        way = max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
+        way = self._pressed.clear_of(surface, pose)
         x, load = self.mesh.nodes, np.zeros(len(self.mesh.nodes))
         step, count = self._pressed.reach_m, 0
         while True:
@@ -152,11 +147,11 @@ class RubberForward:
                 best, least = state, missed
             if least.size < 1.0 or (least.accepted and since > 1) or since > _PATIENCE:
                 break
-            newton = self._contact_step(state)
+            newton = self._pressed.step(state.x, state.load, state.planes)
             step = newton.solve(state.load[moving] > 0.0)
             count += newton.factorisations
             if np.abs(step.motion).max() > self._pressed.reach_m:  # far off, loads turn too far
-                newton = self._contact_step(state, turning=False)
+                newton = self._pressed.step(state.x, state.load, state.planes, turning=False)
                 step = newton.solve(state.load[moving] > 0.0)
                 count += newton.factorisations
             price = max(price, 2.0 * float(step.load.max(initial=0.0)))
@@ -165,30 +160,11 @@ class RubberForward:
             stable = newton.is_minimum()
         return _Solved(best, least, stable, count)
 
-    def _contact_step(self, state: _State, *, turning: bool = True) -> ContactStep:
-        membrane, moving = self.membrane, self.membrane.moving
-        pressure, stiffness = self._pressed.gas_at(state.x)
-        planes, load = state.planes.of(moving), state.load[moving]
-        touching = np.flatnonzero(load > 0.0)
-        data = membrane.tangent(state.x, pressure).data
-        if turning:
-            turn = -load[touching, None, None] * planes.turn[touching]
-            data = self._blocks.added(data, touching, turn)
-        return ContactStep(
-            self._factoriser,
-            self._blocks,
-            data,
-            membrane.residual(state.x, pressure)[moving],
-            membrane.volume_gradient(state.x)[moving],
-            stiffness,
-            planes,
-        )
-
     @cached_property
     def _rest_is_stable(self) -> bool:
         rest = self.mesh.nodes
-        nothing = _State(rest, np.zeros(len(rest)), Planes.nowhere(len(rest)))
-        return self._contact_step(nothing).is_minimum()
+        step = self._pressed.step(rest, np.zeros(len(rest)), Planes.nowhere(len(rest)))
+        return step.is_minimum()
 
     def _along(
         self,
