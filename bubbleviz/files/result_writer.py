@@ -12,35 +12,25 @@ from typing import IO, Any
 
 import numpy as np
 
-from bubbleviz.files.shear_columns import SHEAR_COLUMNS, SHEAR_FIELDS, shear_fields, shear_row
+from bubbleviz.files.shear_columns import (
+    SHEAR_COLUMNS,
+    SHEAR_FIELDS,
+    by_axis,
+    shear_fields,
+    shear_row,
+)
 from bubbleviz.frames.measured_force import force_of, measured_force
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 
 COLUMNS: dict[str, tuple[str, ...]] = {
-    "frame": (),
-    "time_s": (),
-    "status": (),
-    "gas_pressure_change_pa": (),
-    "threshold_pa": (),
-    "force_n": ("force_x_n", "force_y_n", "force_z_n"),
-    "force_sigma_n": ("force_sigma_x_n", "force_sigma_y_n", "force_sigma_z_n"),
-    "normal_force_n": ("normal_force_x_n", "normal_force_y_n", "normal_force_z_n"),
-    "tangential_force_n": ("tangential_force_x_n", "tangential_force_y_n", "tangential_force_z_n"),
-    "torque_nm": ("torque_x_nm", "torque_y_nm", "torque_z_nm"),
+    **dict.fromkeys(("frame", "time_s", "status", "gas_pressure_change_pa", "threshold_pa"), ()),
+    **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n", "torque_nm"),
     "measured_force_n": (),
-    "center_of_pressure_m": (
-        "center_of_pressure_x_m",
-        "center_of_pressure_y_m",
-        "center_of_pressure_z_m",
-    ),
+    **by_axis("center_of_pressure_m"),
     "patch_area_m2": (),
     "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
-    "residual_rms_m": (),
-    "kkt_residual": (),
-    "solve_ms": (),
-    "total_ms": (),
-    "kappa": (),
+    **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
 }
 """Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
 than the one of the same name."""
@@ -57,20 +47,9 @@ is where its level is positive."""
 UNKNOWN = ("no_data", "not_converged", "implausible")
 """Statuses of frames about which nothing is known."""
 
-_NO_NUMBER_WITHOUT_DATA = (
-    "gas_pressure_change_pa",
-    "threshold_pa",
-    "force_n",
-    "force_sigma_n",
-    "normal_force_n",
-    "tangential_force_n",
-    "torque_nm",
-    "center_of_pressure_m",
-    "patch_area_m2",
-    "patch_area_interval_m2",
-    "residual_rms_m",
-    "kkt_residual",
-)
+_KNOWN_WITHOUT_DATA = {
+    *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
+}
 
 
 def summary_row(result: Result) -> dict[str, Any]:
@@ -106,7 +85,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "kappa": np.nan if patch.kappa is None else patch.kappa,
     }
     if estimate.status in UNKNOWN:
-        for key in _NO_NUMBER_WITHOUT_DATA:
+        for key in COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row | shear_row(result)
 
