@@ -1,11 +1,8 @@
 """How much of a node's cell touches, against presses whose contact radius is known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bubbleviz.membrane.cap_mesh import mesh_cap
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.patch.touching_share import touching_share
@@ -16,7 +13,7 @@ from tests.oracles.rubber_oracle import AxialRubber
 DEPTH, BALL = 0.006, 0.015
 
 
-def exact_area() -> float:
+def exact_area():
     """Of the contact on the surface at rest, m², by the equations of the meridian."""
     press = AxialRubber.dome(A, H, 1.2, GAUGE).press(DEPTH, BALL)
     s = np.interp(press.contact_radius_m, press.meridian.r_m, press.meridian.s_m)
@@ -24,7 +21,7 @@ def exact_area() -> float:
     return float(2.0 * np.pi * R**2 * (1.0 - np.cos(s / R)))
 
 
-def pressed(nodes: int) -> tuple[MembraneMesh, np.ndarray]:
+def pressed(nodes):
     """Mesh and contact pressure of the ball."""
     model = RubberForward(*dome(nodes))
     contact = model.press(load_object("sphere"), pose(z=H - DEPTH))
