@@ -24,8 +24,7 @@ from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.simulation.truth_bank import Sighting
 from bubbleviz.study.accuracy import at_nodes
 
-PLACE, SHAPE = 1, 3
-"""Degrees of the fields."""
+PLACE, SHAPE = 1, 3  # degrees of the fields
 _STEP_M = 1e-5  # of the derivative by the loads' places: far below an edge of the mesh
 
 

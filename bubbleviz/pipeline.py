@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -50,19 +49,14 @@ Product = Literal[
     "flow_image", "kappa_curve", "components",
 ]  # fmt: skip
 
-LOOKS: Mapping[Product, tuple[Product, ...]] = MappingProxyType(
-    {
-        "depth_image": (),
-        "change_image": (),
-        "residual_image": ("estimate",),
-        "noise_image": (),
-        "used_image": (),
-        "colour_image": (),
-        "flow_image": ("estimate", "flow"),  # an estimate tells frames without contact
-        "kappa_curve": ("estimate",),
-        "components": ("estimate", "patch"),
-    }
-)
+LOOKS: dict[Product, tuple[Product, ...]] = {
+    **dict.fromkeys(("depth_image", "change_image", "noise_image", "used_image"), ()),
+    "residual_image": ("estimate",),
+    "colour_image": (),
+    "flow_image": ("estimate", "flow"),  # an estimate tells frames without contact
+    "kappa_curve": ("estimate",),
+    "components": ("estimate", "patch"),
+}
 """Closer looks for the panels, and the products that each is made of."""
 
 SHEAR: frozenset[Product] = frozenset({"traction", "slip"})

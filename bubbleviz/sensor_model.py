@@ -19,8 +19,7 @@ from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, referenc
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.sensor import Sensor
 
-_MAX_BLOCK = 32
-"""Largest side of a block in pixels: beyond it averaging saves no more time."""
+_MAX_BLOCK = 32  # largest side of a block in pixels: beyond it averaging saves no more time
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,8 @@ from bubbleviz_ui.shell.dock import Dock
 if TYPE_CHECKING:
     from bubbleviz_ui.window_session import WindowSession
 
-GLANCE_S = 0.5
-"""How long each panel is looked at."""
-CALIBRATION_S = 30.0
-"""How long a calibration is waited for; refused ones end sooner."""
+GLANCE_S = 0.5  # how long each panel is looked at
+CALIBRATION_S = 30.0  # how long a calibration is waited for; refused ones end sooner
 REST_S = 1.5  # s without input before memory is read
 OBJECT = "hex_nut"
 

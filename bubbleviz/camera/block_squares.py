@@ -12,8 +12,7 @@ SURELY = 1.6
 """Upper limit of a median over `_SQUARES` squares, which is known to a fifth, at two standard
 deviations."""
 
-MAD = 0.6745
-"""Median of |z| of a standard normal z."""
+MAD = 0.6745  # median of |z| of a standard normal z
 
 
 class BlockSquares:

@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-_SETTLED = 1e-5
-"""Error of image-plane coordinates that Newton's next step squares to rounding."""
+_SETTLED = 1e-5  # error of image-plane coordinates that Newton's next step squares to rounding
 
 DistortionModel = Literal["none", "plumb_bob", "inverse_brown_conrady"]
 

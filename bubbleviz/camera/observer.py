@@ -20,17 +20,14 @@ from bubbleviz.camera.used_pixels import UsedPixels
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
-_HUBER = 1.345
-"""Residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise."""
+_HUBER = 1.345  # residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise
 
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
-_WALKED = 0.5
-"""Share of a mesh edge that nodes may have moved by since all rays were cast."""
+_WALKED = 0.5  # share of a mesh edge that nodes may have moved by since all rays were cast
 
-_LOOKS = 4
-"""Pixels looked at for outliers of those that are worth one independent sample."""
+_LOOKS = 4  # pixels looked at for outliers of those that are worth one independent sample
 
 
 @dataclass(frozen=True)
@@ -115,8 +112,7 @@ class RangeObserver:
         seen: np.ndarray | None = None,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
-        self.columns = -(-camera.intrinsics.width // block)
-        """Blocks in a row of the image."""
+        self.columns = -(-camera.intrinsics.width // block)  # blocks in a row of the image
         self._facet_error_m = facet_error(mesh)
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
@@ -161,8 +157,7 @@ class RangeObserver:
         blocks, self._starts, self._count = np.unique(
             self._block_of(pixel), return_index=True, return_counts=True
         )
-        self.block_number = blocks
-        """Number of every block, row by row over the image, (B,)."""
+        self.block_number = blocks  # number of every block, row by row over the image, (B,)
         self._used = UsedPixels(
             number=pixel,
             block=np.repeat(np.arange(self.blocks), self._count),

@@ -16,18 +16,13 @@ import numpy as np
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.mesh import cross, faces_from, triangles_across
 
-_WALK = 4
-"""Triangles that a ray may walk over; it is cast again before more are needed."""
-_FAR_WALK = 64
-"""The same where it is not cast again: more than there are across a dent."""
+_WALK = 4  # triangles that a ray may walk over; it is cast again before more are needed
+_FAR_WALK = 64  # the same where it is not cast again: more than there are across a dent
 
-_COARSER = 8
-"""Rays for one that is walked before them, and from whose triangle they start."""
+_COARSER = 8  # rays for one that is walked before them, and from whose triangle they start
 
-_OUTSIDE = 1e-6
-"""Barycentric coordinate below which a ray has left its triangle."""
-_STRAIGHT = 1e-9
-"""Sine by which the seen rim may bend inward: rounding."""
+_OUTSIDE = 1e-6  # barycentric coordinate below which a ray has left its triangle
+_STRAIGHT = 1e-9  # sine by which the seen rim may bend inward: rounding
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from bubbleviz.result import Result
     from bubbleviz.sensor_model import SensorModel
 
-OUTERMOST = 0.5
-"""Per cent of the pixels at either end that colours need not tell apart."""
+OUTERMOST = 0.5  # per cent of the pixels at either end that colours need not tell apart
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.patch_finder import areas_above, mean_pressure
 from bubbleviz.result import Estimate
 
-KAPPAS = np.geomspace(0.1, 100.0, 61)
-"""Thresholds as multiples of the mean contact pressure (V-C)."""
+KAPPAS = np.geomspace(0.1, 100.0, 61)  # thresholds as multiples of the mean contact pressure (V-C)
 
 
 @dataclass(frozen=True)

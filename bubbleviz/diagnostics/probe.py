@@ -10,10 +10,8 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 
-Pixel = tuple[int, int]
-"""Row and column."""
-CLOSE_PX = 4
-"""How far a pixel may be from the one whose residual stands for it; chosen."""
+Pixel = tuple[int, int]  # row and column
+CLOSE_PX = 4  # how far a pixel may be from the one whose residual stands for it; chosen
 
 
 @dataclass(frozen=True)

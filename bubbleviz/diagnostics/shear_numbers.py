@@ -8,11 +8,9 @@ import numpy as np
 
 from bubbleviz.result import HALF_95, Slip, Traction
 
-Measure = tuple[float, float]
-"""Value and half of its 95 % interval; NaN where it is not known."""
+Measure = tuple[float, float]  # value and half of its 95 % interval; NaN where it is not known
 UNKNOWN: Measure = (np.nan, np.nan)
-_TOLD = np.pi / 4.0
-"""A direction is told whose 95 % interval, rad, is within a quarter of a turn."""
+_TOLD = np.pi / 4.0  # a direction is told whose 95 % interval, rad, is within a quarter of a turn
 _REGION_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 """Radius that holds 95 % of a normal distribution in the plane, standard deviations."""
 _OUTLINE = 61

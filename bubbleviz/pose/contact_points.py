@@ -13,11 +13,9 @@ from bubbleviz.result import Estimate, Patch
 LEAST_POINTS = 12
 """Contact points below which there is no patch to speak of: two triangles of the mesh."""
 
-_REACH_M = 0.008
-"""How far around the patch the free membrane is looked at."""
+_REACH_M = 0.008  # how far around the patch the free membrane is looked at
 
-_MOST = 160
-"""Contact points, and free ones, beyond which more of them say the same again."""
+_MOST = 160  # contact points, and free ones, beyond which more of them say the same again
 
 _CENTRES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Barycentric coordinates of the centres of a triangle's four quarters."""

@@ -11,15 +11,13 @@ from bubbleviz.pose.rigid_motion import about, motion_between, moved
 START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
 """Standard deviation of a given start: off by up to 5 mm and 10°."""
 
-SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)
-"""The same of a coarse start."""
+SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a coarse start
 
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
 _ACCELERATION = np.array([0.5] * 3 + [0.2] * 3)
 """Standard deviations of velocity at first (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
 
-_LONGEST_S = 0.5
-"""Longest time to coast: motion is not known further ahead."""
+_LONGEST_S = 0.5  # longest time to coast: motion is not known further ahead
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ CREASE_RAD = np.radians(20.0)
 """Angle between faces from which their common edge is an edge of the object, and not of its mesh:
 a circle of 20 facets still counts as round."""
 
-_STEP = 0.01
-"""Distance of points along creases over the object's size."""
+_STEP = 0.01  # distance of points along creases over the object's size
 
 _LARGEST = 20.0
 """Size of an object over that of the bubble beyond which one of them is in other units."""

@@ -15,8 +15,7 @@ _LARGEST_RADIUS_M = 0.1
 """A motion that turns less than this share of the one that turns most is a shift; patches are
 smaller than this."""
 
-LEAST_RADIUS_M = 2e-3
-"""A smaller patch turns about itself as one of this radius does."""
+LEAST_RADIUS_M = 2e-3  # a smaller patch turns about itself as one of this radius does
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,9 @@ estimate's resolution to the next."""
 _PARALLEL = np.cos(np.radians(45.0))
 """Membrane that lies on a face is parallel to it, but for the blur of the estimate."""
 
-_AWAY = 0.3
-"""Cosine between the normals of membrane and object beyond which they face the same way."""
+_AWAY = 0.3  # cosine between the normals of membrane and object beyond which they face the same way
 
-_SLACK_M = 5e-4
-"""How far blur takes the estimated membrane into an object's edges."""
+_SLACK_M = 5e-4  # how far blur takes the estimated membrane into an object's edges
 
 _EDGE_DEVIATION_M = 2e-3
 """Error of the patch's edge, where membrane is taken for contact that is none."""
@@ -39,8 +37,7 @@ _NARROWEST_M = 1e-3
 _NARROWING = 0.6
 """Residual at which robust weights begin to fall in the end, and how fast it gets there."""
 
-_CONVERGED_M = 2e-5
-"""Step at the patch's edge that is none."""
+_CONVERGED_M = 2e-5  # step at the patch's edge that is none
 
 
 @dataclass(frozen=True)

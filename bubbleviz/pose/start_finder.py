@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.object_model import ObjectModel
 
-TURNS = 12
-"""Turns about the patch's normal: 30° apart, which registration bridges."""
+TURNS = 12  # turns about the patch's normal: 30° apart, which registration bridges
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _ALIKE = np.cos(np.radians(20.0))  # faces that registration turns into each other

@@ -18,8 +18,7 @@ from bubbleviz.sensor import Sensor
 
 OF_DEPTH: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask", "cloud", "residual"})
 """Products that depth image and gas pressure are enough for."""
-PATIENCE_S = 5.0
-"""A frame takes longer than this only in a process that hangs; chosen."""
+PATIENCE_S = 5.0  # a frame takes longer than this only in a process that hangs; chosen
 
 
 class PipelineProcess:

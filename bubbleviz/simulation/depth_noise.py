@@ -10,8 +10,7 @@ from scipy.special import ndtri
 
 from bubbleviz.errors import InputError
 
-_MEMORY = 32
-"""Frames that a frame's correlated noise may reach back."""
+_MEMORY = 32  # frames that a frame's correlated noise may reach back
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.inflated_sensor import InflatedSensor
 
-ATMOSPHERE_PA = 98_700.0
-"""Some 225 m above the sea, where no sensor file assumes to be."""
+ATMOSPHERE_PA = 98_700.0  # some 225 m above the sea, where no sensor file assumes to be
 CHAMBER_M3 = 3e-4
 _NODES = 3_000
 CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frames=0.5)

@@ -10,12 +10,9 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
 
-FEWEST = 10
-"""Frames of a path at least."""
-MOST_DRAG_M, MOST_TWIST_RAD = 0.05, np.pi
-"""Beyond these a unit is taken for another."""
-_CLEAR_M = 1e-3
-"""Height above first touch at which the object waits."""
+FEWEST = 10  # frames of a path at least
+MOST_DRAG_M, MOST_TWIST_RAD = 0.05, np.pi  # beyond these a unit is taken for another
+_CLEAR_M = 1e-3  # height above first touch at which the object waits
 _TOUCHES, _PRESSED, _DRAGGED, _TWISTED = 0.15, 0.4, 0.65, 0.9
 """Ends of waiting, pressing, dragging and twisting, over the time of the path; then it holds."""
 

@@ -25,8 +25,7 @@ from bubbleviz.rigid_object import RigidObject
 EDGE_RADIUS_M = 5e-4
 """Of objects' edges: those of printed and machined parts, about as thick as the rubber is."""
 
-_LEVELS = 4
-"""How often triangles are cut at most."""
+_LEVELS = 4  # how often triangles are cut at most
 
 
 class RefinedPress(NamedTuple):

@@ -23,8 +23,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.refined_press import refined_press
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 
-PRESTRETCH = 1.2
-"""λ of sensors whose file has none: that of the real one (`identify`)."""
+PRESTRETCH = 1.2  # λ of sensors whose file has none: that of the real one (`identify`)
 
 TRUTH_NODES = 2_600
 """Before it is refined: other nodes than the estimator's, and as coarse where nothing touches."""

@@ -29,11 +29,9 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
 from bubbleviz.simulation.truth import Truth
 
-Model = Literal["rubber", "linear"]
-"""The exact membrane, or the paper's linear one."""
+Model = Literal["rubber", "linear"]  # the exact membrane, or the paper's linear one
 
-FINER = 4
-"""Nodes of the simulation's mesh for every node of the estimator's."""
+FINER = 4  # nodes of the simulation's mesh for every node of the estimator's
 
 _LEVELS, _LOOKS = 3, 40
 """How often that mesh is refined under edges, and the number of poses looked at for them."""

@@ -14,8 +14,7 @@ from bubbleviz.patch.touching_share import touching_share
 if TYPE_CHECKING:
     from bubbleviz.membrane.forward_model import Contact
 
-SLIP_M = 1e-6
-"""Way over the object from one frame to the next beyond which a node slips."""
+SLIP_M = 1e-6  # way over the object from one frame to the next beyond which a node slips
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from bubbleviz.simulation.rubber_truth import RubberTruth
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 from bubbleviz.simulation.truth import Truth
 
-TRUTH_NODES = 12_500
-"""Of the linear model, which costs little: about 15 times the estimator's 800."""
+TRUTH_NODES = 12_500  # of the linear model, which costs little: about 15 times the estimator's 800
 
 
 class Presses(Protocol):

@@ -44,10 +44,8 @@ from bubbleviz.study.harness import (
     groups,
 )
 
-SOURCE_NODES = 1_000
-"""The simulated press has four times as many, whatever the estimator has."""
-ROUND = 150
-"""Frames of the moving press."""
+SOURCE_NODES = 1_000  # the simulated press has four times as many, whatever the estimator has
+ROUND = 150  # frames of the moving press
 STAGES = ("estimate", "solve", "patch", "other")
 """`estimate` without its solves, and `patch` with its pixels."""
 CONTACT_MS = {"contact": 60.0, "recording": 40.0}

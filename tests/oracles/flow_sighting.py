@@ -12,8 +12,7 @@ from bubbleviz.colour.optical_flow import BLOCK_PX, FlowField
 from bubbleviz.simulation.depth_noise import DepthNoise
 from tests.oracles.stuck_press import ShearTruth
 
-_HIDDEN_M = 1e-3
-"""How far behind the membrane that a pixel sees a point must be to be hidden by it."""
+_HIDDEN_M = 1e-3  # how far behind the membrane that a pixel sees a point must be to be hidden by it
 
 
 class FlowSighting(NamedTuple):

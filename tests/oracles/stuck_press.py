@@ -26,12 +26,9 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.press_path import touching_height
 from bubbleviz.simulation.presses import made
 
-BESIDE_M = (0.005, -0.003)
-"""Of the objects from the axis, m; chosen."""
-_LONGEST_M = 5e-4
-"""Step of the object's motion at its patch's edge."""
-_BALANCED = 1e-8
-"""Force left at a node over the largest load."""
+BESIDE_M = (0.005, -0.003)  # of the objects from the axis, m; chosen
+_LONGEST_M = 5e-4  # step of the object's motion at its patch's edge
+_BALANCED = 1e-8  # force left at a node over the largest load
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ import numpy as np
 from bubbleviz.membrane.rubber_model.object_surface import Planes
 from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser, Grip, NodeBlocks
 
-_ROUNDS = 12
-"""Changes of the active set in one step; the next step goes on from where it ended."""
+_ROUNDS = 12  # changes of the active set in one step; the next step goes on from where it ended
 _SHIFTS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 """Shares of the mean diagonal added to a tangent along which the energy would not fall."""
 

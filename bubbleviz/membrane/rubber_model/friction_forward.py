@@ -18,16 +18,12 @@ from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas,
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import RigidObject
 
-MOST_FRICTION = 5.0
-"""μ above which it is taken for a mistake: rubber on glass has 1 to 3."""
-_STEP = 0.25
-"""Motion of the object between two equilibria over the mesh's edges."""
-_SHORTEST = 1.0 / 64.0
-"""Share of that below which an equilibrium is given up."""
+MOST_FRICTION = 5.0  # μ above which it is taken for a mistake: rubber on glass has 1 to 3
+_STEP = 0.25  # motion of the object between two equilibria over the mesh's edges
+_SHORTEST = 1.0 / 64.0  # share of that below which an equilibrium is given up
 _STEPS, _PATIENCE = 40, 8
 """Steps of Newton's method, and how many may pass without halving what is missed."""
-_SHARES = (0.5, 0.25, 0.1)
-"""Of a step that are tried where whole ones do not come nearer."""
+_SHARES = (0.5, 0.25, 0.1)  # of a step that are tried where whole ones do not come nearer
 
 
 @dataclass(frozen=True)

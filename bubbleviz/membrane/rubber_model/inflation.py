@@ -8,13 +8,10 @@ from bubbleviz.errors import SolveError
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser
 
-_AIM = 1e-9
-"""Largest force left at a node over the largest load on one."""
+_AIM = 1e-9  # largest force left at a node over the largest load on one
 _STEPS = 40
-_FLATTEST = 1e-4
-"""Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
-_SMALLEST_STEP = 0.005
-"""Step over the pressure wanted below which an equilibrium is given up."""
+_FLATTEST = 1e-4  # share of the slope by which the energy must fall for a step to be taken (Armijo)
+_SMALLEST_STEP = 0.005  # step over the pressure wanted below which an equilibrium is given up
 
 
 class Inflation:

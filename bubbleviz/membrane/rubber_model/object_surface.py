@@ -22,10 +22,8 @@ MOST_TURN_RAD = 0.6
 """Turn of the object's normal along a triangle above which the triangle is too large to be taken as
 a chord of a smooth surface."""
 
-_ON_EDGE = 1e-5
-"""Barycentric coordinate below which the closest point is on the edge of a facet."""
-_LEAST_M = 1e-6
-"""Distance of a point from a sharp edge above which its direction is known, m."""
+_ON_EDGE = 1e-5  # barycentric coordinate below which the closest point is on the edge of a facet
+_LEAST_M = 1e-6  # distance of a point from a sharp edge above which its direction is known, m
 
 
 class Planes(NamedTuple):

@@ -15,8 +15,7 @@ from bubbleviz.rigid_object import RigidObject
 
 _ALIKE = 0.01
 """Share of the largest eigenvalue below which normals at a vertex count as lying in a plane."""
-_TRIES = 4
-"""Times that a radius too large for an object's thinnest part or finest fillet is halved."""
+_TRIES = 4  # times that a radius too large for an object's thinnest part or finest fillet is halved
 
 
 def core_of(

@@ -81,8 +81,7 @@ class RubberAndGas:
         self._rest_energy = self.energy(self.mesh.nodes)
         rest = membrane.tangent(self.mesh.nodes, 0.0)
         self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
-        self.weight = float(np.abs(rest.diagonal()).mean())
-        """Stiffness of a node, N/m."""
+        self.weight = float(np.abs(rest.diagonal()).mean())  # stiffness of a node, N/m
 
     def step(
         self,

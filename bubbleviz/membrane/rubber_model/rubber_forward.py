@@ -23,10 +23,8 @@ _SHORTEST = 0.02
 _FINE_M = 1e-6
 """Motion below which steps are taken whole: facets of the object are rougher than that, and energy
 and penetration do not say how good so small a step is."""
-_SHORT = 0.05
-"""Motion over the reach of the object's surface that is short."""
-_FLATTEST = 1e-4
-"""Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
+_SHORT = 0.05  # motion over the reach of the object's surface that is short
+_FLATTEST = 1e-4  # share of the slope by which the energy must fall for a step to be taken (Armijo)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.pose_options import PressOptions
 
 _TRIES = 30
-_MOST = 200_000
-"""Random points for each one that is kept, and in all."""
+_MOST = 200_000  # random points for each one that is kept, and in all
 _KEENEST = 0.1
 """1 + cosine between the normals of an edge of 26°. Keener ones are rounded as if they were that:
 the tip of a rounded blade would be far back."""
