@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.membrane.mesh import cross, faces_from, triangles_across
+from bubbleviz.membrane.mesh import area_vectors, faces_from, triangles_across
 
 _WALK = 4  # triangles that a ray may walk over; it is cast again before more are needed
 _FAR_WALK = 64  # the same where it is not cast again: more than there are across a dent
@@ -210,8 +210,7 @@ class RayCaster:
 
     def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:
         """m/(r̂·m) of the facets that are hit, (k, 3): range gained by their motion in B."""
-        a, b, c = (nodes[self.triangles[:, k]] for k in range(3))
-        facet = cross(b - a, c - a)[hits.triangle]
+        facet = area_vectors(nodes, self.triangles)[hits.triangle]
         along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
         return facet / along[:, None]
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bubbleviz.membrane.mesh import area_vectors
+
 
 def lawson_flips(
     nodes: np.ndarray,  # (n, 3)
@@ -34,9 +36,7 @@ def smooth(
     nodes = nodes.copy()
     for _ in range(iterations):
         corners = nodes[triangles]
-        area = np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
+        area = np.linalg.norm(area_vectors(nodes, triangles), axis=1)
         moment = area[:, None] * corners.mean(axis=1)
         flat = triangles.ravel()
         weight = np.bincount(flat, np.repeat(area, 3), minlength=len(nodes))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
 from bubbleviz.result import Estimate, Patch
 
 LEAST_POINTS = 12
@@ -56,7 +56,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     around = box < np.abs(middle - middle.mean(axis=0)).max() + _REACH_M + 2.0 * mesh.edge_length
     triangles = mesh.triangles[np.all(around[mesh.triangles], axis=1)]
     corners = nodes[triangles]
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vectors = area_vectors(nodes, triangles)
     areas = np.linalg.norm(vectors, axis=1)
     points = np.einsum("qj,tjk->tqk", _CENTRES, corners).reshape(-1, 3)
     level = (patch.level[triangles] @ _CENTRES.T).ravel()

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
 from bubbleviz.rigid_object import RigidObject
 
 CREASE_RAD = np.radians(20.0)
@@ -63,8 +63,7 @@ class ObjectModel:
     ) -> None:
         self.obj = obj
         self.size_m = float(np.ptp(obj.vertices, axis=0).max())
-        corners = obj.vertices[obj.triangles]
-        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        vectors = area_vectors(obj.vertices, obj.triangles)
         areas = np.linalg.norm(vectors, axis=1)
         if not areas.sum() > 1e-8 * self.size_m**2:
             raise InputError(f"object {obj.name}: its triangles have no area; export a surface")

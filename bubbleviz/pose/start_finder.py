@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.membrane.mesh import area_vectors
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.object_model import ObjectModel
 
@@ -26,10 +27,7 @@ def touching_directions(model: ObjectModel) -> np.ndarray:
     hull = _hull(model.obj.vertices)
     candidates = list(np.concatenate([np.eye(3), -np.eye(3)]))
     if hull is not None:
-        corners = model.obj.vertices[hull.simplices]
-        areas = 0.5 * np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
+        areas = np.linalg.norm(area_vectors(model.obj.vertices, hull.simplices), axis=1)
         normals = hull.equations[:, :3]
         faces, which = np.unique(np.round(normals, 3), axis=0, return_inverse=True)
         total = np.bincount(which.ravel(), areas)

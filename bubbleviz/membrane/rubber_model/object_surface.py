@@ -10,7 +10,7 @@ from scipy import sparse
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.gap import is_watertight
-from bubbleviz.membrane.mesh import MembraneMesh, cross, triangles_across
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors, cross, triangles_across
 from bubbleviz.membrane.rubber_model.rounded_object import core_of
 from bubbleviz.rigid_object import RigidObject
 
@@ -60,7 +60,7 @@ class ObjectSurface:
     ) -> None:
         self.object = obj
         triangles, corners = obj.triangles, obj.vertices[obj.triangles]
-        vectors = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        vectors = area_vectors(obj.vertices, triangles)
         self._solid = is_watertight(triangles)
         if self._solid and np.einsum("ij,ij->", vectors, corners[:, 0]) < 0.0:
             vectors = -vectors  # normals pointed inward: the signed volume was negative

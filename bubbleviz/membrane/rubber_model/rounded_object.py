@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.membrane.mesh import cross
+from bubbleviz.membrane.mesh import area_vectors
 from bubbleviz.rigid_object import RigidObject
 
 _ALIKE = 0.01
@@ -28,10 +28,10 @@ def core_of(
     them. The radius is a fraction of the one given, or 0, where the core would turn inside out.
     """
     inward = _inward(obj)
-    vectors = _vectors(obj.vertices, obj.triangles)
+    vectors = area_vectors(obj.vertices, obj.triangles)
     for _ in range(_TRIES):
         core = obj.vertices + radius_m * inward
-        if (np.einsum("ij,ij->i", _vectors(core, obj.triangles), vectors) > 0.0).all():
+        if (np.einsum("ij,ij->i", area_vectors(core, obj.triangles), vectors) > 0.0).all():
             return core, radius_m
         radius_m *= 0.5
     return obj.vertices, 0.0
@@ -39,7 +39,7 @@ def core_of(
 
 def _inward(obj: RigidObject) -> np.ndarray:
     """Motion (n, 3) of the vertices, over the radius: all facets at a vertex go back by 1."""
-    vectors = _vectors(obj.vertices, obj.triangles)
+    vectors = area_vectors(obj.vertices, obj.triangles)
     normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     squares = np.zeros((len(obj.vertices), 3, 3))
     sums = np.zeros_like(obj.vertices)
@@ -49,8 +49,3 @@ def _inward(obj: RigidObject) -> np.ndarray:
     inverse = np.linalg.pinv(squares, rcond=_ALIKE, hermitian=True)
     moved: np.ndarray = -np.einsum("nij,nj->ni", inverse, sums)
     return moved
-
-
-def _vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return cross(b - a, c - a)

@@ -13,7 +13,7 @@ import numpy as np
 from bubbleviz.camera.block_squares import MAD
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.membrane.mesh import cross
+from bubbleviz.membrane.mesh import area_vectors
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.depth_image.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.observability import Directions
@@ -159,8 +159,7 @@ class ImageFit:
         hits = caster.cast(press.nodes, mesh.normals)
         pixel, rays = pixel[hits.ray], rays[hits.ray]
         corners = mesh.triangles[hits.triangle]
-        a, b, c = (press.nodes[mesh.triangles[:, k]] for k in range(3))
-        facet = cross(b - a, c - a)[hits.triangle]
+        facet = area_vectors(press.nodes, mesh.triangles)[hits.triangle]
         facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]])
         moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])
