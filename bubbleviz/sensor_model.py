@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -92,11 +92,6 @@ class SensorModel:
         depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
         size = int(0.5 * self.mesh.edge_length * min(own.fx, own.fy) / depth)
         return min(max(1, size), _MAX_BLOCK)
-
-    def with_tension(self, tension_n_per_m: float) -> SensorModel:
-        """The same sensor under another γ0, N/m."""
-        pneumatics = self.sensor.pneumatics.model_copy(update={"tension_n_per_m": tension_n_per_m})
-        return replace(self, sensor=self.sensor.model_copy(update={"pneumatics": pneumatics}))
 
     def range_image(self, depth_m: np.ndarray) -> np.ndarray:
         """Range (H, W) of a z-depth image, m: calibrated, NaN in pixels not to be used."""

@@ -21,7 +21,6 @@ from bubbleviz.calibration.identification import (
     assemble,
     check_dome,
     collect_press,
-    measure_chamber,
     rest_gauge_pressure,
     with_rubber,
 )
@@ -150,17 +149,10 @@ class Workbench:
             "tension",
             rests_on,
             lambda: estimate_tension(
-                samples, surfaces, gauge, progress=part_of(progress, 0.0, 0.3)
+                samples, surfaces, gauge, progress=part_of(progress, 0.0, 0.5)
             ),
         )
-        chamber = self._once(
-            "chamber",
-            (*rests_on, settings.min_validity, settings.deviations),
-            lambda: measure_chamber(
-                self.source, samples, surfaces, pixels, tension, part_of(progress, 0.3, 0.5)
-            ),
-        )
-        found = assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
+        found = assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
         onwards = part_of(progress, 0.5, 0.6)
         levels = [self._level(path, onwards) for path in settings.levels]
         found = rectify(found, levels)
