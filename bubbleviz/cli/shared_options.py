@@ -9,8 +9,8 @@ from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
 
 solver_option = click.option(
     "--solver",
-    help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and the "
-    "paper's osqp and clarabel: constant tension; rubber-base, linear-base: without the finer "
+    help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and "
+    "paper, the paper's QP by OSQP: constant tension; rubber-base, linear-base: without the finer "
     "mesh at the contact; fast: linear on a coarse mesh.",
 )
 colour_delay_option = click.option(

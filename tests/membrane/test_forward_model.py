@@ -241,15 +241,9 @@ def test_joint_and_bracketed_gas_law_agree_at_every_stiffness(mesh, tension, cha
     np.testing.assert_allclose(bracket.displacement_m, joint.displacement_m, atol=2e-7)
 
 
-def test_relaxed_iteration_converges_for_the_papers_volume_and_reports_divergence(mesh):
-    obj, pose = load_object("frustum"), at(z=0.033)
-    paper = gas_of(mesh, model="paper")
-    relaxed = ForwardModel(mesh, TENSION, paper, outer="relaxed").press(obj, pose)
-    joint = ForwardModel(mesh, TENSION, paper).press(obj, pose)
-    assert relaxed.converged
-    assert relaxed.gas_pressure_change_pa == pytest.approx(joint.gas_pressure_change_pa, rel=1e-4)
-    exact = ForwardModel(mesh, TENSION, gas_of(mesh), outer="relaxed").press(obj, pose)
-    assert not exact.converged
+def test_the_papers_fixed_point_is_gone(mesh):
+    with pytest.raises(InputError, match=r"gone since 0\.3"):
+        ForwardModel(mesh, TENSION, gas_of(mesh), outer="relaxed")
 
 
 def test_paper_volume_model_reports_a_third_for_a_stiff_chamber(mesh):

@@ -10,15 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import (
-    DENSE_LIMIT,
-    Equilibrium,
-    FrameProblem,
-    Pressure,
-    natural_residual,
-)
-from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian
-from bubbleviz.inverse.solvers.pivoting import Quadratic, nonnegative_qp
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
+from bubbleviz.inverse.solvers.pivoting import nonnegative_qp, times
 from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
 
 KKT_TOLERANCE = 1e-3  # of a problem whose numbers are of order one, see `Scales`
@@ -63,8 +56,7 @@ class ActiveSetSolver:
         self._equilibrium = equilibrium
         self._diagonal = reference_Q.diagonal()
         self._tolerance, self._corrections = tolerance, corrections
-        kind = ReducedHessian if len(equilibrium.A) <= DENSE_LIMIT else LandmarkHessian
-        self._hessian = kind(equilibrium, reference_Q, lambda_)
+        self._hessian = ReducedHessian(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
         self._scaled_for, self._scale = reference_Q, 1.0
 
@@ -88,7 +80,7 @@ class ActiveSetSolver:
             change = (pressure - before)[work]
             if np.max(np.abs(change), initial=0.0) <= _SUPPORT_CHANGE * np.max(pressure):
                 break
-        gradient[work] += H @ change
+        gradient[work] += times(H, change)
         return Pressure(pressure, pivots, True, gradient - problem.tau)
 
     def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
@@ -116,7 +108,7 @@ class ActiveSetSolver:
         bound = min(0.0, np.partition(slope, most)[most]) if most < len(slope) else 0.0
         return slope < bound
 
-    def _model(self, problem: FrameProblem, work: np.ndarray) -> Quadratic:
+    def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
         """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels.
 
         To that of the better-seen nodes: a model too stiff is slow, one too soft overshoots.
@@ -135,13 +127,13 @@ class ActiveSetSolver:
 
 
 def _correct(
-    H: Quadratic, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
+    H: np.ndarray, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Minimise over the nodes `work` with the gradient at `pressure` and the model Hessian H."""
     here, slope = pressure[work], gradient[work]
     # From nothing, start where the pull is strongest: a guess of all it reaches is far too large.
     start = here > 0.0 if here.any() else slope < 0.5 * np.min(slope, initial=0.0)
-    x, pivots, _ = nonnegative_qp(H, slope - H @ here, start)
+    x, pivots, _ = nonnegative_qp(H, slope - times(H, here), start)
     corrected = np.zeros_like(pressure)
     corrected[work] = x
     return corrected, pivots

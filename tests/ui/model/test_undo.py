@@ -68,7 +68,7 @@ CHANGES = {
     "pose_stage": 1,
     "flow_preset": "fine",
     "friction": 0.8,
-    "compared": (Setting(nodes=300), Setting(solver="osqp")),
+    "compared": (Setting(nodes=300), Setting(solver="paper")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,
     "record_folder": "/somewhere",
