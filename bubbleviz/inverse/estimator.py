@@ -69,8 +69,6 @@ class EstimatorOptions:
         How often rays may be re-cast at the current shape within one frame of a stream.
     nodes : int or None
         Size of the mesh of an analytic dome; None for the sensor file's.
-    tolerance : float or None
-        Of the solver, in its own terms; None for its default.
     pressure_scale : float
         Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
     block : int or None
@@ -88,7 +86,6 @@ class EstimatorOptions:
     solver: str | None = None
     relinearisations: int = 2
     nodes: int | None = None
-    tolerance: float | None = None
     pressure_scale: float = PRESSURE_SCALE
     block: int | None = None
     rim_slack_m: float = RIM_SLACK_M
@@ -233,9 +230,7 @@ class Estimator:
         expected = self.options.pressure_scale
         self.prior_weight = (expected * self.held_pressure_pa) ** -2.0
         self._lambda = 1.0 / (expected * self._held) ** 2
-        self._solver = make_solver(
-            self.solver_name, self._equilibrium, reference_Q, self._lambda, self.options.tolerance
-        )
+        self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q, self._lambda)
         self._gas_limit = GAS_LINEAR * gas.P0 / self.scales.pressure_pa
         self._weight = float(reference_Q.diagonal().sum())
         self._tau = detection_threshold(self._equilibrium, reference_Q)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import problem
 from bubbleviz.inverse.estimator import MAX_LINEAR_NODES, Estimator, EstimatorOptions
@@ -16,7 +16,7 @@ from bubbleviz.inverse.plausibility import GAS_NOISE
 from bubbleviz.inverse.solvers.inverse_solver import SOLVERS
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.reference_mesh import build_mesh
-from tests.inverse.conftest import CAMERA, SENSOR, TENSION, estimator, first, press
+from tests.inverse.conftest import SENSOR, TENSION, estimator, first, press
 from tests.oracles.interior_point import InteriorPoint
 
 
@@ -111,12 +111,13 @@ def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
     assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
 
 
-def test_what_the_solver_did_not_finish_is_said(sphere):
-    mesh = build_mesh(SENSOR, 200)
-    observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
-    never = EstimatorOptions(tolerance=1e-30)
-    solver = Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, never)
-    assert first(solver, sphere.depth(0.002)).status == "not_converged"
+def test_what_the_solver_did_not_finish_is_said(sphere, monkeypatch):
+    class Unfinished(InteriorPoint):
+        def refine(self, problem, start):
+            return replace(super().refine(problem, start), converged=False)
+
+    monkeypatch.setitem(SOLVERS, "unfinished", lambda eq, *_: Unfinished(eq))
+    assert first(estimator(200, "unfinished"), sphere.depth(0.002)).status == "not_converged"
 
 
 def test_a_frame_like_the_last_one_costs_a_pivot_or_two(sphere):

@@ -17,11 +17,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtri, stdtrit
 
 from bubbleviz.calibration.rest.contact_free import SIGNIFICANT
-from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights
 from bubbleviz.calibration.rubber.rubber_fit import (
-    BLOCK_INFLATIONS,
     LARGEST_Q,
     LEAST_RISE,
     SMALLEST_Q,
@@ -31,6 +30,7 @@ from bubbleviz.calibration.rubber.rubber_fit import (
 from bubbleviz.calibration.tension.bootstrap import (
     DRAWS,
     draw_errors,
+    frames_block,
     score_table,
     tile_numbers,
     tile_side,
@@ -368,9 +368,7 @@ class HeldPress:
         tile = tile_numbers(self._observer.block_number[seen], self._observer.columns, side)
         mean, limit = np.nanmean(frames_m, axis=0), np.full(len(seen), np.inf)
         table = score_table(frames_m, mean, limit, influence, missed_m, tile, parameters=2)
-        inflation = mean_inflation(samples.statistics.temporal_correlation)
-        block = max(1, round(BLOCK_INFLATIONS * inflation))
-        return draw_errors(table, block, seed).total
+        return draw_errors(table, frames_block(samples.statistics), seed).total
 
     def _systematic(
         self, linear: _Linear, influence: np.ndarray, q: float, stress_sigma: float

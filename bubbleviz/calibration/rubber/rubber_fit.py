@@ -16,15 +16,14 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.calibration.tension.bootstrap import (
     DRAWS,
     draw_errors,
-    score_table,
-    tile_numbers,
-    tile_side,
+    frames_block,
+    samples_scores,
 )
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.raycast import RayCaster
@@ -48,8 +47,6 @@ STEP_OF_Q = 1e-3
 """Relative step of q for the derivative of the forces."""
 _LOOK_M = 1e-5
 """Largest motion of a node for the derivative of ranges, m."""
-BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
-_CLIP = 3.0  # as the mean of a pixel is clipped
 _RINGS = 4
 """Of equal numbers of pixels between rim and top: each large against what errors of the model are
 alike over, and the others still tell q from G."""
@@ -449,22 +446,9 @@ class _Fit:
     def _drawn(
         self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray, seed: list[int]
     ) -> np.ndarray:
-        statistics, pixels = samples.statistics, self._pixels
-        to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
-        mean = statistics.range_m.ravel()[pixels] / to_depth
-        noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m) / to_depth
-        side = tile_side(len(pixels), statistics.correlation_length_px)
-        table = score_table(
-            samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
-            np.nan_to_num(mean),
-            np.nan_to_num(_CLIP * noise),
-            influence * to_depth[:, None],
-            missed_m / to_depth,
-            tile_numbers(pixels, samples.camera.intrinsics.width, side),
-            parameters=2,
-        )
-        block = max(1, round(BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
-        return draw_errors(table, block, int(np.random.default_rng(seed).integers(2**31))).total
+        table = samples_scores(samples, self._pixels, influence, missed_m, parameters=2)
+        drawn = int(np.random.default_rng(seed).integers(2**31))
+        return draw_errors(table, frames_block(samples.statistics), drawn).total
 
 
 def _loss(missed_m: np.ndarray, sigma: float) -> float:

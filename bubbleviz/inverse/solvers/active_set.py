@@ -14,7 +14,7 @@ from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natur
 from bubbleviz.inverse.solvers.pivoting import nonnegative_qp, times
 from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
 
-KKT_TOLERANCE = 1e-3  # of a problem whose numbers are of order one, see `Scales`
+_KKT_TOLERANCE = 1e-3  # of a problem whose numbers are of order one, see `Scales`
 
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
@@ -28,6 +28,9 @@ _BETTER_SEEN = 0.95
 _SELECTIONS = 8
 """Corrections that selecting a support is worth; the next frame goes on from there."""
 
+_CORRECTIONS = 30
+"""Most of the debiased solution; chosen."""
+
 
 class ActiveSetSolver:
     """Warm-started active set with a model Hessian.
@@ -39,10 +42,6 @@ class ActiveSetSolver:
         Q of a frame with every pixel valid in the reference configuration.
     lambda_ : float
         Weight of the H1 term.
-    tolerance : float
-        Relative KKT residual of the debiased problem.
-    corrections : int
-        Most corrections of the debiased solution.
     """
 
     def __init__(
@@ -50,12 +49,9 @@ class ActiveSetSolver:
         equilibrium: Equilibrium,
         reference_Q: sparse.csr_array,
         lambda_: float,
-        tolerance: float = KKT_TOLERANCE,
-        corrections: int = 30,
     ) -> None:
         self._equilibrium = equilibrium
         self._diagonal = reference_Q.diagonal()
-        self._tolerance, self._corrections = tolerance, corrections
         self._hessian = ReducedHessian(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
         self._scaled_for, self._scale = reference_Q, 1.0
@@ -91,12 +87,12 @@ class ActiveSetSolver:
         if gradient is None:
             gradient = self._equilibrium.gradient(problem, pressure, work)
         pivots = 0
-        for _ in range(self._corrections):
+        for _ in range(_CORRECTIONS):
             pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
             gradient = self._equilibrium.gradient(problem, pressure, work)
             residual = natural_residual(self._equilibrium.A, problem, pressure, gradient)
-            if residual <= self._tolerance:
+            if residual <= _KKT_TOLERANCE:
                 return Pressure(pressure, pivots, True, gradient)
         return Pressure(pressure, pivots, False, gradient)
 

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
-from bubbleviz.inverse.solvers.active_set import KKT_TOLERANCE, ActiveSetSolver
+from bubbleviz.inverse.solvers.active_set import ActiveSetSolver
 from bubbleviz.inverse.solvers.paper_solver import PaperSolver
 
 RUBBER = "rubber"
@@ -31,14 +31,12 @@ class InverseSolver(Protocol):
         """Solve on the problem's support without the L1 term, from a selection."""
 
 
-Make = Callable[[Equilibrium, sparse.csr_array, float, float | None], InverseSolver]
-"""Makes a solver: equilibrium, Q of every pixel valid, λ, tolerance (None: the solver's own)."""
+Make = Callable[[Equilibrium, sparse.csr_array, float], InverseSolver]
+"""Makes a solver: equilibrium, Q of every pixel valid, λ."""
 
 SOLVERS: dict[str, Make] = {
-    LINEAR: lambda eq, Q, lambda_, tolerance: ActiveSetSolver(
-        eq, Q, lambda_, tolerance or KKT_TOLERANCE
-    ),
-    PAPER: lambda eq, Q, lambda_, tolerance: PaperSolver(eq, tolerance),
+    LINEAR: ActiveSetSolver,
+    PAPER: lambda equilibrium, Q, lambda_: PaperSolver(equilibrium),
 }
 BASE_MESH = {f"{name}-base": name for name in (RUBBER, LINEAR)}
 """Names for the sensor's own mesh alone: no finer one at the contact."""
@@ -55,11 +53,7 @@ DROPPED = {
 
 
 def make_solver(
-    name: str,
-    equilibrium: Equilibrium,
-    reference_Q: sparse.csr_array,
-    lambda_: float,
-    tolerance: float | None = None,
+    name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
 ) -> InverseSolver:
     """Solver of the given name.
 
@@ -70,4 +64,4 @@ def make_solver(
     """
     if name not in SOLVERS:
         raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVER_NAMES)}")
-    return SOLVERS[name](equilibrium, reference_Q, lambda_, tolerance)
+    return SOLVERS[name](equilibrium, reference_Q, lambda_)

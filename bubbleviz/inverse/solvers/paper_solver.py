@@ -9,7 +9,7 @@ from scipy import sparse
 
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
-TOLERANCE = 1e-5  # of a problem whose numbers are of order one; chosen
+_TOLERANCE = 1e-5  # absolute and relative, of a problem whose numbers are of order one; chosen
 _MOST_ITERATIONS = 10_000
 
 
@@ -19,12 +19,10 @@ class PaperSolver:
     Parameters
     ----------
     equilibrium : Equilibrium
-    tolerance : float, optional
-        Absolute and relative tolerance of OSQP on the dimensionless problem.
     """
 
-    def __init__(self, equilibrium: Equilibrium, tolerance: float | None = None) -> None:
-        self._equilibrium, self._tolerance = equilibrium, tolerance or TOLERANCE
+    def __init__(self, equilibrium: Equilibrium) -> None:
+        self._equilibrium = equilibrium
 
     def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
         """Solve with the L1 term; a first-order iterate is nowhere exactly zero.
@@ -61,8 +59,8 @@ class PaperSolver:
             linear,
             _for_osqp(sparse.block_array(rows)),
             *_bounds(problem),
-            eps_abs=self._tolerance,
-            eps_rel=self._tolerance,
+            eps_abs=_TOLERANCE,
+            eps_rel=_TOLERANCE,
             max_iter=_MOST_ITERATIONS,
             verbose=False,
             polishing=False,
