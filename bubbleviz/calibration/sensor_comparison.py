@@ -139,7 +139,6 @@ def _numbers(old: SensorModel, new: Identification) -> list[Row]:
         ),
         Row("membrane area", "area", float(mesh.areas.sum()), float(new.mesh.areas.sum())),
         Row("cap volume", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
-        Row("chamber volume", "volume", was.chamber_volume_m3, now.chamber_volume_m3),
     ]
 
 

@@ -15,7 +15,7 @@ Round a sharp edge ψ jumps and T1 does not: without friction the edge's line lo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import acos, asin, cos, pi, sin
 from typing import Any
@@ -25,6 +25,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from bubbleviz.errors import SolveError
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.mesh import MembraneMesh
 
 _START = 1e-5
 """Share of the meridian at which integration begins, where the apex is still isotropic."""
@@ -51,6 +53,20 @@ class RubberPress:
     contact_radius_m: float  # of the circle where the membrane leaves the object, m
     gas_pressure_change_pa: float  # p_v, Pa
     force_n: float  # on the object along the axis, N
+
+    def contact_area_m2(self, radius_m: float) -> float:
+        """Of the contact on the spherical surface at rest, m²."""
+        s = np.interp(self.contact_radius_m, self.meridian.r_m, self.meridian.s_m)
+        return float(2.0 * pi * radius_m**2 * (1.0 - cos(s / radius_m)))
+
+    def surface(self, rim_m: float, height_m: float, nodes: int = 8_000) -> MembraneMesh:
+        """What a camera sees of it: a mesh as dense along the meridian as the cap's."""
+        r, z = (np.concatenate([[v[0]], v]) for v in (self.meridian.r_m, self.meridian.z_m))
+        r[0] = 0.0
+        cap = mesh_cap(spherical_cap(rim_m, height_m), nodes)
+        height = np.interp(np.hypot(*cap.nodes[:, :2].T), r, z)
+        height[cap.rim] = 0.0
+        return replace(cap, nodes=np.column_stack([cap.nodes[:, :2], height]))
 
 
 @dataclass(frozen=True)

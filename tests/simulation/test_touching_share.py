@@ -16,9 +16,7 @@ DEPTH, BALL = 0.006, 0.015
 def exact_area():
     """Of the contact on the surface at rest, m², by the equations of the meridian."""
     press = AxialRubber.dome(A, H, 1.2, GAUGE).press(DEPTH, BALL)
-    s = np.interp(press.contact_radius_m, press.meridian.r_m, press.meridian.s_m)
-    R = (A**2 + H**2) / (2.0 * H)
-    return float(2.0 * np.pi * R**2 * (1.0 - np.cos(s / R)))
+    return press.contact_area_m2((A**2 + H**2) / (2.0 * H))
 
 
 def pressed(nodes):
