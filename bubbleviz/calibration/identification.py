@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bubbleviz.calibration.checks import check_no_dent, check_seen, seen_share
+from bubbleviz.calibration.checks import check_no_dent, check_seen, errors_name, seen_share
 from bubbleviz.calibration.rest.contact_free import find_contact_free
 from bubbleviz.calibration.rest.depth_statistics import MIN_FRAMES, DepthStatistics
 from bubbleviz.calibration.rest.dome_motion import check_still
@@ -165,32 +165,17 @@ def identify(
         camera or in another unit, no gauge pressure, no dome, half of it unseen, a moving
         camera, contact all along.
     """
-    try:
-        return _identify(source, sensor, contact_free, nodes, surface, progress)
-    except InputError as error:  # of a step that does not know the recording
-        if source.name in str(error):
-            raise
-        raise InputError(f"{source.name}: {error}") from error
-
-
-def _identify(
-    source: FrameSource,
-    sensor: Sensor,
-    contact_free: Sequence[int] | None,
-    nodes: int,
-    surface: Name | None,
-    progress: Progress,
-) -> Identification:
-    chosen = contact_free
-    if chosen is None:
-        chosen = find_contact_free(source, progress).frames
-    samples = collect(source, sensor, chosen, progress)
-    gauge = rest_gauge_pressure(samples, sensor)
-    wander = check_still(samples)
-    surfaces = fit_surfaces(samples, nodes, surface, progress)
-    seen = check_dome(samples, surfaces)
-    tension = estimate_tension(samples, surfaces, gauge, progress=progress)
-    pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
+    with errors_name(source):
+        chosen = contact_free
+        if chosen is None:
+            chosen = find_contact_free(source, progress).frames
+        samples = collect(source, sensor, chosen, progress)
+        gauge = rest_gauge_pressure(samples, sensor)
+        wander = check_still(samples)
+        surfaces = fit_surfaces(samples, nodes, surface, progress)
+        seen = check_dome(samples, surfaces)
+        tension = estimate_tension(samples, surfaces, gauge, progress)
+        pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
     progress("done", 1.0)
     return assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
 

@@ -173,11 +173,11 @@ class RubberFit:
     change_rms_m: float
     rises_pa: tuple[float, ...]
 
-    def under(self, gauge_pa: float, sigma_pa: float, seed: int = 0) -> Self:
+    def under(self, gauge_pa: float, sigma_pa: float) -> Self:
         """The same where the gauge pressure is known otherwise; q follows as their errors do."""
         relative = self.gauge_errors_pa / self.gauge_pressure_pa
         slope = float(np.cov(self.q_errors, relative)[0, 1] / np.var(relative))  # dq/d(ln G)
-        drawn = sigma_pa / gauge_pa * np.random.default_rng([seed, 3]).standard_normal(DRAWS)
+        drawn = sigma_pa / gauge_pa * np.random.default_rng([0, 3]).standard_normal(DRAWS)
         return replace(
             self,
             q=self.q + slope * float(np.log(gauge_pa / self.gauge_pressure_pa)),
@@ -195,7 +195,6 @@ def fit_rubber(
     gauge_pressure_pa: float,
     gauge_sigma_pa: float | None = None,
     stress_sigma: float = 0.0,
-    seed: int = 0,
 ) -> RubberFit:
     """Fit λ⁻⁶ and, where it is not known, the gauge pressure to inflation levels.
 
@@ -219,7 +218,6 @@ def fit_rubber(
         Its standard deviation where it is known.
     stress_sigma : float
         Relative standard deviation of the stress that shape and gauge pressure give.
-    seed : int
 
     Raises
     ------
@@ -240,8 +238,8 @@ def fit_rubber(
     free = (True, gauge_sigma_pa is None)
     state = fit.solve(gauge_pressure_pa, free)
     influence, to_rise = fit.influence(state, free)
-    errors = fit.bootstrap(state, influence, seed)
-    rng = np.random.default_rng([seed, 1])
+    errors = fit.bootstrap(state, influence)
+    rng = np.random.default_rng([0, 1])
     shaken = rng.standard_normal((DRAWS, len(pressures))) * [sigma for _, sigma in pressures]
     errors += (shaken[:, 1:] - shaken[:, :1]) @ to_rise
     facets = (mesh.edge_length * 0.5 * mean_curvature(mesh)) ** 2
@@ -435,13 +433,13 @@ class _Fit:
         modelled = np.nan_to_num(self.change_m - state.missed_m)
         return -np.einsum("lk,lkp->p", modelled, influence)
 
-    def bootstrap(self, state: _State, influence: np.ndarray, seed: int) -> np.ndarray:
+    def bootstrap(self, state: _State, influence: np.ndarray) -> np.ndarray:
         """Errors of (q, ln G), (R, 2), from noise and from what the model does not explain."""
         total = np.zeros((DRAWS, 2))
         for k, level in enumerate(self._levels):
-            total += self._drawn(level, influence[k], np.nan_to_num(state.missed_m[k]), [seed, k])
+            total += self._drawn(level, influence[k], np.nan_to_num(state.missed_m[k]), [0, k])
         none = np.zeros(len(self._pixels))
-        return total + self._drawn(self._base, -influence.sum(axis=0), none, [seed, -1 & 0xFFFF])
+        return total + self._drawn(self._base, -influence.sum(axis=0), none, [0, -1 & 0xFFFF])
 
     def _drawn(
         self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray, seed: list[int]

@@ -147,7 +147,6 @@ def estimate_tension(
     samples: Samples,
     surfaces: Surfaces,
     gauge_pressure_pa: float,
-    seed: int = 0,
     progress: Progress = quiet,
 ) -> TensionEstimate:
     """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
@@ -163,8 +162,8 @@ def estimate_tension(
     by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
     table = samples_scores(samples, pixels, influence, residual, parameters, progress)
     block = frames_block(samples.statistics)
-    draws = draw_errors(table, block, seed)
-    rng = np.random.default_rng([seed, 1])
+    draws = draw_errors(table, block)
+    rng = np.random.default_rng([0, 1])
     facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
     other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     moved = by_surface["free-form"] - by_surface[other]
