@@ -25,7 +25,7 @@ from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.result_messages import DIAGNOSTICS, POSE, ResultMessages
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.source_status import Status, status_of
-from bubbleviz.live.sources.live_source import Link, OfferedTopic
+from bubbleviz.live.sources.live_source import Deliver, Link, LiveSource
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Pose, Result
@@ -230,43 +230,29 @@ def test_a_zero_is_learned_in_one_rest_and_only_then() -> None:
     assert zero.applied(unmeasured) is unmeasured
 
 
-class _Weather:
+class Weather(LiveSource):
     """The simulated sensor on a day when the air weighs 800 Pa less; sends a frame when told to."""
 
-    name = "weather"
-
     def __init__(self, simulation: SyntheticSource) -> None:
-        self._simulation, self._messages = simulation, FrameMessages()
-        self._sent = 0
+        super().__init__("weather")
+        self.simulation, self.messages, self.sent = simulation, FrameMessages(), 0
 
-    def start(self, deliver: Callable[[RawMessage], None]) -> None:
-        self._deliver = deliver
-
-    def stop(self) -> None:
-        pass
+    def start(self, deliver: Deliver) -> None:
+        self.deliver = deliver
 
     def link(self) -> Link:
         return "up"
 
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        return ()
-
-    def missed(self) -> int:
-        return 0
-
-    def problem(self) -> str:
-        return ""
-
     def send(self) -> None:
         now = time.time_ns()
-        frame = self._simulation[self._sent % len(self._simulation)]
-        for topic, kind, payload, stamp in self._messages.of(frame, now):
+        frame = self.simulation[self.sent % len(self.simulation)]
+        for topic, kind, payload, stamp in self.messages.of(frame, now):
             if kind.endswith("FluidPressure"):
                 content = STORE.deserialize_cdr(payload, kind)
                 content.fluid_pressure -= 800.0
                 payload = bytes(STORE.serialize_cdr(content, kind))
-            self._deliver(RawMessage(topic, kind, payload, stamp, now, self._sent))
-        self._sent += 1
+            self.deliver(RawMessage(topic, kind, payload, stamp, now, self.sent))
+        self.sent += 1
 
 
 def test_weather_is_not_contact(small_sensor: Sensor) -> None:
@@ -274,7 +260,7 @@ def test_weather_is_not_contact(small_sensor: Sensor) -> None:
     worst = {}
     for zeroed in (False, True):
         zero = PressureZero(small_sensor.pneumatics.reference_pressure_pa) if zeroed else None
-        source = _Weather(press(small_sensor, 60))
+        source = Weather(press(small_sensor, 60))
         with LiveStream(source) as stream:
             watcher = Watcher(stream, Pipeline.of(small_sensor), zero)
             statuses = []
