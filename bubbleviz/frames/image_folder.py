@@ -113,7 +113,6 @@ class ImageFolder:
         self._check()
 
     def __len__(self) -> int:
-        """Count the images."""
         return len(self._files)
 
     def __getitem__(self, index: int) -> Frame:

@@ -137,24 +137,29 @@ def decode_intrinsics(message: Any) -> Intrinsics | None:
     fx, cx, fy, cy = (float(matrix[k]) for k in (0, 2, 4, 5))
     if not (np.isfinite(matrix).all() and fx > 0 and fy > 0):
         raise ValueError(f"focal lengths {fx:g}, {fy:g} px are not positive")
-    model, distortion = _distortion(str(message.distortion_model), coefficients)
-    return Intrinsics(
-        int(message.width), int(message.height), fx, fy, cx, cy, model, tuple(distortion)
-    )
+    model, distortion = distortion_of(str(message.distortion_model), coefficients)
+    return Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy, model, distortion)
 
 
-def _distortion(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, list[float]]:
+def distortion_of(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, tuple[float, ...]]:
+    """Distortion model by a name that ROS or the RealSense library gives it, and coefficients.
+
+    Raises
+    ------
+    ValueError
+        It is not known, or a coefficient is not finite.
+    """
     if not np.isfinite(coefficients).all():
         raise ValueError("distortion coefficients are not finite")
     if not coefficients.any():
-        return "none", []
+        return "none", ()
     key = name.strip().lower().replace(" ", "_")
     if key not in _MODELS or key in ("", "none") or coefficients[5:].any():
         raise ValueError(
             f"distortion model {name[:40]!r} with {len(coefficients)} coefficients is not known; "
             "rectify the images, or use plumb_bob or inverse_brown_conrady"
         )
-    return _MODELS[key], [float(c) for c in coefficients[:5]]
+    return _MODELS[key], tuple(coefficients[:5].tolist())
 
 
 def pressure_of(message: Any) -> np.ndarray:

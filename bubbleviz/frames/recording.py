@@ -121,7 +121,6 @@ class Recording:
             raise
 
     def __len__(self) -> int:
-        """Count the frames."""
         return len(self.times_s)
 
     def __getitem__(self, index: int) -> Frame:

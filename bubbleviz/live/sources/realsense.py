@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_decoding import distortion_of
 from bubbleviz.frames.message_encoding import FrameMessages, Message, ros2_types
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sources.live_source import Deliver, LiveSource, OfferedTopic
@@ -30,11 +30,6 @@ _PATIENCE_S = 0.5  # s between looks for a request to stop; chosen
 _QUEUE = 64  # pictures between the SDK's thread and ours, two seconds at 30 Hz
 _BACK_OFF_S = (0.5, 4.0)  # s between attempts to open a camera, first and longest; chosen
 
-_MODELS: dict[str, DistortionModel] = {
-    "none": "none",
-    "brown_conrady": "plumb_bob",
-    "inverse_brown_conrady": "inverse_brown_conrady",
-}
 _ENCODINGS = {name: name for name in ("rgb8", "bgr8", "rgba8", "bgra8")} | {"y8": "mono8"}
 
 
@@ -358,20 +353,8 @@ def serials(sdk: Any) -> tuple[str, ...]:
 
 
 def _intrinsics(found: Any) -> Intrinsics:
-    """Intrinsics as ours; InputError for a distortion model that we do not have."""
-    model = _MODELS.get(str(found.model).rsplit(".", 1)[-1])
-    coefficients = tuple(float(c) for c in found.coeffs)
-    if not any(coefficients):
-        model = "none"
-    if model is None:
-        raise InputError(f"the camera's distortion model {found.model} is not known")
-    return Intrinsics(
-        int(found.width),
-        int(found.height),
-        float(found.fx),
-        float(found.fy),
-        float(found.ppx),
-        float(found.ppy),
-        model,
-        coefficients if model != "none" else (),
-    )
+    """Intrinsics as ours; ValueError for a distortion model that we do not have."""
+    model = str(found.model).rsplit(".", 1)[-1]
+    distortion = distortion_of(model, np.array(found.coeffs, np.float64))
+    fx, fy, cx, cy = (float(value) for value in (found.fx, found.fy, found.ppx, found.ppy))
+    return Intrinsics(int(found.width), int(found.height), fx, fy, cx, cy, *distortion)
