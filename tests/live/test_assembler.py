@@ -25,6 +25,7 @@ from wire import (
     cloud,
     compressed_depth,
     depth,
+    frames_of,
     gas,
     image,
     pressure,
@@ -36,11 +37,6 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.live.assembler import WAIT_NS, FrameAssembler
 from bubbleviz.live.raw_message import RawMessage, stamp_of
 from bubbleviz.live.topic_names import TopicNames
-
-
-def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
-    found = [frame for message in messages for frame in assembler.push(message)]
-    return found + assembler.flush()
 
 
 def test_a_frame_is_what_was_sent() -> None:

@@ -11,8 +11,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from realsense_file import record_realsense
 from robot import HASH, open_session
-from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, cdr, depth, header
+from wire import (
+    IMAGE,
+    INFO,
+    NOW,
+    PERIOD,
+    SECOND,
+    STORE,
+    arrived,
+    camera_info,
+    cdr,
+    depth,
+    frames_of,
+    header,
+    played,
+    recorded,
+)
 from wire import image as wire_image
 from zenoh import ext
 
@@ -47,11 +63,6 @@ def colour(stamp: int, k: int, topic: str = COLOUR, **changes: Any) -> RawMessag
     }
     message = STORE.types[IMAGE](**{**fields, **changes})
     return arrived(topic, IMAGE, cdr(message, IMAGE), stamp)
-
-
-def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
-    found = [frame for message in messages for frame in assembler.push(message)]
-    return found + assembler.flush()
 
 
 def level(frame: Frame, delay_s: float = 0.0) -> int | None:
@@ -185,32 +196,20 @@ def test_a_named_topic_of_another_namespace_counts() -> None:
 
 
 def test_a_replay_plays_colour_when_asked(tmp_path: Path, small_sensor: Sensor) -> None:
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
-    recorder.start(path)
-    for k in range(5):
-        for message in both(k):
-            recorder.push(message)
-    recorder.stop()
+    path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
     for asked in (False, True):
         stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
         heard: list[RawMessage] = []
         stream.listen(heard.append)
         if asked:
             stream.follow_colour()
-        with stream:
-            while stream.take(5.0) is not None:
-                pass
+        played(stream)
         assert any(message.topic == COLOUR for message in heard) is asked
 
 
 @pytest.mark.parametrize("before", [True, False])
 def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, before: bool) -> None:
-    first, path = Recorder(), tmp_path / "rec.mcap"
-    first.start(path)
-    for k in range(5):
-        for message in both(k):
-            first.push(message)
-    first.stop()
+    path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
     recorder, copy = Recorder(), tmp_path / "copy.mcap"
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
     if before:
@@ -218,9 +217,7 @@ def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, befor
     recorder.listen_to(stream)
     if not before:
         recorder.start(copy)
-    with stream:
-        while stream.take(5.0) is not None:
-            pass
+    played(stream)
     recorder.stop()
     with Recording(copy) as recording:
         assert [level(recording[k]) for k in range(5)] == list(range(5))
@@ -276,13 +273,9 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
     """Not asked for, awaited, or not there: three words."""
     said = []
     for colours, asked in ((1, False), (1, True), (0, True)):
-        recorder, path = Recorder(), tmp_path / f"{len(said)}.mcap"
-        recorder.start(path)
-        for k in range(3):
-            recorder.push(depth(NOW + k * PERIOD, k, topic="/cam/depth/image"))
-        for _ in range(colours):
-            recorder.push(colour(NOW + 3600 * SECOND, 3))
-        recorder.stop()
+        messages = [depth(NOW + k * PERIOD, k, topic="/cam/depth/image") for k in range(3)]
+        messages += colours * [colour(NOW + 3600 * SECOND, 3)]
+        path = recorded(tmp_path / f"{len(said)}.mcap", messages)
         stream = open_stream(f"replay:{path}", small_sensor, any_size=True)
         if asked:
             stream.follow_colour()
@@ -300,21 +293,14 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
 def test_colour_comes_until_the_last_who_asked_lets_go(
     tmp_path: Path, small_sensor: Sensor
 ) -> None:
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
-    recorder.start(path)
-    for k in range(3):
-        for message in both(k):
-            recorder.push(message)
-    recorder.stop()
+    path = recorded(tmp_path / "rec.mcap", [m for k in range(3) for m in both(k)])
     for kept, comes in ((0, False), (1, True)):
         stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
         for let_go in [stream.follow_colour(), stream.follow_colour()][kept:]:
             let_go()
         heard: list[RawMessage] = []
         stream.listen(heard.append)
-        with stream:
-            while stream.take(5.0) is not None:
-                pass
+        played(stream)
         assert any(message.topic == COLOUR for message in heard) is comes
 
 
@@ -371,22 +357,19 @@ def test_the_pose_of_the_colour_camera_is_that_of_tf_static(
 
 def test_a_recording_and_its_replay_have_the_pose(tmp_path: Path, small_sensor: Sensor) -> None:
     """Although it was sent before the recording began."""
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder, stamps = Recorder(), [NOW + k * PERIOD for k in range(5)]
     recorder.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
-    recorder.start(path)
-    for k in range(5):
-        recorder.push(depth(NOW + k * PERIOD, k, topic="/cam/depth/image"))
-        recorder.push(framed(NOW + k * PERIOD, k, "lens"))
-    recorder.stop()
+    messages = [
+        m for s in stamps for m in (depth(s, topic="/cam/depth/image"), framed(s, 1, "lens"))
+    ]
+    path = recorded(tmp_path / "rec.mcap", messages, recorder)
     with Recording(path) as recording:
         assert recording.colour is not None
         np.testing.assert_allclose(recording.colour.camera.T_D_C, POSE, atol=1e-12)
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
     stream.follow_colour()
-    with stream:
-        frame = None
-        while (newer := stream.take(5.0)) is not None:
-            frame = newer
+    frame = played(stream)
+    assert frame is not None and frame.colour is not None
     np.testing.assert_allclose(frame.colour.camera.T_D_C, POSE, atol=1e-12)
 
 
@@ -432,49 +415,9 @@ RECORDED = 80
 
 @pytest.fixture(scope="module")
 def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Depth and colour of two sensors, recorded by the SDK from its own software device."""
-    rs = pytest.importorskip("pyrealsense2")
+    """Depth and colour of two sensors."""
     path = tmp_path_factory.mktemp("realsense") / "camera.db3"
-    device = rs.software_device()
-    streams = {
-        "Depth": (rs.stream.depth, rs.format.z16, 2),
-        "Color": (rs.stream.color, rs.format.rgb8, 3),
-    }
-    profiles = {}
-    for uid, (name, (kind, form, size)) in enumerate(streams.items()):
-        lens, stream = rs.intrinsics(), rs.video_stream()
-        lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = 64, 48, 60 + uid, 61, 31, 23
-        stream.type, stream.index, stream.uid, stream.fmt = kind, 0, uid, form
-        stream.width, stream.height, stream.fps, stream.bpp = 64, 48, 30, size
-        stream.intrinsics = lens
-        sensor = device.add_sensor(name)
-        profiles[name] = sensor, sensor.add_video_stream(stream), size
-        if name == "Depth":
-            sensor.add_read_only_option(rs.option.depth_units, 1e-4)
-    placed = rs.extrinsics()
-    placed.rotation, placed.translation = POSE[:3, :3].T.ravel().tolist(), POSE[:3, 3].tolist()
-    profiles["Color"][1].register_extrinsics_to(profiles["Depth"][1], placed)
-    recorder, queue = rs.recorder(str(path), device), rs.frame_queue(50)
-    recorded = recorder.query_sensors()
-    for sensor in recorded:
-        sensor.open(sensor.get_stream_profiles()[0])
-        sensor.start(queue)
-    for k in range(RECORDED):
-        for name, (sensor, profile, size) in profiles.items():
-            frame = rs.software_video_frame()
-            depth_px, colour_px = np.full((48, 64), 1000 + k, np.uint16), np.zeros((48, 64, 3))
-            colour_px[:] = k, 2 * k, 3 * k
-            frame.pixels = depth_px if name == "Depth" else colour_px.astype(np.uint8)
-            frame.stride, frame.bpp, frame.depth_units = 64 * size, size, 1e-4
-            frame.timestamp, frame.domain = 1e6 + 1e3 * k / 30.0, rs.timestamp_domain.system_time
-            frame.frame_number, frame.profile = k, profile.as_video_stream_profile()
-            sensor.on_video_frame(frame)
-            assert queue.try_wait_for_frame(5000)[0]
-    for sensor in recorded:
-        sensor.stop()
-        sensor.close()
-    del recorded, recorder
-    return path
+    return record_realsense(path, RECORDED, POSE)
 
 
 def test_colour_of_a_realsense_camera_when_asked(
