@@ -108,16 +108,6 @@ def test_a_pressure_long_silent_is_neither_waited_for_nor_used() -> None:
     assert frame.gas_pressure_pa is None
 
 
-def test_topics_without_stamps_are_timed_by_arrival() -> None:
-    assembler = FrameAssembler()
-    for k in range(3):
-        arrival = NOW + k * 10_000_000
-        message = arrived("/gas", PRESSURE, pressure(0, 1e5 + k), 0, arrival)
-        assembler.push(message)
-    (frame,) = frames_of(assembler, depth(NOW - 40 * SECOND, arrival=NOW + 15_000_000))
-    assert frame.gas_pressure_pa == pytest.approx(1e5 + 1.5)
-
-
 def test_duplicates_and_old_frames_are_counted_and_left_out() -> None:
     assembler = FrameAssembler()
     order = [0, 1, 2, 2, 1, 3]

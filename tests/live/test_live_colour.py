@@ -158,14 +158,6 @@ def test_a_frame_waits_for_a_colour_image_that_is_late() -> None:
     assert level(frame, delay_s) == 12
 
 
-def test_a_frame_without_colour_in_half_a_period_has_none() -> None:
-    assembler = FrameAssembler()
-    assembler.follow_colour()
-    messages = [m for k in range(6) for m in both(k) if k % 3 or m.topic != COLOUR]
-    found = frames_of(assembler, *messages)
-    assert [level(frame) for frame in found[2:]] == [2, None, 4, 5]
-
-
 def test_the_camera_is_told() -> None:
     info = arrived("/cam/depth/camera_info", INFO, camera_info(NOW), NOW)
     assembler = FrameAssembler()
