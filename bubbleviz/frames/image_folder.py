@@ -5,20 +5,20 @@ from __future__ import annotations
 import csv
 import json
 import re
-import tomllib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
-from pydantic import BaseModel, PositiveFloat, PositiveInt, ValidationError
+from pydantic import BaseModel, PositiveFloat, PositiveInt
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
 from bubbleviz.colour.colour_image import ColourImage, EncodedImage
 from bubbleviz.colour.colour_topics import colour_camera
 from bubbleviz.colour.recorded_colour import ColourAround
 from bubbleviz.errors import InputError
+from bubbleviz.files.toml_files import checked, read_toml
 from bubbleviz.frames.depth_topics import PRESSURE, WRENCH
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import usual_step
@@ -251,19 +251,15 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
         The file cannot be read, or lacks a number; says which.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        table = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-        camera = _Camera.model_validate(table.get("camera", table))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    except (ValueError, AttributeError) as error:
-        reason = str(error)
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise InputError(f"{path}: no intrinsics: {reason}") from error
-    return Intrinsics(**camera.model_dump())
+    if path.suffix.lower() == ".json":
+        try:
+            table = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: not a readable JSON file ({error}); correct it") from error
+    else:
+        table = read_toml(path)
+    camera = table.get("camera", table) if isinstance(table, dict) else table
+    return Intrinsics(**checked(_Camera, camera, path, "intrinsics").model_dump())
 
 
 def read_times(path: str | Path) -> np.ndarray:
