@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from streams import frames_of
 from wire import (
     CLOUD,
     COMPRESSED,
@@ -25,7 +26,6 @@ from wire import (
     cloud,
     compressed_depth,
     depth,
-    frames_of,
     gas,
     image,
     pressure,

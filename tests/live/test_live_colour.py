@@ -13,22 +13,8 @@ import numpy as np
 import pytest
 from realsense_file import record_realsense
 from robot import HASH, open_session
-from wire import (
-    IMAGE,
-    INFO,
-    NOW,
-    PERIOD,
-    SECOND,
-    STORE,
-    arrived,
-    camera_info,
-    cdr,
-    depth,
-    frames_of,
-    header,
-    played,
-    recorded,
-)
+from streams import frames_of, played, recorded
+from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, cdr, depth, header
 from wire import image as wire_image
 from zenoh import ext
 

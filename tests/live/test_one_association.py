@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from streams import frames_of, recorded
 from wire import (
     IMAGE,
     NOW,
@@ -17,11 +18,9 @@ from wire import (
     arrived,
     cdr,
     depth,
-    frames_of,
     gas,
     header,
     pressure,
-    recorded,
     wrench,
 )
 

@@ -17,7 +17,8 @@ import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 from small_press import small_source
-from wire import NOW, PERIOD, depth, recorded
+from streams import recorded
+from wire import NOW, PERIOD, depth
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port, sequences, soak

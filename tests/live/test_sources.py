@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from realsense_file import record_realsense
+from streams import played, recorded
 from wire import (
     CLOUD,
     HEIGHT,
@@ -28,8 +29,6 @@ from wire import (
     cloud,
     depth,
     gas,
-    played,
-    recorded,
 )
 
 from bubbleviz.camera.intrinsics import Intrinsics
@@ -218,8 +217,7 @@ def test_the_nut_is_in_one_place_for_both_fingers() -> None:
     height = load_sensor(left.sensor).membrane.height_m
     assert height is not None
     poses = {
-        place.name: place.T_W_B @ grip_poses(place.name, height, 60)  # type: ignore[arg-type]
-        for place in (left, right)
+        place.name: place.T_W_B @ grip_poses(place.name, height, 60) for place in (left, right)
     }
     closed = slice(20, 44)
     np.testing.assert_allclose(poses["left"][closed], poses["right"][closed], atol=1e-8)
@@ -228,7 +226,7 @@ def test_the_nut_is_in_one_place_for_both_fingers() -> None:
         np.testing.assert_allclose(
             place.T_W_B,
             finger_pose(place.name, height),
-            atol=1e-9,  # type: ignore[arg-type]
+            atol=1e-9,
         )
 
 
@@ -237,11 +235,11 @@ def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
     assert np.ptp(nut.vertices[:, 1]) == pytest.approx(0.048)
     forces = []
     for side in ("left", "right"):
-        poses = grip_poses(side, 0.05, 40)  # type: ignore[arg-type]
+        poses = grip_poses(side, 0.05, 40)
         source = SyntheticSource(small_sensor, nut, poses, nodes=500)
         open_, closed = source.truth(0), source.truth(13)
         assert np.linalg.norm(open_.force_n) == 0.0
-        T_W_B = finger_pose(side, 0.05)  # type: ignore[arg-type]
+        T_W_B = finger_pose(side, 0.05)
         forces.append(T_W_B[:3, :3] @ closed.force_n)
     assert np.linalg.norm(forces[0]) > 1.0
     # what one finger feels the other feels the other way round

@@ -434,11 +434,11 @@ def test_our_keys_are_the_ones_robots_use() -> None:
         assert sorted(kinds) == ["/cam/camera_info", "/cam/depth", "/gas"]
         for topic, kind in kinds.items():
             type_hash = KEYS["rmw"]["/gas"].split("/")[-1]
-            published = zenoh_keys.publication(topic, kind, type_hash, layout, 0)  # type: ignore[arg-type]
+            published = zenoh_keys.publication(topic, kind, type_hash, layout, 0)
             assert published == KEYS[layout][topic]
-            subscribed = zenoh_keys.subscription(topic, layout, 0)  # type: ignore[arg-type]
+            subscribed = zenoh_keys.subscription(topic, layout, 0)
             assert zenoh.KeyExpr(subscribed).includes(published)
-            token = zenoh_keys.announcement(topic, kind, type_hash, layout, 0, "b3f7", 1)  # type: ignore[arg-type]
+            token = zenoh_keys.announcement(topic, kind, type_hash, layout, 0, "b3f7", 1)
             assert zenoh_keys.parse_token(token, 0) == (topic, kind, layout)
             assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
 

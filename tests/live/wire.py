@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.live.assembler import FrameAssembler
-from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HEIGHT, WIDTH = 48, 64
@@ -134,28 +128,3 @@ def depth(
 
 def gas(stamp: int, value: float, arrival: int | None = None) -> RawMessage:
     return arrived("/gas", PRESSURE, pressure(stamp, value), stamp, arrival)
-
-
-def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
-    """The frames that messages are made into."""
-    found = [frame for message in messages for frame in assembler.push(message)]
-    return found + assembler.flush()
-
-
-def recorded(path: Path, messages: Iterable[RawMessage], recorder: Recorder | None = None) -> Path:
-    """A recording of messages."""
-    recorder = recorder or Recorder()
-    recorder.start(path)
-    for message in messages:
-        recorder.push(message)
-    recorder.stop()
-    return path
-
-
-def played(stream: LiveStream) -> Frame | None:
-    """Play a stream to its end; the last frame."""
-    last = None
-    with stream:
-        while (frame := stream.take(5.0)) is not None:
-            last = frame
-    return last
