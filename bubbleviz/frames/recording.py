@@ -109,9 +109,8 @@ class Recording:
             self.depth_topic = find_depth(self.bag, depth_topic)
             self._unit_m = metres_per_unit(self.bag, self.depth_topic)
             self._open_images(info_topic)
-            self.intrinsics: Intrinsics | None = find_intrinsics(
-                self.bag, self.depth_topic, self.size, info_topic
-            )
+            _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
+            self.intrinsics: Intrinsics | None = intrinsics
             self._series: dict[str, Series[np.ndarray]] = {}
             self._find_values(PRESSURE, pressure_topic, pressure_of)
             self._find_values(WRENCH, wrench_topic, wrench_of)

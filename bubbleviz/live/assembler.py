@@ -11,7 +11,14 @@ import numpy as np
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_topics import belongs_to
 from bubbleviz.colour.static_poses import are_static_poses
-from bubbleviz.frames.depth_topics import CAMERA_INFO, IMAGE, POINT_CLOUD, PRESSURE, WRENCH
+from bubbleviz.frames.depth_topics import (
+    CAMERA_INFO,
+    IMAGE,
+    POINT_CLOUD,
+    PRESSURE,
+    WRENCH,
+    nearest_info,
+)
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_decoding import (
     decode_depth,
@@ -289,8 +296,8 @@ class FrameAssembler:
 
     def _intrinsics(self, size: tuple[int, int]) -> Intrinsics | None:
         """Of the camera info nearest to the depth topic by name that is of the image's size."""
-        info = self._names.info or self._known.nearest(self._known.depth, size)
-        return None if info is None else self._known.infos.get(info)
+        infos, depth = self._known.infos, self._known.depth
+        return infos.get(self._names.info or nearest_info(infos, depth, size))
 
     # -- when they are complete -------------------------------------------------------------
 

@@ -8,12 +8,12 @@ from functools import partial
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.colour.colour_topics import belongs_to, colour_camera, size_of
+from bubbleviz.colour.colour_topics import belongs_to, colour_camera, is_own, size_of
 from bubbleviz.colour.recorded_colour import ColourAround
 from bubbleviz.colour.static_poses import StaticPoses
 from bubbleviz.errors import InputError
 from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
-from bubbleviz.frames.depth_topics import common_prefix
+from bubbleviz.frames.depth_topics import nearest_info
 from bubbleviz.frames.time_series import NEAREST_NS, GrowingSeries, Moment, Verdict
 from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
@@ -80,11 +80,6 @@ class KnownCameras:
     infos: Mapping[str, Intrinsics] = field(default_factory=dict)
     poses: StaticPoses = field(default_factory=StaticPoses)
 
-    def nearest(self, topic: str, size: tuple[int, int] | None) -> str | None:
-        """Camera info that is nearest to a topic by name and of its images' size."""
-        fitting = [name for name, c in self.infos.items() if (c.width, c.height) == size]
-        return max(fitting, key=lambda name: common_prefix(name, topic), default=None)
-
     def of_colour(self, message: RawMessage) -> ColourCamera:
         """Camera of a colour image."""
         try:
@@ -92,11 +87,9 @@ class KnownCameras:
         except ValueError:  # said when the image is read
             return colour_camera(None, None, own=False)
         pose = self.poses.pose(content.header.frame_id, self.depth_frame)
-        info = self.nearest(message.topic, size_of(content))
-        if info is None:
-            return colour_camera(None, pose, own=False)
-        own = common_prefix(info, message.topic) >= common_prefix(info, self.depth)
-        return colour_camera(self.infos[info], pose, own=own)
+        info = nearest_info(self.infos, message.topic, size_of(content))
+        own = is_own(info, message.topic, self.depth)
+        return colour_camera(self.infos.get(info), pose, own=own)
 
 
 def _read(message: RawMessage) -> EncodedImage:
