@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.colour.colour_image import MAX_SIDE, check_rows
 
 DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     "16UC1": np.dtype(np.uint16),
@@ -22,7 +23,6 @@ REALSENSE_ENCODING = "mono16"
 
 _CONFIGURATION = struct.Struct("<iff")
 """Of a compressed depth image: its kind of compression, A and B."""
-_MAX_SIDE = 10_000  # pixels; no depth camera has more
 
 _MODELS: dict[str, DistortionModel] = {
     "": "none",
@@ -62,12 +62,7 @@ def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarr
         )
     height, width, step = int(message.height), int(message.width), int(message.step)
     dtype = DEPTH_ENCODINGS[encoding]
-    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
-        raise ValueError(f"image size {width}×{height} is not plausible")
-    if step < width * dtype.itemsize or height * step > len(message.data):
-        raise ValueError(
-            f"{len(message.data)} bytes with a row step of {step} are no {width}×{height} image"
-        )
+    check_rows(width, height, step, dtype.itemsize, len(message.data))
     data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
     rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
     raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
@@ -97,7 +92,7 @@ def _decode_compressed(message: Any) -> np.ndarray:
     try:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
         with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
-            if max(image.size) > _MAX_SIDE or not image.mode.startswith("I"):
+            if max(image.size) > MAX_SIDE or not image.mode.startswith("I"):
                 raise ValueError(f"a PNG of {image.size[0]}×{image.size[1]} in mode {image.mode}")
             raw = np.asarray(image).astype(np.uint16)
     except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:

@@ -7,14 +7,26 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from realsense_file import record_realsense
 from robot import HASH, open_session
 from streams import frames_of, played, recorded
-from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, cdr, depth, header
+from wire import (
+    IMAGE,
+    INFO,
+    NOW,
+    PERIOD,
+    SECOND,
+    STORE,
+    arrived,
+    camera_info,
+    cdr,
+    depth,
+    grey,
+    header,
+)
 from wire import image as wire_image
 from zenoh import ext
 
@@ -36,21 +48,6 @@ from bubbleviz.sensor import Sensor, with_colour_delay
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
 
 
-def colour(stamp: int, k: int, topic: str = COLOUR, **changes: Any) -> RawMessage:
-    """A grey image all of whose pixels are k."""
-    fields = {
-        "header": header(stamp),
-        "height": 48,
-        "width": 64,
-        "encoding": "mono8",
-        "is_bigendian": 0,
-        "step": 64,
-        "data": np.full(48 * 64, k, np.uint8),
-    }
-    message = STORE.types[IMAGE](**{**fields, **changes})
-    return arrived(topic, IMAGE, cdr(message, IMAGE), stamp)
-
-
 def level(frame: Frame, delay_s: float = 0.0) -> int | None:
     image = replace(frame, colour_delay_s=delay_s).colour
     return None if image is None else int(image.grey()[5, 5])
@@ -61,8 +58,8 @@ def both(k: int, shift: int = 0) -> list[RawMessage]:
     stamp = NOW + k * PERIOD
     return [
         depth(stamp, k, topic="/cam/depth/image"),
-        colour(stamp, 200, "/other/color/image_raw"),
-        colour(stamp + shift, k),
+        grey(stamp, 200, "/other/color/image_raw"),
+        grey(stamp + shift, k),
     ]
 
 
@@ -98,7 +95,7 @@ def test_a_frame_waits_for_the_colour_of_its_time(late: int, seen: int | None) -
     until = assembler.waits_until_ns
     assert until is not None and until - stamp < SECOND // 5
     found = assembler.flush(min(until, stamp + late))
-    image = colour(stamp, 1)
+    image = grey(stamp, 1)
     found += assembler.push(arrived(COLOUR, image.type, image.payload, stamp, stamp + late))
     assert [level(frame) for frame in found] == [seen]
 
@@ -139,8 +136,8 @@ def test_a_frame_waits_for_a_colour_image_that_is_late() -> None:
         assembler.push(message)
     stamp = NOW + PERIOD
     assert assembler.push(depth(stamp, 1, topic="/cam/depth/image")) == []
-    assert assembler.push(colour(stamp + PERIOD // 4, 11)) == []
-    (frame,) = assembler.push(colour(stamp + 3 * PERIOD // 4 + PERIOD // 16, 12))
+    assert assembler.push(grey(stamp + PERIOD // 4, 11)) == []
+    (frame,) = assembler.push(grey(stamp + 3 * PERIOD // 4 + PERIOD // 16, 12))
     assert level(frame, delay_s) == 12
 
 
@@ -219,7 +216,7 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
             stamp = time.time_ns()
             for message in both(0):
                 name = message.topic.removeprefix("/cam/")
-                payload = colour(stamp, 7).payload if "color" in name else wire_image(stamp)
+                payload = grey(stamp, 7).payload if "color" in name else wire_image(stamp)
                 if name in topics:
                     robot.put(f"0/cam/{name}/{kind}", payload)
 
@@ -252,7 +249,7 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
     said = []
     for colours, asked in ((1, False), (1, True), (0, True)):
         messages = [depth(NOW + k * PERIOD, k, topic="/cam/depth/image") for k in range(3)]
-        messages += colours * [colour(NOW + 3600 * SECOND, 3)]
+        messages += colours * [grey(NOW + 3600 * SECOND, 3)]
         path = recorded(tmp_path / f"{len(said)}.mcap", messages)
         stream = open_stream(f"replay:{path}", small_sensor, any_size=True)
         if asked:
@@ -300,7 +297,7 @@ def framed(stamp: int, k: int, frame_id: str) -> RawMessage:
     """A colour image in a frame of reference."""
     head = header(stamp)
     head.frame_id = frame_id
-    return colour(stamp, k, header=head)
+    return grey(stamp, k, header=head)
 
 
 POSE = np.array(

@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 from streams import frames_of, recorded
 from wire import (
-    IMAGE,
     NOW,
     PERIOD,
     PRESSURE,
     SECOND,
-    STORE,
     WRENCH,
     arrived,
-    cdr,
     depth,
     gas,
-    header,
+    grey,
     pressure,
     wrench,
 )
@@ -30,14 +27,6 @@ from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.raw_message import RawMessage
 
 MS = 1_000_000
-
-
-def colour(stamp: int, k: int, arrival: int | None = None) -> RawMessage:
-    """A grey image all of whose pixels are k."""
-    fields = {"height": 48, "width": 64, "encoding": "mono8", "is_bigendian": 0, "step": 64}
-    data = np.full(48 * 64, k, np.uint8)
-    message = STORE.types[IMAGE](header=header(stamp), data=data, **fields)
-    return arrived("/cam/color/image_raw", IMAGE, cdr(message, IMAGE), stamp, arrival)
 
 
 def of_another_clock() -> list[RawMessage]:
@@ -72,7 +61,7 @@ def beyond_the_last(late_ms: int) -> list[RawMessage]:
 def with_colour() -> list[RawMessage]:
     """Colour of two moments in three, a quarter of a period earlier."""
     shown = [k for k in range(12) if k % 3]
-    images = [colour(NOW + k * PERIOD - PERIOD // 4, k) for k in shown]
+    images = [grey(NOW + k * PERIOD - PERIOD // 4, k) for k in shown]
     return [*images, *(depth(NOW + k * PERIOD, k) for k in range(12))]
 
 
