@@ -32,10 +32,11 @@ from bubbleviz.frames.depth_topics import (
 )
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import usual_step
-from bubbleviz.frames.message_decoding import decode_depth, encoding_of, pressure_of, wrench_of
+from bubbleviz.frames.message_decoding import decode_depth, encoding_of
 from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import (
     NEAREST_NS,
+    VALUES,
     Laps,
     Moment,
     Series,
@@ -111,9 +112,7 @@ class Recording:
             self._open_images(info_topic)
             _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
             self.intrinsics: Intrinsics | None = intrinsics
-            self._series: dict[str, Series[np.ndarray]] = {}
-            self._find_values(PRESSURE, pressure_topic, pressure_of)
-            self._find_values(WRENCH, wrench_topic, wrench_of)
+            self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
             self.colour = self._colour(colour_topic)
         except BaseException:
             self.bag.close()
@@ -258,13 +257,21 @@ class Recording:
         self.stamps_ns = times[self._order]
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
-    def _find_values(self, kind: str, name: str | None, value: Callable[[Any], np.ndarray]) -> None:
-        topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
-        messages = None if topic is None else self.bag.messages(topic)
-        if messages:  # an index may list none
-            self._series[kind] = recorded_series(
-                messages, lambda k: value(messages.message(k)), by_log=self._by_log, laps=self._laps
-            )
+    def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:
+        """Series of what was measured beside the images, by type, of topics that may be named."""
+        found: dict[str, Series[np.ndarray]] = {}
+        for kind, name in names.items():
+            topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
+            messages = None if topic is None else self.bag.messages(topic)
+            if messages:  # an index may list none
+                found[kind] = recorded_series(
+                    messages, partial(_values, messages, kind), by_log=self._by_log, laps=self._laps
+                )
+        return found
+
+
+def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
+    return VALUES[kind](messages.message(k))
 
 
 def _header_stamps(images: Messages) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 
 from bubbleviz.frames.bags import Messages
 from bubbleviz.frames.depth_topics import PRESSURE, WRENCH
+from bubbleviz.frames.message_decoding import pressure_of, wrench_of
 
 NEAREST_NS = 100_000_000
 """Beyond the first and the last value the nearest one counts, within this time."""
@@ -114,6 +115,10 @@ class Series(Generic[T]):
         """First message that is not before a moment, and the moment on the clock of this topic."""
         t = self._time_of(moment)
         return bisect_left(self._times, t), t
+
+
+VALUES: dict[str, Callable[[Any], np.ndarray]] = {PRESSURE: pressure_of, WRENCH: wrench_of}
+"""What messages of a type hold that is measured beside the images."""
 
 
 def values_at(series: Mapping[str, Series[np.ndarray]], moment: Moment) -> dict[str, Any]:

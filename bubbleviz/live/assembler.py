@@ -15,21 +15,18 @@ from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     IMAGE,
     POINT_CLOUD,
-    PRESSURE,
-    WRENCH,
     nearest_info,
 )
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_decoding import (
     decode_depth,
     decode_intrinsics,
-    pressure_of,
-    wrench_of,
 )
 from bubbleviz.frames.point_cloud import decode_cloud
 from bubbleviz.frames.time_series import (
     FORWARD_NS,
     NEAREST_NS,
+    VALUES,
     GrowingSeries,
     Moment,
     StampClock,
@@ -47,8 +44,6 @@ WAIT_NS = 20_000_000
 """How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""
 COLOUR_WAIT_NS = NEAREST_NS
 """The same for the colour image, where colour is followed; no longer than until the next frame."""
-
-_SERIES = {PRESSURE: pressure_of, WRENCH: wrench_of}
 
 
 class _WrongSizeError(ValueError):
@@ -160,7 +155,7 @@ class FrameAssembler:
                 self._take_colour(message)
             elif message.type == CAMERA_INFO:
                 self._take_camera(message)
-            elif message.type in _SERIES:
+            elif message.type in VALUES:
                 self._take_values(message)
             else:
                 return self._take_depth(message)
@@ -210,7 +205,7 @@ class FrameAssembler:
             return True
         if kind in DEPTH_TYPES:
             return self._may_be_depth(topic, kind)
-        if kind in _SERIES:
+        if kind in VALUES:
             return self._topics.setdefault(kind, topic) == topic
         return True
 
@@ -234,7 +229,7 @@ class FrameAssembler:
         self._judged(message, self._colour.add(message, self._known.depth, named=named))
 
     def _take_values(self, message: RawMessage) -> None:
-        values = _SERIES[message.type](decode(message))
+        values = VALUES[message.type](decode(message))
         series = self._series.setdefault(message.type, GrowingSeries(FORWARD_NS))
         self._judged(message, series.add(message.stamp_ns, message.arrival_ns, values))
 

@@ -154,22 +154,6 @@ def test_a_clock_that_was_set_is_followed_after_three_frames() -> None:
     assert found[-1].time_s == pytest.approx(4 * PERIOD * 1e-9)
 
 
-def test_a_replay_that_begins_again_is_no_garbage() -> None:
-    assembler = FrameAssembler()
-    sent = []
-    for played in range(3):
-        for k in range(4):
-            m = depth(NOW + k * PERIOD, k, arrival=NOW + (4 * played + k) * PERIOD)
-            sent.append(
-                RawMessage(m.topic, m.type, m.payload, m.stamp_ns, m.arrival_ns, None, played)
-            )
-    found = frames_of(assembler, *sent)
-    counters = assembler.counters
-    assert len(found) == 12
-    assert (counters.bad_stamps, counters.duplicate, counters.out_of_order) == (0, 0, 0)
-    assert counters.received == 12
-
-
 def test_wrong_sizes_types_and_bytes_are_told_apart() -> None:
     assembler = FrameAssembler(size=(WIDTH, HEIGHT))
     stamps = [NOW + k * PERIOD for k in range(8)]

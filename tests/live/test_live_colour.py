@@ -170,18 +170,6 @@ def test_a_named_topic_of_another_namespace_counts() -> None:
     assert level(found[-1]) == 200
 
 
-def test_a_replay_plays_colour_when_asked(tmp_path: Path, small_sensor: Sensor) -> None:
-    path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
-    for asked in (False, True):
-        stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
-        heard: list[RawMessage] = []
-        stream.listen(heard.append)
-        if asked:
-            stream.follow_colour()
-        played(stream)
-        assert any(message.topic == COLOUR for message in heard) is asked
-
-
 @pytest.mark.parametrize("before", [True, False])
 def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, before: bool) -> None:
     path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
@@ -265,18 +253,20 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
     ]
 
 
-def test_colour_comes_until_the_last_who_asked_lets_go(
-    tmp_path: Path, small_sensor: Sensor
+@pytest.mark.parametrize(
+    ("asked", "let_go", "comes"), [(0, 0, False), (1, 0, True), (2, 1, True), (2, 2, False)]
+)
+def test_a_replay_plays_colour_until_the_last_who_asked_lets_go(
+    asked: int, let_go: int, comes: bool, tmp_path: Path, small_sensor: Sensor
 ) -> None:
     path = recorded(tmp_path / "rec.mcap", [m for k in range(3) for m in both(k)])
-    for kept, comes in ((0, False), (1, True)):
-        stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
-        for let_go in [stream.follow_colour(), stream.follow_colour()][kept:]:
-            let_go()
-        heard: list[RawMessage] = []
-        stream.listen(heard.append)
-        played(stream)
-        assert any(message.topic == COLOUR for message in heard) is comes
+    stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
+    for forget in [stream.follow_colour() for _ in range(asked)][:let_go]:
+        forget()
+    heard: list[RawMessage] = []
+    stream.listen(heard.append)
+    played(stream)
+    assert any(message.topic == COLOUR for message in heard) is comes
 
 
 def static_pose(parent: str, child: str, at_m: tuple[float, float, float]) -> RawMessage:
@@ -395,34 +385,6 @@ def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_realsense(path, RECORDED, POSE)
 
 
-def test_colour_of_a_realsense_camera_when_asked(
-    realsense_file: Path, small_sensor: Sensor
-) -> None:
-    for asked in (False, True):  # a frame waits only shortly for its colour: until one had it
-        options = "?loop=1" if asked else ""
-        stream = open_stream(f"realsense:{realsense_file}{options}", small_sensor)
-        heard: list[RawMessage] = []
-        stream.listen(heard.append)
-        if asked:
-            stream.follow_colour()
-        image, last = None, None
-        with stream:
-            while image is None and (last is None or asked or last.index < 5):
-                last = stream.take(5.0)
-                assert last is not None
-                image = last.colour
-        assert any("color" in message.topic for message in heard) is asked
-        assert stream.counters().undecodable == 0
-        if asked:
-            k = round(1e4 * float(last.depth_m[5, 5])) - 1000
-            assert image is not None
-            assert image.rgb()[5, 5].tolist() == [k, 2 * k, 3 * k]
-            assert image.camera.intrinsics is not None
-            assert image.camera.intrinsics.fx == 61
-            np.testing.assert_allclose(image.camera.T_D_C, POSE, atol=1e-6)
-            assert image.camera.remark == ""
-
-
 def test_colour_of_a_realsense_camera_asked_for_later(
     realsense_file: Path, small_sensor: Sensor
 ) -> None:
@@ -443,6 +405,10 @@ def test_colour_of_a_realsense_camera_asked_for_later(
         assert frame is not None
         k = round(1e4 * float(frame.depth_m[5, 5])) - 1000
         assert frame.colour.rgb()[5, 5].tolist() == [k, 2 * k, 3 * k]
+        camera = frame.colour.camera
+        assert camera.intrinsics is not None and (camera.intrinsics.fx, camera.remark) == (61, "")
+        np.testing.assert_allclose(camera.T_D_C, POSE, atol=1e-6)
+        assert not any("color" in message.topic for message in heard[:10])
         rounds = [message.round for message in heard if "depth" in message.topic]
         assert rounds.count(0) < RECORDED  # the first was not played to its end
         let_go[0]()
