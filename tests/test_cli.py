@@ -179,15 +179,13 @@ def test_errors_of_commands(error: BaseException, code: int, line: str) -> None:
 
 # -- the window's commands, without the window --------------------------------------------------
 
-PICO_SIZE = (171, 224)
-
 
 @pytest.fixture
 def pico_recording(tmp_path: Path) -> Path:
     """Recording with images of the size that one preset's camera has."""
     path = tmp_path / "pico.mcap"
     with RecordingWriter(path) as writer:
-        writer.write(Frame(0, 0.0, np.full(PICO_SIZE, 0.1, dtype=np.float32)))
+        writer.write(Frame(0, 0.0, np.full((171, 224), 0.1, dtype=np.float32)))
     return path
 
 
@@ -260,13 +258,9 @@ def test_open_chooses_the_preset_that_fits_and_says_so(
     done = CliRunner().invoke(main, ["open", str(pico_recording)])
     assert done.exit_code == 0
     assert "pico_flexx_75mm" in done.stdout
-    assert windows == [("window", ("soft-bubble pico flexx", pico_recording, None, None))]
-
-
-def test_fresh_may_stand_before_open(windows: Asked, pico_recording: Path) -> None:
     assert CliRunner().invoke(main, ["--fresh", "open", str(pico_recording)]).exit_code == 0
-    assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 0
-    assert [words[-1] for _, words in windows] == ["fresh", None]
+    asked = ("soft-bubble pico flexx", pico_recording, None, None)
+    assert windows == [("window", asked), ("window", (*asked, "fresh"))]
 
 
 def test_open_at_a_frame_and_screenshot(
@@ -284,26 +278,22 @@ def test_open_at_a_frame_and_screenshot(
     ]
 
 
-def test_open_hands_the_scene_to_the_window_and_the_picture(
+def test_open_hands_scene_and_truth_to_the_window_and_the_picture(
     windows: Asked, pico_recording: Path, tmp_path: Path
 ) -> None:
     from bubbleviz_ui.model.scene_presets import load_scene
 
-    words = ["open", str(pico_recording), "--scene", "cloud"]
-    assert CliRunner().invoke(main, words).exit_code == 0
-    done = CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
-    assert done.exit_code == 0
-    assert [arguments[-1] for _, arguments in windows] == 2 * [load_scene("cloud")]
-
-
-def test_open_hands_the_truth_to_the_window_and_the_picture(
-    windows: Asked, pico_recording: Path, tmp_path: Path
-) -> None:
     truth = tmp_path / "truth.npz"
-    words = ["open", str(pico_recording), "--truth", str(truth)]
-    assert CliRunner().invoke(main, words).exit_code == 0
-    CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
-    assert [arguments[-1] for _, arguments in windows] == 2 * [truth]
+    for option, given, taken in (
+        ("--scene", "cloud", load_scene("cloud")),
+        ("--truth", str(truth), truth),
+    ):
+        words = ["open", str(pico_recording), option, given]
+        assert CliRunner().invoke(main, words).exit_code == 0
+        done = CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
+        assert done.exit_code == 0
+        assert [arguments[-1] for _, arguments in windows] == 2 * [taken]
+        windows.clear()
 
 
 def test_screenshot_onto_an_existing_file_is_refused_at_once(

@@ -8,6 +8,16 @@ import sys
 
 import pytest
 
+
+def printed(code: str, *arguments: str) -> list[str]:
+    """Words that code prints in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
 CODE = """
 import sys
 from bubbleviz.lazy_imports import import_without
@@ -49,11 +59,7 @@ def test_a_part_is_loaded_when_it_is_used(
     package: str, part: str, heavy: str, first: str, then: str
 ) -> None:
     code = CODE.format(package=package, part=part, heavy=heavy, first=first, then=then)
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["False", "True"]
+    assert printed(code) == ["False", "True"]
 
 
 def test_a_package_is_loaded_when_something_of_it_is_used() -> None:
@@ -65,11 +71,7 @@ def test_a_package_is_loaded_when_something_of_it_is_used() -> None:
         "print('pooch.core' in sys.modules)\n"
         "import pooch; assert pooch.__version__; import_later('pooch'); import pooch.core"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["False", "True"]
+    assert printed(code) == ["False", "True"]
 
 
 def test_the_window_starts_without_what_its_first_picture_does_not_need() -> None:
@@ -91,11 +93,7 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need() -> Non
         "scipy.ndimage._filters",
     )
     assert all(importlib.util.find_spec(name) for name in unneeded)
-    done = subprocess.run(
-        [sys.executable, "-c", code, *unneeded], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "[]\n"
+    assert printed(code, *unneeded) == ["[]"]
 
 
 def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None:
@@ -109,11 +107,7 @@ def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None
         "from matplotlib.backends.backend_agg import FigureCanvasAgg as named\n"
         "print(isinstance(named, type), type(pyvista.ChartMPL(figure)._canvas).__module__)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["False", "True", "matplotlib.backends.backend_agg"]
+    assert printed(code) == ["False", "True", "matplotlib.backends.backend_agg"]
 
 
 def test_what_is_imported_meanwhile_stays_and_garbage_is_collected_again() -> None:
@@ -126,8 +120,7 @@ def test_what_is_imported_meanwhile_stays_and_garbage_is_collected_again() -> No
         "ring = Ring(); ring.itself = ring; gone = weakref.ref(ring); del ring; gc.collect()\n"
         "print(gone())"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True", "True", "None"]
+    assert printed(code) == ["False", "True", "True", "None"]
 
 
 def test_a_package_that_is_not_there_leaves_nothing() -> None:
@@ -136,8 +129,7 @@ def test_a_package_that_is_not_there_leaves_nothing() -> None:
         "try: import_without('no_such_package', 'part')\n"
         "except ModuleNotFoundError: print([m for m in sys.modules if 'no_such' in m])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert printed(code) == ["[]"]
 
 
 def test_an_import_that_another_thread_disturbs_is_repeated() -> None:
@@ -157,6 +149,5 @@ def test_an_import_that_another_thread_disturbs_is_repeated() -> None:
         "RaycastingScene(); print(Name.asked, 'dash' in sys.modules)\n"
         "import open3d; assert callable(open3d.visualization.draw_plotly)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    asked, heavy = done.stdout.split()
+    asked, heavy = printed(code)
     assert int(asked) > 3 and heavy == "False"

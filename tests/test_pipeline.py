@@ -177,6 +177,19 @@ def test_a_frame_estimated_aside_leaves_the_next_one_alone(
     assert np.any(solved(PRESSED).displacement_m != then.displacement_m)  # else it is not warm
 
 
+def test_a_pipeline_settles_whatever_it_did_before(source: DentSource) -> None:
+    wanted, areas = frozenset[Product]({"patch"}), []
+    for before in ((), (FREE,), range(PRESSED - 4, PRESSED)):
+        pipeline = Pipeline.of(small_sensor())
+        for index in before:
+            pipeline.process(source[index], wanted)
+        pipeline.settle(source[PRESSED])
+        patch = pipeline.process(source[PRESSED], wanted).patch
+        assert patch is not None
+        areas.append(patch.area_m2)
+    assert areas[0] == areas[1] == areas[2] > 0.0
+
+
 def test_another_image_size_is_refused(pipeline: Pipeline) -> None:
     frame = Frame(3, 0.0, np.full((10, 20), 0.1, np.float32))
     with pytest.raises(InputError, match=r"frame 3: image is 20×10 pixels .* 80×60"):

@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 from fakes import small_sensor
+from live_bench import Bench
 from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
+from shiboken6 import isValid
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
-from window_driver import Driver
+from window_driver import Drive, Driver
 
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.sensor import Sensor
@@ -25,6 +27,7 @@ from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.engine.source_openers import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_quality import FAST, RenderQuality
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.window_session import application
@@ -51,58 +54,65 @@ def qapp() -> QApplication:
 
 
 @pytest.fixture
-def drive(qtbot: QtBot, sensor: Sensor, press: FrameSource) -> Iterator[Callable[..., Driver]]:
-    """Open windows: `drive(open_source=…, frame=…, playing=…, live=…, quality=…)`."""
+def new_window(qtbot: QtBot) -> Iterator[Callable[..., tuple[MainWindow, Server]]]:
+    """Make windows on which nothing is open yet; each is closed after the test."""
     application()
     windows: list[MainWindow] = []
 
-    def make(
-        open_source: Callable[[Sensor], FrameSource] = lambda _: press,
-        sensor: Sensor = sensor,
-        frame: int = 0,
-        playing: bool = False,
-        live: bool = False,
-        quality: RenderQuality = FAST,
-    ) -> Driver:
+    def make(quality: RenderQuality = FAST) -> tuple[MainWindow, Server]:
         server = Server()
         controller = Controller(SessionState(), Worker(server))
         window = MainWindow(controller.state, controller, quality)
         window.resize(*SIZE)
         windows.append(window)
-        controller.opening.open(
-            "press", open_source, lambda: sensor, frame=frame, playing=playing, live=live
-        )
-        window.show()
-        driver = Driver(qtbot, window, server)
-        driver.wait(lambda: controller.result is not None)
-        driver.settle() if not playing else None
-        return driver
+        return window, server
 
     yield make
     while windows:
-        _close(windows.pop())
+        window = windows.pop()
+        if isValid(window):
+            window.end()
+    theme.apply(application(), theme.DARK)
 
 
 @pytest.fixture
-def open_bench(qtbot: QtBot, tmp_path: Path) -> Iterator[Callable[[], Any]]:
-    """Open windows for live sources, on which nothing is open yet."""
-    from live_bench import Bench
+def drive(
+    qtbot: QtBot,
+    new_window: Callable[..., tuple[MainWindow, Server]],
+    sensor: Sensor,
+    press: FrameSource,
+) -> Drive:
+    """Open windows: `drive(open_source=…, frame=…, playing=…, live=…, quality=…)`."""
 
-    application()
-    windows: list[MainWindow] = []
+    def make(
+        open_source: Callable[[Sensor], FrameSource] = lambda _: press,
+        sensor: Sensor = sensor,
+        quality: RenderQuality = FAST,
+        **at: Any,
+    ) -> Driver:
+        driver = Driver(qtbot, *new_window(quality))
+        playing = at.setdefault("playing", False)
+        driver.opens("press", open_source, sensor, **at)
+        driver.window.show()
+        driver.wait(lambda: driver.window.controller.result is not None)
+        driver.settle() if not playing else None
+        return driver
+
+    return make
+
+
+@pytest.fixture
+def open_bench(
+    qtbot: QtBot, new_window: Callable[..., tuple[MainWindow, Server]], tmp_path: Path
+) -> Callable[[], Bench]:
+    """Open windows for live sources, on which nothing is open yet."""
 
     def make() -> Bench:
-        server = Server()
-        controller = Controller(SessionState(), Worker(server))
-        window = MainWindow(controller.state, controller)
-        window.resize(*SIZE)
-        windows.append(window)
-        window.show()
-        return Bench(qtbot, window, server, tmp_path)
+        bench = Bench(qtbot, *new_window(), tmp_path)
+        bench.window.show()
+        return bench
 
-    yield make
-    while windows:
-        _close(windows.pop())
+    return make
 
 
 @pytest.fixture(autouse=True)
@@ -124,10 +134,3 @@ def nothing_left() -> Iterator[None]:
     left += [t.name for t in threading.enumerate() if t.name.startswith(("solver", "calibration"))]
     assert not left, f"left alive: {left}"
     gc.freeze()  # the next test looks at its own objects only, not at every module's
-
-
-def _close(window: MainWindow) -> None:
-    from shiboken6 import isValid
-
-    if isValid(window):
-        window.end()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
@@ -19,17 +22,27 @@ FIRST_CONTACT = 4
 FRAMES = 12
 
 
-def small_sensor(name: str = "small dome", nodes: int = 200) -> Sensor:
-    """Dome of 75 mm radius seen by a camera of 80×60 pixels."""
+def small_sensor(
+    name: str = "small dome", nodes: int = 200, prestretch: float | None = None
+) -> Sensor:
+    """Dome of 75 mm radius seen by a camera of 80×60 pixels; of rubber where it is prestretched."""
     return Sensor(
         name=name,
-        membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=nodes),
+        membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=nodes, prestretch=prestretch),
         pneumatics=Pneumatics(gauge_pressure_pa=2585.5, chamber_volume_m3=2.2e-3),
         camera=Camera(
             width=80, height=60, fx=46.0, fy=38.0, cx=39.5, cy=29.5,
             position_m=(0.0, 0.0, -0.104), noise_relative=0.001,
         ),
     )  # fmt: skip
+
+
+def record(path: Path, frames: Iterable[Frame]) -> Path:
+    """A recording of frames."""
+    with RecordingWriter(path) as writer:
+        for frame in frames:
+            writer.write(frame)
+    return path
 
 
 class DentSource:
@@ -50,7 +63,10 @@ class DentSource:
         self._dent = -np.exp(-((away / 0.015) ** 2)) * ~mesh.rim
 
     def __len__(self) -> int:
-        return FRAMES
+        return len(self.times_s)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[k] for k in range(len(self)))
 
     def __getitem__(self, index: int) -> Frame:
         if self._broken_from is not None and index >= self._broken_from:
@@ -119,9 +135,6 @@ class SpeckledSource(DentSource):
         height, width = self._camera.intrinsics.height, self._camera.intrinsics.width
         coarse = np.random.default_rng(3).integers(40, 210, (height // 3 + 1, width // 3 + 1))
         self._speckles = np.kron(coarse, np.ones((3, 3)))[:height, :width]
-
-    def __len__(self) -> int:
-        return len(self.times_s)
 
     def __getitem__(self, index: int) -> Frame:
         frame = super().__getitem__(0)

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fakes import DentSource, small_sensor
+from fakes import DentSource, record, small_sensor
 from mcap.reader import make_reader
-from PySide6.QtCore import Qt
 from window_driver import Driver
 
-from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.calibration.pressure_zero import ENOUGH
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.live.connection import LiveRun, single
@@ -27,26 +26,18 @@ WIDTH, HEIGHT = 64, 48
 IMAGE, STRING = "sensor_msgs/msg/Image", "std_msgs/msg/String"
 
 
-def robot_sensor() -> Sensor:
+def robot_sensor(**pneumatics: float) -> Sensor:
     """The small dome seen by a camera of the robot's image size."""
     sensor = small_sensor("robot dome")
-    camera = sensor.camera.model_copy(
-        update={
-            "width": WIDTH,
-            "height": HEIGHT,
-            "fx": 36.8,
-            "fy": 30.4,
-            "cx": 31.5,
-            "cy": 23.5,
-            "noise_relative": 0.001,
-        }
-    )
-    return sensor.model_copy(update={"camera": camera})
+    size = {"width": WIDTH, "height": HEIGHT, "fx": 36.8, "fy": 30.4, "cx": 31.5, "cy": 23.5}
+    camera = sensor.camera.model_copy(update=size)
+    air = sensor.pneumatics.model_copy(update=pneumatics)
+    return sensor.model_copy(update={"camera": camera, "pneumatics": air})
 
 
-def sensor_file(folder: Path) -> str:
-    path = folder / "robot_dome.toml"
-    path.write_text(sensor_to_toml(robot_sensor()), encoding="utf-8")
+def sensor_file(folder: Path, name: str = "robot_dome", **pneumatics: float) -> str:
+    path = folder / f"{name}.toml"
+    path.write_text(sensor_to_toml(robot_sensor(**pneumatics)), encoding="utf-8")
     return str(path)
 
 
@@ -120,20 +111,13 @@ class Bench(Driver):
         enough = counters().received + count
         self.wait(lambda: counters().received >= enough)
 
-    def key(self, name: Qt.Key, *modifiers: Qt.KeyboardModifier) -> None:
-        """Press a key in the window."""
-        with self.bot.waitActive(self.window):
-            self.window.activateWindow()
-        held = Qt.KeyboardModifier.NoModifier
-        for modifier in modifiers:
-            held |= modifier
-        self.bot.keyClick(self.window, name, held)
-
-    def settle_picture(self) -> None:
-        """Wait until the view is painted anew."""
-        count = self.window.view.render_count
-        self.window.view.refresh()
-        self.wait(lambda: self.window.view.render_count > count)
+    def learn_zero(self, reading_pa: float | None = None, shift_pa: float = 0.0) -> Any:
+        """Have the zero of the gas pressure learned from readings at rest; returns it."""
+        zero = self.run.session.sensors[0].zero
+        zero.zero_now()
+        for _ in range(ENOUGH):
+            zero.learn(reading_pa or zero.reference_pa + shift_pa, contact_free=True)
+        return zero
 
     def record(self) -> None:
         """Press the record button and wait until it writes."""
@@ -167,12 +151,8 @@ def connected(open_bench: Open) -> Bench:
 
 def record_dents(path: Path, presses: int = 5) -> Path:
     """Record a few presses; the last frame is one."""
-    source = DentSource(robot_sensor())
-    count = len(source)
-    with RecordingWriter(path) as writer:
-        for k in range(presses * count):
-            writer.write(replace(source[k % count], index=k, time_s=k / 30.0))
-    return path
+    dents = list(DentSource(robot_sensor())) * presses
+    return record(path, (replace(f, index=k, time_s=k / 30.0) for k, f in enumerate(dents)))
 
 
 def contents(path: Path) -> dict[str, list[Any]]:

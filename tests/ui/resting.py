@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -60,6 +61,9 @@ class RestingSource:
 
     def __len__(self) -> int:
         return FRAMES
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[k] for k in range(FRAMES))
 
     def __getitem__(self, index: int) -> Frame:
         self.reads += 1

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import FIRST_CONTACT, FRAMES, DentSource, small_sensor
-from PySide6.QtCore import Qt
+from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtGui import QColor
-from window_driver import Driver, texts
+from window_driver import Drive, Driver, texts
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz_ui.shell import theme
 
-Drive = Callable[..., Driver]
 PRESSED = FIRST_CONTACT + 2
 BIAS = np.array([-0.4, -0.6, -0.5])
 
@@ -38,17 +34,11 @@ class Measured(DentSource):
         return replace(super().__getitem__(index), wrench=wrench, gas_pressure_pa=gas)
 
 
-def rubber() -> object:
-    sensor = small_sensor()
-    known = sensor.membrane.model_copy(update={"prestretch": 1.3})
-    return sensor.model_copy(update={"membrane": known})
-
-
 def analyse(driver: Driver) -> None:
     """Have the force plot of all frames."""
-    driver.window.panels["plots"].show()
+    driver.show("plots")
     driver.wait(lambda: bool(driver.window.plots.plots))
-    driver.bot.mouseClick(driver.window.plots.analyse, Qt.MouseButton.LeftButton)
+    driver.click(driver.window.plots.analyse)
     known = lambda: not len(driver.state.history.missing(frozenset({"patch"})))  # noqa: E731
     driver.wait(known)
     driver.wait(lambda: len(driver.window.plots.plots["force"].data["force_n"][0]) == FRAMES)
@@ -59,8 +49,8 @@ def heading(driver: Driver) -> str:
 
 
 def test_force_has_its_interval_in_status_bar_readout_panel_and_plot(drive: Drive) -> None:
-    driver = drive(Measured, sensor=rubber(), frame=PRESSED)
-    estimate = driver.window.controller.result.estimate
+    driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
+    estimate = driver.result.estimate
     force = np.linalg.norm(estimate.force_n)
     half = 1.96 * np.linalg.norm(estimate.force_n * estimate.force_sigma_n) / force
     assert half > 0.0
@@ -92,7 +82,7 @@ def test_measured_force_is_beside_the_estimate_without_its_bias(drive: Drive) ->
 
 def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive: Drive) -> None:
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
-    window, result = driver.window, driver.window.controller.result
+    window, result = driver.window, driver.result
     assert result.estimate.status == "implausible"
     assert "153.9 kPa in the recording" in window.message.label.text()
     assert window.status.labels["force"].text() == "force – N"
@@ -116,8 +106,8 @@ def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive: Drive
 
 
 def test_rubber_and_linear_are_compared_side_by_side(drive: Drive) -> None:
-    driver = drive(Measured, sensor=rubber(), frame=PRESSED)
-    driver.window.panels["compare"].show()
+    driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
+    driver.show("compare")
     driver.window.panels["compare"].raise_()
     a, b = driver.window.compare.a.values, driver.window.compare.b.values
     driver.wait(lambda: (a["solver"].text(), b["solver"].text()) == ("rubber", "linear"))
@@ -133,11 +123,10 @@ def test_the_window_says_what_was_done_to_the_zero_of_a_recording(
     drive: Drive, tmp_path: Path, shift_pa: float
 ) -> None:
     sensor = small_sensor()
-    rest_pa, dent = sensor.pneumatics.reference_pressure_pa, DentSource(sensor)
-    with RecordingWriter(tmp_path / "dent.mcap") as writer:
-        for frame in map(dent.__getitem__, range(FRAMES)):
-            pushed = 100.0 * (frame.index >= FIRST_CONTACT)
-            writer.write(replace(frame, gas_pressure_pa=rest_pa + pushed + shift_pa))
+    gas_pa = sensor.pneumatics.reference_pressure_pa + shift_pa
+    pushed = lambda frame: gas_pa + 100.0 * (frame.index >= FIRST_CONTACT)  # noqa: E731
+    frames = (replace(frame, gas_pressure_pa=pushed(frame)) for frame in DentSource(sensor))
+    record(tmp_path / "dent.mcap", frames)
     driver = drive(lambda _: Recording(tmp_path / "dent.mcap"), sensor=sensor, frame=PRESSED)
     gas, message = driver.window.status.labels["gas"], driver.window.message
     done = f"gas pressure zero: {shift_pa:+.0f} Pa from "

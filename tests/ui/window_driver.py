@@ -1,20 +1,27 @@
-"""A window and what a test does with it; a module of its own, as every folder has a conftest."""
+"""A window and what a person does with it; a module of its own, as every folder has a conftest."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
-from PySide6.QtGui import QMouseEvent
+from PySide6.QtCore import QEvent, QMimeData, QObject, QPoint, QPointF, Qt, QTimer, QUrl
+from PySide6.QtGui import QDropEvent, QImage, QMouseEvent
 from PySide6.QtWidgets import (
     QApplication,
+    QCheckBox,
+    QComboBox,
     QDialog,
     QDialogButtonBox,
     QFileDialog,
     QGraphicsView,
+    QLabel,
     QLineEdit,
     QMessageBox,
     QWidget,
@@ -25,6 +32,7 @@ from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Result
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
@@ -33,11 +41,17 @@ from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.layers.axes_layer import CORNER
 
 PATIENCE_MS = 240_000
+LEFT = Qt.MouseButton.LeftButton
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+PLAIN = Qt.KeyboardModifier.NoModifier
+CONTACT = 75
+"""A frame of the synthetic press with the object well pressed in."""
+HERE = Path(__file__).parent
 
 
 @dataclass
 class Driver:
-    """A window and what a test does with it besides clicking."""
+    """A window and what a person does with it."""
 
     bot: QtBot
     window: MainWindow
@@ -52,16 +66,30 @@ class Driver:
         assert self.server.session is not None
         return self.server.session.pipeline
 
-    def thresholded(self) -> bool:
-        """Whether the patch that is shown is that of the chosen κ."""
-        kappa, result = self.state.choices.kappa, self.window.controller.result
-        if kappa is None or result is None or result.patch is None or result.estimate is None:
-            return False
-        mean = mean_pressure(self.pipeline.mesh, result.estimate.contact_pressure_pa)
-        return bool(np.isclose(result.patch.threshold_pa, kappa * mean))
+    @property
+    def result(self) -> Result:
+        """What is shown."""
+        result = self.window.controller.result
+        assert result is not None
+        return result
+
+    @property
+    def said(self) -> str:
+        """Text of the message bar."""
+        return str(self.window.message.label.text())
+
+    def let_go(self) -> None:
+        """Forget the window: pytest keeps what a fixture yields longer than the window may live."""
+        vars(self).clear()
+
+    # -- waiting ------------------------------------------------------------------------------
 
     def wait(self, done: Callable[[], Any]) -> None:
         self.bot.waitUntil(done, timeout=PATIENCE_MS)
+
+    def told(self, *words: str) -> None:
+        """Wait for a message with these words."""
+        self.wait(lambda: self.window.message.isVisible() and all(w in self.said for w in words))
 
     def settle(self) -> None:
         """Have the frame at the cursor shown, settled now and not in a moment, and painted."""
@@ -70,6 +98,9 @@ class Driver:
         if not controller.settled:
             controller.settle()
         self.wait(lambda: self.at_the_cursor() and controller.settled)
+        self.painted_anew()
+
+    def painted_anew(self) -> None:
         count = self.window.view.render_count
         self.window.view.refresh()
         self.wait(lambda: self.window.view.render_count > count)
@@ -80,13 +111,148 @@ class Driver:
         # while playing the cursor is ahead of the solver, on a slow machine always
         return result is not None and (self.state.playing or result.frame.index == self.state.frame)
 
+    def thresholded(self) -> bool:
+        """Whether the patch that is shown is that of the chosen κ."""
+        kappa, result = self.state.choices.kappa, self.window.controller.result
+        if kappa is None or result is None or result.patch is None or result.estimate is None:
+            return False
+        mean = mean_pressure(self.pipeline.mesh, result.estimate.contact_pressure_pa)
+        return bool(np.isclose(result.patch.threshold_pa, kappa * mean))
+
+    # -- by mouse and keys --------------------------------------------------------------------
+
+    def click(self, widget: QWidget, at: QPoint | None = None) -> None:
+        """Click where a person would: check boxes on their box, all else in the middle."""
+        assert widget.isEnabled()
+        box = QPoint(10, widget.height() // 2) if isinstance(widget, QCheckBox) else None
+        self.bot.mouseClick(widget, LEFT, pos=at or box or widget.rect().center())
+
+    def drag(self, widget: QWidget, *places: QPoint) -> None:
+        """Press at the first place, move to all others, and let go at the last."""
+        self.bot.mousePress(widget, LEFT, pos=places[0])
+        for place in places[1:]:
+            self.bot.mouseMove(widget, place)
+        self.bot.mouseRelease(widget, LEFT, pos=places[-1])
+
+    def activate(self) -> None:
+        with self.bot.waitActive(self.window):
+            self.window.activateWindow()
+
+    def key(
+        self, which: Qt.Key, held: Qt.KeyboardModifier = PLAIN, widget: QWidget | None = None
+    ) -> None:
+        self.activate()
+        self.bot.keyClick(widget or self.window, which, held)
+
+    def undo(self, widget: QWidget | None = None) -> None:
+        self.key(Qt.Key.Key_Z, CTRL, widget)
+
+    def redo(self) -> None:
+        self.key(Qt.Key.Key_Z, CTRL | SHIFT)
+
+    def type(self, box: Any, text: str) -> None:
+        """Replace what is in a box."""
+        box.setFocus()
+        box.selectAll()
+        self.bot.keyClicks(box, text)
+        self.bot.keyClick(box, Qt.Key.Key_Return)
+
+    def pick(self, box: QComboBox, title: str) -> None:
+        """Choose an entry by its title, with the arrow keys."""
+        box.setFocus()
+        self.bot.keyClick(box, Qt.Key.Key_Home)
+        for _ in range(box.findText(title)):
+            self.bot.keyClick(box, Qt.Key.Key_Down)
+        assert box.currentText() == title
+
+    def act(self, name: str) -> None:
+        """Trigger an action by its name in the menus."""
+        self.window.shortcuts.actions[name].trigger()
+
+    def ticked(self, name: str) -> bool:
+        return bool(self.window.shortcuts.actions[name].isChecked())
+
+    def drop(self, *paths: Path, on: Any = None) -> None:
+        """Drop files on the view, or on another widget."""
+        data = QMimeData()
+        data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
+        action = Qt.DropAction.CopyAction
+        widget = self.window.view if on is None else on
+        widget.dropEvent(QDropEvent(QPointF(5, 5), action, data, LEFT, PLAIN))
+
+    # -- what a person chooses and sees -------------------------------------------------------
+
+    def choose(self, **choices: Any) -> None:
+        """Choose settings and wait for what they change in the picture."""
+        self.state.choose(**choices)
+        self.settle()
+
+    def show(self, *panels: str) -> None:
+        for name in panels:
+            self.window.panels[name].show()
+
     def seek(self, frame: int) -> None:
         self.state.seek(frame)
         self.settle()
 
+    def opens(self, title: str, opener: Callable[..., Any], sensor: Any, **at: Any) -> None:
+        """Open another source in the same window; returns at once."""
+        self.window.controller.opening.open(title, opener, lambda: sensor, **at)
+
+    def resize(self, width: int, height: int) -> None:
+        self.window.resize(width, height)
+        self.wait(lambda: self.size == (width, height))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.window.width(), self.window.height()
+
+    def pixels(self) -> np.ndarray:
+        """What the 3-D view shows, (height, width, 3)."""
+        return self.window.view.pixels()
+
     def warm_pixels(self) -> np.ndarray:
         """Row and column of the pixels in the colours of contact pressure, (k, 2)."""
-        return warm(self.window.view.pixels())
+        return warm(self.pixels())
+
+    def count(self, *colours: str) -> list[int]:
+        """How many pixels of the 3-D view have exactly each of these colours."""
+        pixels = self.pixels()
+        return [int(np.all(pixels == rgb(colour), axis=2).sum()) for colour in colours]
+
+    def nodes(self) -> np.ndarray:
+        """Nodes of the membrane as it is shown, (n, 3) in B."""
+        estimate = self.result.estimate
+        assert estimate is not None
+        return self.pipeline.mesh.deformed(estimate.motion_m)
+
+
+Drive = Callable[..., Driver]
+
+
+def painted(widget: QWidget) -> np.ndarray:
+    """RGB pixels of a widget as painted, (height, width, 3)."""
+    return as_pixels(widget.grab().toImage())
+
+
+def as_pixels(image: QImage) -> np.ndarray:
+    image = image.convertToFormat(QImage.Format.Format_RGB888)
+    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
+    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
+
+
+def clipped(root: QWidget) -> list[str]:
+    """Texts of one line that are seen in a widget, and not wholly."""
+    return [
+        label.text()
+        for label in root.findChildren(QLabel)
+        if label.isVisible() and not label.wordWrap() and "<" not in label.text()
+        if label.fontMetrics().horizontalAdvance(label.text()) > label.width() + 1
+    ]
+
+
+def copied() -> str:
+    return QApplication.clipboard().text()
 
 
 def warm(pixels: np.ndarray) -> np.ndarray:
@@ -144,8 +310,7 @@ def canvas(panel: QWidget) -> QGraphicsView:
 def hover(widget: QWidget, place: QPoint, held: Qt.MouseButton = Qt.MouseButton.NoButton) -> None:
     """Move the mouse there, with no button held or with one."""
     at, none = QPointF(place), Qt.MouseButton.NoButton
-    keys = Qt.KeyboardModifier.NoModifier
-    event = QMouseEvent(QEvent.Type.MouseMove, at, widget.mapToGlobal(at), none, held, keys)
+    event = QMouseEvent(QEvent.Type.MouseMove, at, widget.mapToGlobal(at), none, held, PLAIN)
     QApplication.sendEvent(widget, event)
 
 
@@ -190,3 +355,23 @@ def typed(driver: Driver, start: Callable[[], None], name: str) -> list[str]:
     driver.wait(lambda: QApplication.activeModalWidget() is None)
     timer.stop()
     return seen
+
+
+def run_python(
+    code: str, *arguments: str, display: bool = True, cwd: Path = HERE.parents[1], **more: str
+) -> subprocess.CompletedProcess[str]:
+    """Run code, to which `fakes` is known, in a process of its own."""
+    hidden = () if display else ("DISPLAY", "WAYLAND_DISPLAY")
+    kept = {name: value for name, value in os.environ.items() if name not in hidden}
+    code = f"import sys; sys.path.insert(0, {str(HERE)!r})\n{code}"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], env={**kept, **more}, capture_output=True,
+        text=True, timeout=600, check=False, cwd=cwd,
+    )  # fmt: skip
+
+
+def run_bubbleviz(*arguments: str | Path, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run the program without a display: it draws for a moment and ends."""
+    code = "import bubbleviz_ui.app as app; from bubbleviz.cli.command_line import main\n"
+    code += "app.OFFSCREEN_SECONDS = 0.5; main()"
+    return run_python(code, *map(str, arguments), display=False, **more)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from calibration_bench import Bench, Drive
+from calibration_bench import Bench
 from resting import RestingSource
+from window_driver import Drive
 
 from bubbleviz.sensor import Sensor
 
@@ -20,4 +21,4 @@ def resting(sensor: Sensor) -> RestingSource:
 def bench(drive: Drive, resting: RestingSource) -> Iterator[Bench]:
     made = Bench(drive(lambda _: resting))
     yield made
-    del made.driver  # pytest keeps the fixture's value a little longer than the window may live
+    made.let_go()

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from fakes import DentSource
-from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
-from PySide6.QtGui import QDropEvent
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
-from window_driver import Driver
+from window_driver import Drive, Driver, run_bubbleviz
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.commands.simulate import write_simulation
@@ -30,7 +25,6 @@ from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.window_session import window_session
 
-Drive = Callable[..., Driver]
 FRAMES = 3
 
 
@@ -50,21 +44,14 @@ def files(sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def opened(drive: Drive, sensor: Sensor, path: Path) -> Driver:
     """A window on a recording with the Threshold panel open."""
     driver = drive(recording(path), sensor, frame=2)
-    driver.window.panels["threshold"].show()
+    driver.show("threshold")
     driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
     return driver
 
 
 def says_iou(driver: Driver) -> bool:
-    return "IoU" in driver.window.threshold.curve.frame.words.text
-
-
-def drop(driver: Driver, *paths: Path) -> None:
-    data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
-    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-    action = Qt.DropAction.CopyAction
-    driver.window.view.dropEvent(QDropEvent(QPointF(5, 5), action, data, buttons, keys))
+    curve = driver.window.threshold.curve
+    return curve is not None and "IoU" in curve.frame.words.text
 
 
 def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
@@ -73,12 +60,12 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     driver = opened(drive, sensor, files / "sim.mcap")
     driver.settle()
     assert not says_iou(driver)
-    drop(driver, files / "what_is_true.npz")
+    driver.drop(files / "what_is_true.npz")
     driver.wait(lambda: says_iou(driver))
     assert driver.state.frame == 2
     curve = driver.window.controller.inspection.kappa_curve
     assert curve.iou.max() > 0.7  # of a coarse mesh
-    driver.window.panels["compare"].show()
+    driver.show("compare")
     values = driver.window.compare.a.values
     driver.wait(lambda: values["iou"].text() not in ("", "–"))
     assert float(values["iou"].text()) > 0.5
@@ -87,7 +74,7 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     other.window.open_file(files / "look.bubbleviz")
     other.wait(lambda: other.state.facts.frames == FRAMES)
     other.window.panels["threshold"].raise_()  # above Compare
-    other.wait(lambda: other.window.threshold.curve is not None and says_iou(other))
+    other.wait(lambda: says_iou(other))
 
 
 def test_markers_and_notes_of_a_recording_are_on_the_timeline(
@@ -96,9 +83,9 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(
     source, recorder = DentSource(sensor), Recorder()
     recorder.start(tmp_path / "marked.mcap")
     begun = 1_790_000_000_000_000_000
-    for k in range(len(source)):
+    for k, frame in enumerate(source):
         at = begun + round(source.times_s[k] * 1e9)
-        for message in FrameMessages().of(source[k], at):
+        for message in FrameMessages().of(frame, at):
             recorder.push(RawMessage(message.topic, message.type, message.payload, at, at))
         if k in (3, 7):
             recorder.mark("slipped here" if k == 7 else "marker at frame 3", at)
@@ -107,25 +94,28 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(
     driver.wait(lambda: driver.state.markers == (3, 7))
     assert "marked: slipped here" in driver.window.playback.timeline.words(7)
     assert "marked" not in driver.window.playback.timeline.words(6)
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
-    driver.bot.keyClick(driver.window, Qt.Key.Key_PageDown)
+    driver.key(Qt.Key.Key_PageDown)
     driver.wait(lambda: driver.state.frame == 3)
 
 
-def test_a_truth_named_after_the_recording_is_found(
+def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another_s(
     drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
 ) -> None:
-    for name, here in (("sim.mcap", "sim.mcap"), ("what_is_true.npz", "sim.npz")):
-        (tmp_path / here).write_bytes((files / name).read_bytes())
+    shutil.copy(files / "sim.mcap", tmp_path)
+    shutil.copy(files / "what_is_true.npz", tmp_path / "sim.npz")
     driver = opened(drive, sensor, tmp_path / "sim.mcap")
     driver.wait(lambda: says_iou(driver))
+    truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
+    np.savez(tmp_path / "sim.npz", **truth)
+    driver = opened(drive, sensor, tmp_path / "sim.mcap")
+    driver.told("sim.npz: is the truth of another recording")
+    assert not says_iou(driver)
 
 
 def test_recording_sensor_and_truth_are_dropped_together(drive: Drive, files: Path) -> None:
     driver = drive()
-    driver.window.panels["threshold"].show()
-    drop(driver, files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
+    driver.show("threshold")
+    driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     driver.state.set_playing(False)
     driver.wait(lambda: says_iou(driver))
@@ -134,23 +124,18 @@ def test_recording_sensor_and_truth_are_dropped_together(drive: Drive, files: Pa
 def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     drive: Drive, sensor: Sensor, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    driver = drive()
-    message = driver.window.message
-    menu = driver.window.shortcuts.actions["File › Open truth of a simulation"]
-    name = str(files / "what_is_true.npz")
+    menu, name = "File › Open truth of a simulation", str(files / "what_is_true.npz")
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (name, ""))
-    menu.trigger()  # what is open is no recording
-    assert "open the recording of that simulation first" in message.label.text()
+    driver = drive()
+    driver.act(menu)  # what is open is no recording
+    driver.told("open the recording of that simulation first")
     driver = opened(drive, sensor, files / "sim.mcap")
-    message = driver.window.message
-    other = tmp_path / "other.npz"
     arrays = dict(np.load(files / "what_is_true.npz"))
-    np.savez(other, **{**arrays, "time_s": 1.5 * arrays["time_s"]})
-    drop(driver, other)
-    driver.wait(lambda: "other.npz: is the truth of another recording" in message.label.text())
+    np.savez(tmp_path / "other.npz", **{**arrays, "time_s": 1.5 * arrays["time_s"]})
+    driver.drop(tmp_path / "other.npz")
+    driver.told("other.npz: is the truth of another recording")
     assert driver.state.facts.frames == FRAMES and driver.state.frame == 2
-    menu = driver.window.shortcuts.actions["File › Open truth of a simulation"]
-    menu.trigger()
+    driver.act(menu)
     driver.wait(lambda: says_iou(driver))
 
 
@@ -162,33 +147,11 @@ def test_the_command_line_takes_a_truth(qtbot: object, sensor: Sensor, files: Pa
         session.window.panels["threshold"].show()
         curve = lambda: session.controller.inspection.kappa_curve  # noqa: E731
         session.wait_for(lambda: curve() is not None and curve().iou is not None, "IoU")
-    done = bubbleviz("open", str(rec), "--sensor", str(files / "dome.toml"), "--truth", str(rec))
+    done = run_bubbleviz("open", rec, "--sensor", files / "dome.toml", "--truth", rec)
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1
     assert "cannot be read as TRUTH.npz" in done.stderr
     refused = CliRunner().invoke(main, ["open", "--source", "synthetic:", "--truth", str(truth)])
     assert refused.exit_code == 2 and "--truth" in refused.stderr
-
-
-def bubbleviz(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """The program, without a display."""
-    kept = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    return subprocess.run(
-        [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", *arguments],
-        env=kept, capture_output=True, text=True, timeout=600, check=False,
-        cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-
-
-def test_a_truth_beside_a_recording_that_is_not_its_own_is_told(
-    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
-) -> None:
-    shutil.copy(files / "sim.mcap", tmp_path)
-    truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
-    np.savez(tmp_path / "sim.npz", **truth)
-    driver = opened(drive, sensor, tmp_path / "sim.mcap")
-    assert driver.window.message.isVisible()
-    assert "sim.npz: is the truth of another recording" in driver.window.message.label.text()
-    assert not says_iou(driver)
 
 
 def test_a_recording_that_ends_early_says_so(
@@ -196,6 +159,4 @@ def test_a_recording_that_ends_early_says_so(
 ) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((files / "sim.mcap").read_bytes()[:-40])
-    driver = drive(recording(cut), sensor)
-    driver.wait(driver.window.message.isVisible)
-    assert "cut.mcap ends early" in driver.window.message.label.text()
+    drive(recording(cut), sensor).told("cut.mcap ends early")

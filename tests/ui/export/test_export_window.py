@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,62 +12,49 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource
-from live_bench import Bench as LiveBench
-from live_bench import sensor_file
-from PySide6.QtCore import QPoint, Qt
+from live_bench import Open, connected
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QLabel
-from window_driver import Driver, texts, warm
+from window_driver import CTRL, Drive, Driver, clipped, texts, warm
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import default_press
 from bubbleviz_ui.export import export_dialog, video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
-from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.view3d.tools.still_picture import still
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
 
-
-class Bench:
+class Bench(Driver):
     """The window with its export dialog open, and what a person does with it."""
 
     def __init__(self, driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.driver, self._patch = driver, monkeypatch
-        driver.window.shortcuts.actions["File › Export"].trigger()
+        super().__init__(driver.bot, driver.window, driver.server)
+        self._patch = monkeypatch
+        self.act("File › Export")
         assert self.dialog.isVisible()
 
     @property
     def dialog(self) -> ExportDialog:
-        dialog = self.driver.window.findChild(ExportDialog)
+        dialog = self.window.findChild(ExportDialog)
         assert isinstance(dialog, ExportDialog)
         return dialog
 
-    def choose(self, title: str) -> None:
-        box = self.dialog.kind
-        box.setFocus()
-        self.driver.bot.keyClick(box, Qt.Key.Key_Home)
-        for _ in range(box.findText(title)):
-            self.driver.bot.keyClick(box, Qt.Key.Key_Down)
-        assert box.currentText() == title
-
     def begin(self, title: str, out: Path, chosen: str = "") -> None:
-        self.choose(title)
+        self.pick(self.dialog.kind, title)
         self._patch.setattr(export_dialog, "new_file", lambda *_, **__: (out, chosen))
         assert self.dialog.export.isEnabled()
-        self.driver.bot.mouseClick(self.dialog.export, LEFT)
+        self.click(self.dialog.export)
         # A short export may be over before what it says has arrived.
-        self.driver.wait(lambda: self.driver.window.exporting.busy or self.dialog.said.text())
+        self.wait(lambda: self.window.exporting.busy or self.dialog.said.text())
 
     def export(self, title: str, out: Path, chosen: str = "") -> str:
         """Export, wait until it is over; what is said then."""
         self.begin(title, out, chosen)
-        self.driver.wait(lambda: not self.driver.window.exporting.busy)
-        self.driver.wait(lambda: bool(self.dialog.said.text()))
-        assert self.driver.window.messages.all[-1].text == self.dialog.said.text()
+        self.wait(lambda: not self.window.exporting.busy)
+        self.wait(lambda: bool(self.dialog.said.text()))
+        assert self.window.messages.all[-1].text == self.dialog.said.text()
         return self.dialog.said.text()
 
 
@@ -75,14 +62,14 @@ class Bench:
 def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made = Bench(drive(DentSource, frame=6), monkeypatch)
     yield made
-    del made.driver  # pytest keeps the fixture's value longer than the window lives
+    made.let_go()
 
 
 def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> None:
-    state = bench.driver.state
+    state = bench.state
     state.choose_range((3, 8))
     state.choose(kappa=2.0)
-    bench.driver.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
+    bench.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
     assert bench.dialog.step.text() == "every 2nd frame"
     out = tmp_path / "mine.csv"
     assert "3 frames" in bench.export("Table", out)
@@ -90,8 +77,8 @@ def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> N
         rows = list(csv.DictReader(file))
     assert [int(row["frame"]) for row in rows] == [3, 5, 7]
     assert float(rows[0]["patch_area_m2"]) == 0.0 < float(rows[2]["patch_area_m2"])
-    bench.driver.seek(7)
-    patch = bench.driver.window.controller.result.patch
+    bench.seek(7)
+    patch = bench.result.patch
     assert float(rows[2]["threshold_pa"]) == pytest.approx(patch.threshold_pa, rel=0.2)
     before = out.read_bytes()
     assert "exists already" in bench.export("Table", out)
@@ -107,25 +94,18 @@ def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> N
 
 
 def test_poses_that_were_found_are_in_the_table(bench: Bench, tmp_path: Path) -> None:
-    window = bench.driver.window
+    window = bench.window
     window.pose.session.choose("cylinder")
-    bench.driver.wait(lambda: window.pose.session.obj is not None)
+    bench.wait(lambda: window.pose.session.obj is not None)
     window.pose.session.track(True)
-    bench.driver.seek(8)
-    bench.driver.wait(lambda: 8 in window.pose.session.rows)
+    bench.seek(8)
+    bench.wait(lambda: 8 in window.pose.session.rows)
     bench.export("Table", tmp_path / "poses.csv")
     with (tmp_path / "poses.csv").open() as file:
         rows = list(csv.DictReader(file))
     row = window.pose.session.rows[8]
     assert rows[8]["pose_status"] == row.status and not rows[0]["pose_status"]
     assert np.isclose(float(rows[8]["pose_x_m"]), row.x_m, equal_nan=True)
-
-
-def test_plots(bench: Bench, tmp_path: Path) -> None:
-    for suffix in ("png", "svg", "pdf"):
-        bench.export("Plots", tmp_path / "plots", f"{suffix.upper()} (*.{suffix})")
-        assert (tmp_path / f"plots.{suffix}").stat().st_size > 10_000
-    assert not QImage(str(tmp_path / "plots.png")).isNull()
 
 
 SERIES = {
@@ -137,9 +117,9 @@ SERIES = {
 }
 
 
-def test_series_are_folders(bench: Bench, tmp_path: Path) -> None:
+def test_series_are_folders_and_plots_files(bench: Bench, tmp_path: Path) -> None:
     first, last = 3, 6
-    bench.driver.state.choose_range((first, last))
+    bench.state.choose_range((first, last))
     for title, suffix in SERIES.items():
         out = tmp_path / title
         bench.export(title, out)
@@ -151,6 +131,10 @@ def test_series_are_folders(bench: Bench, tmp_path: Path) -> None:
             assert len(files) == last - first + 1, title
         said = bench.export(title, tmp_path / f"other{suffix}")
         assert "a series is a folder" in said or "holds" in said, title
+    for suffix in ("png", "svg", "pdf"):
+        bench.export("Plots", tmp_path / "plots", f"{suffix.upper()} (*.{suffix})")
+        assert (tmp_path / f"plots.{suffix}").stat().st_size > 10_000
+    assert not QImage(str(tmp_path / "plots.png")).isNull()
 
 
 def pictures(path: Path) -> list[np.ndarray]:
@@ -160,7 +144,7 @@ def pictures(path: Path) -> list[np.ndarray]:
 
 
 def test_a_video_of_the_view_shows_each_frame_of_the_range(bench: Bench, tmp_path: Path) -> None:
-    driver = bench.driver
+    driver = bench
     driver.state.choose(picture_size=(480, 360), speed=0.5)
     driver.state.choose_range((2, 10))
     driver.seek(6)
@@ -173,13 +157,13 @@ def test_a_video_of_the_view_shows_each_frame_of_the_range(bench: Bench, tmp_pat
     assert seconds == pytest.approx(9 / 15.0, rel=0.2)  # half of 30 Hz
     assert len(warm(shown[0])) < 20 < len(warm(shown[-1]))  # the dent comes with frame 4
     driver.settle()
-    assert driver.window.controller.result.frame.index == 6
+    assert driver.result.frame.index == 6
 
 
 def test_a_video_says_which_frame_it_shows_unless_told_not_to(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    driver, drawn = bench.driver, list[list[str]]()
+    driver, drawn = bench, list[list[str]]()
 
     def watched(*args: Any) -> np.ndarray:
         drawn.append([text for text in texts(driver) if text.startswith("frame")])
@@ -191,7 +175,7 @@ def test_a_video_says_which_frame_it_shows_unless_told_not_to(
     bench.export("Video of the view", tmp_path / "said.mp4")
     assert drawn == [["frame 2 · 0.067 s"], ["frame 3 · 0.100 s"]]
     assert not [text for text in texts(driver) if text.startswith("frame")]
-    driver.bot.mouseClick(bench.dialog.captioned, LEFT, pos=QPoint(10, 8))
+    driver.click(bench.dialog.captioned)
     bench.export("Video of the view", tmp_path / "silent.mp4")
     assert drawn[2:] == [[], []]
     said, silent = (pictures(tmp_path / f"{name}.mp4")[0] for name in ("said", "silent"))
@@ -206,10 +190,10 @@ def test_a_video_shows_what_a_paused_window_shows(
     """Each frame settled, as a pipeline that has seen nothing else finds it."""
     drawn = list[tuple[int, float]]()
     bench = Bench(drive(frame=110), monkeypatch)
-    driver = bench.driver
+    driver = bench
 
     def watched(*args: Any) -> np.ndarray:
-        result = driver.window.controller.result
+        result = driver.result
         drawn.append((result.frame.index, result.patch.area_m2))
         return still(*args)
 
@@ -228,7 +212,7 @@ def test_a_video_shows_what_a_paused_window_shows(
 
 
 def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None:
-    driver, dialog = bench.driver, bench.dialog
+    driver, dialog = bench, bench.dialog
     driver.state.choose(picture_size=(1600, 1200))
     for title, out in (
         ("Video of the view", tmp_path / "a.mp4"),
@@ -236,7 +220,7 @@ def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None
     ):
         bench.begin(title, out)
         assert dialog.cancel.isVisible() and not dialog.export.isEnabled()
-        driver.bot.mouseClick(dialog.cancel, LEFT)
+        driver.click(dialog.cancel)
         assert not dialog.cancel.isVisible() and dialog.export.isEnabled()
     driver.seek(9)
     driver.window.exporting.close()
@@ -247,47 +231,35 @@ def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(
     drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     bench = Bench(drive(lambda sensor: DentSource(sensor, broken_from=3)), monkeypatch)
-    bench.driver.state.choose(picture_size=(320, 240))
+    bench.state.choose(picture_size=(320, 240))
     assert "frame 3 cannot be read" in bench.export("Table", tmp_path / "a.csv")
     bench.begin("Video of the view", tmp_path / "a.mp4")
-    bench.driver.wait(lambda: not bench.driver.window.exporting.busy)
-    assert "frame 3 cannot be read" in bench.driver.window.message.label.text()
-    bench.driver.window.exporting.close()
+    bench.wait(lambda: not bench.window.exporting.busy)
+    assert "frame 3 cannot be read" in bench.said
+    bench.window.exporting.close()
     assert not list(tmp_path.iterdir())
 
 
-def test_a_live_source_is_recorded_first(
-    open_bench: Callable[[], LiveBench], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    live = open_bench()
-    live.connect(single("synthetic:?frames=6", sensor_file(tmp_path)))
-    bench = Bench(live, monkeypatch)
+def test_a_live_source_is_recorded_first(open_bench: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(connected(open_bench), monkeypatch)
     assert "record it (Ctrl+R)" in bench.dialog.about.text()
     assert not bench.dialog.export.isEnabled()
 
 
 def test_nothing_is_exported_while_nothing_is_open(bench: Bench) -> None:
-    window = bench.driver.window
-    with bench.driver.bot.waitActive(window):
-        window.activateWindow()
-    bench.driver.bot.keyClick(window, Qt.Key.Key_W, Qt.KeyboardModifier.ControlModifier)
-    bench.driver.wait(lambda: bench.driver.state.facts.nothing)
     dialog = bench.dialog
+    bench.state.choose_range((3, 8))
+    assert not clipped(dialog)
+    box = dialog.frames
+    assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
+    bench.key(Qt.Key.Key_W, CTRL)
+    bench.wait(lambda: bench.state.facts.nothing)
     assert "Nothing is open" in dialog.about.text() and not dialog.export.isEnabled()
     assert dialog.frames.currentText() == "all 0 frames"
 
 
-def test_nothing_is_clipped(bench: Bench) -> None:
-    bench.driver.state.choose_range((3, 8))
-    for label in bench.dialog.findChildren(QLabel):
-        if label.isVisible() and not label.wordWrap():
-            assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width() + 1
-    box = bench.dialog.frames
-    assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
-
-
 def test_a_later_success_replaces_what_failed_before(bench: Bench, tmp_path: Path) -> None:
-    window, state = bench.driver.window, bench.driver.state
+    window, state = bench.window, bench.state
     (tmp_path / "there.csv").write_text("precious")
     state.choose_range((3, 4))
     bench.dialog.step.setValue(2)
@@ -298,15 +270,12 @@ def test_a_later_success_replaces_what_failed_before(bench: Bench, tmp_path: Pat
     assert not window.message.isVisible()
     assert "Exported 1 frame to" in bench.export("Video of the view", tmp_path / "one.mp4")
     assert [message.kind for message in window.messages.all][-3:] == ["error", "notice", "notice"]
-
-
-def test_a_long_message_squeezes_nothing(bench: Bench) -> None:
+    # a long message squeezes nothing
     dialog = bench.dialog
-    bench.choose("Video of the view")
-    told = "/a/folder/of/some/length/v.mp4: cannot be written; choose another place. " * 4
-    bench.driver.window.exporting.said.emit(UserMessage("error", told))
-    bench.driver.wait(lambda: dialog.said.text() == told)
+    long = "/a/folder/of/some/length/v.mp4: cannot be written; choose another place. " * 4
+    window.exporting.said.emit(UserMessage("error", long))
+    bench.wait(lambda: dialog.said.text() == long)
     controls = (dialog.kind, dialog.frames, dialog.step, dialog.captioned, dialog.export)
-    bench.driver.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
+    bench.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
     labels = (dialog.about, dialog.said)
-    bench.driver.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))
+    bench.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))

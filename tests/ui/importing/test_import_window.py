@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
-from window_driver import Driver
+from window_driver import Drive, Driver
 
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.image_folder import ImageFolder
@@ -22,50 +21,43 @@ from bubbleviz_ui.importing.image_fields import RATE, TABLE
 from bubbleviz_ui.importing.import_dialog import ImportDialog
 from tests.frames.bagmaker import BagMaker, fill
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
 SMALL = (1024, 700)
 
 
-class Bench:
+class Bench(Driver):
     """The window with its import dialog open, and what a person does with it."""
 
     def __init__(self, driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.driver, self._patch = driver, monkeypatch
-        driver.window.shortcuts.actions["File › Import"].trigger()
+        super().__init__(driver.bot, driver.window, driver.server)
+        self._patch = monkeypatch
+        self.act("File › Import")
         assert self.dialog.isVisible()
 
     @property
     def dialog(self) -> ImportDialog:
-        dialog = self.driver.window.findChild(ImportDialog)
+        dialog = self.window.findChild(ImportDialog)
         assert isinstance(dialog, ImportDialog)
         return dialog
 
     def choose_folder(self, path: Path) -> None:
         self._patch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(path))
-        self.driver.bot.mouseClick(self.dialog.folder, LEFT)
+        self.click(self.dialog.folder)
 
     def choose_file(self, field: FileField, path: Path) -> None:
         self._patch.setattr(QFileDialog, "getOpenFileName", lambda *_, **__: (str(path), ""))
-        self.driver.bot.mouseClick(field.browse, LEFT)
+        self.click(field.browse)
 
     def choose_times(self, title: str) -> None:
-        box = self.dialog.images.timing
-        box.setFocus()
-        self.driver.bot.keyClick(box, Qt.Key.Key_Home)
-        for _ in range(box.findText(title)):
-            self.driver.bot.keyClick(box, Qt.Key.Key_Down)
-        assert box.currentText() == title
+        self.pick(self.dialog.images.timing, title)
 
     def begin(self) -> None:
-        assert self.dialog.begin.isEnabled()
-        self.driver.bot.mouseClick(self.dialog.begin, LEFT)
+        self.click(self.dialog.begin)
 
     def run(self) -> str:
         """Import, wait until it is over; what is said then."""
         self.begin()
-        self.driver.wait(lambda: self.dialog.begin.isEnabled())
-        window = self.driver.window
+        self.wait(lambda: self.dialog.begin.isEnabled())
+        window = self.window
         problem, made = self.dialog.problem.text(), self.dialog.made.text()
         assert not window.message.isVisible()  # once is enough
         assert problem or made == window.notice.label.text()
@@ -75,9 +67,9 @@ class Bench:
 @pytest.fixture
 def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Bench]:
     made = Bench(drive(frame=3), monkeypatch)
-    made.driver.window.live_controller.choose_folder(tmp_path)  # where recordings go
+    made.window.live_controller.choose_folder(tmp_path)  # where recordings go
     yield made
-    del made.driver  # pytest keeps the fixture's value longer than the window lives
+    made.let_go()
 
 
 @pytest.fixture
@@ -100,7 +92,7 @@ def images(press: FrameSource, tmp_path: Path) -> Path:
 def test_a_folder_becomes_a_recording_that_opens(
     bench: Bench, images: Path, press: FrameSource
 ) -> None:
-    dialog, driver = bench.dialog, bench.driver
+    dialog, driver = bench.dialog, bench
     bench.choose_folder(images)
     (images.parent / "gas.csv").write_text("time_s,pa\n0,103000\n1,104000\n")
     (images.parent / "wrench.csv").write_text("0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n")
@@ -117,7 +109,7 @@ def test_a_folder_becomes_a_recording_that_opens(
         np.testing.assert_allclose(recording[2].depth_m, press[2].depth_m, atol=6e-5)
         assert recording[1].gas_pressure_pa == pytest.approx(103_100.0, abs=1.0)
         assert recording[1].wrench == pytest.approx([1, 2, 3, 4, 5, 6], abs=1e-3)
-    driver.bot.mouseClick(dialog.open_made, LEFT)
+    driver.click(dialog.open_made)
     driver.wait(lambda: driver.state.facts.title == "images.mcap")
     assert not dialog.isVisible()
 
@@ -157,12 +149,12 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(
     bench.dialog.images.wrench.line.clear()
     assert not bench.dialog.problem.text()
     assert "3 frames" in bench.run()
-    assert not bench.driver.window.message.isVisible()
+    assert not bench.window.message.isVisible()
     assert "exists already" in bench.run()
 
 
 def test_typing_a_name_that_is_not_there(bench: Bench, tmp_path: Path) -> None:
-    bench.driver.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
+    bench.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
     assert bench.dialog.out.text() == str(tmp_path / "such.mcap")
     assert "/no/such.bag" in bench.run()
     bench.dialog.out.setText("/no/such.mcap")
@@ -185,11 +177,11 @@ def test_a_cancelled_import_leaves_nothing(
     bench.choose_folder(images)
     bench.choose_times(RATE)
     bench.begin()
-    bench.driver.wait(reading.is_set)
+    bench.wait(reading.is_set)
     assert dialog.cancel.isVisible() and not dialog.images.unit.isEnabled()
-    bench.driver.bot.mouseClick(dialog.cancel, LEFT)
+    bench.click(dialog.cancel)
     assert not dialog.cancel.isVisible() and dialog.begin.isEnabled()
     go_on.set()
-    bench.driver.window.importing.close()
+    bench.window.importing.close()
     assert sorted(images.parent.rglob("*")) == before
     assert not dialog.made.text() and not dialog.problem.text()

@@ -2,58 +2,72 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import pytest
-from live_bench import Open, record_dents, robot, sensor_file
+from live_bench import Bench, Open, record_dents, robot, sensor_file
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDialogButtonBox, QFileDialog, QLabel
+from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.live.sources.zenoh_credentials import Credentials
 from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
+from bubbleviz_ui.live.connect_dialog import (
+    KINDS,
+    REALSENSE,
+    REPLAY,
+    TOGETHER,
+    ZENOH,
+    ConnectDialog,
+)
 from tests.frames.bagmaker import BagMaker, fill
 
 
-def test_the_dialog_offers_what_the_robot_has(open_bench: Open) -> None:
-    bench = open_bench()
-    from bubbleviz_ui.live.connect_dialog import ConnectDialog
-
-    port, name = free_port(), sensor_file(bench.folder)
-    dialog = ConnectDialog(bench.window, bench.live_controller, name)
+def opened(bench: Bench, sensor: str | None = None) -> ConnectDialog:
+    chosen = sensor or sensor_file(bench.folder)
+    dialog = ConnectDialog(bench.window, bench.live_controller, chosen)
     dialog.open()
+    return dialog
+
+
+def choose_kind(dialog: ConnectDialog, kind: str) -> None:
+    dialog.kind.setCurrentIndex(dialog.kind.findData(kind))
+
+
+def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench: Open) -> None:
+    bench, port = open_bench(), free_port()
+    dialog, place = opened(bench), f"tcp/127.0.0.1:{port}"
+    dialog.place.setEditText("tcp/robot.invalid:9")
+    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
+    dialog.place.setEditText(place)
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
     with robot(port):
-        dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
-        bench.wait(lambda: dialog.topics.count() > 1)
+        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
         offered = [dialog.topics.item(k).text() for k in range(dialog.topics.count())]
         assert any(text.startswith("/cam/depth ") for text in offered)
         assert not any("camera_info" in text or "/gas" in text for text in offered)
         dialog.topics.setCurrentRow(1)
-        assert dialog.uri == f"zenoh:tcp/127.0.0.1:{port}?depth=/cam/depth"
-        assert dialog.source.text() == dialog.uri
+        assert dialog.uri == f"zenoh:{place}?depth=/cam/depth" == dialog.source.text()
         dialog.accept()
         bench.follow(3)
-    assert bench.run.preset.sensors[0].sensor == name
+    assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
 
 
 def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
     open_bench: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = open_bench()
-    from bubbleviz_ui.live.connect_dialog import REPLAY, ConnectDialog
-
     path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
     monkeypatch.setattr("bubbleviz.frames.sensor_matching.preset_names", lambda _: [file])
     dialog = ConnectDialog(bench.window, bench.live_controller, None)
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    choose_kind(dialog, REPLAY)
     dialog.place.setEditText(str(path))
     dialog.sensor.setCurrentIndex(dialog.sensor.findText("pico_flexx_75mm"))
     dialog.accept()
     bench.wait(bench.window.message.isVisible)
-    assert bench.window.message.label.text().endswith(
+    assert bench.said.endswith(
         "images are 64×48 pixels but the camera of sensor pico_flexx_75mm has 224×171; choose the "
         "sensor file of this camera"
     )
@@ -70,8 +84,6 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
     open_bench: Open, certificates: Path
 ) -> None:
     bench = open_bench()
-    from bubbleviz_ui.live.connect_dialog import ConnectDialog
-
     ca, other, cert, key = (
         str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
     )
@@ -80,80 +92,41 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
     why = f"refused: the certificate of localhost is not signed by ca={other}; check ca= ({source})"
     with open_session(SessionOptions("robot", listen=place, credentials=own)):
         for sensor in (sensor_file(bench.folder), AUTO):
-            dialog = ConnectDialog(bench.window, bench.live_controller, sensor)
-            dialog.open()
+            dialog = opened(bench, sensor)
+            says = dialog.problem.text
             for file, text in ((ca, "No topics yet; looking…"), (other, why)):
                 dialog.place.setEditText(f"{place}?ca={file}")
-                bench.wait(partial(shows, dialog.problem, text))
+                bench.wait(lambda says=says, text=text: says() == text)
             assert dialog.source.text() == source
             dialog.buttons.button(QDialogButtonBox.StandardButton.Ok).click()
             bench.wait(lambda: why in bench.window.live.state.text())
             bench.window.live.leave.click()
 
 
-def test_an_address_at_which_nobody_is_is_told_until_somebody_is(open_bench: Open) -> None:
-    bench, port = open_bench(), free_port()
-    from bubbleviz_ui.live.connect_dialog import ConnectDialog
-
-    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
-    dialog.open()
-    dialog.place.setEditText("tcp/robot.invalid:9")
-    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
-    dialog.place.setEditText(f"tcp/127.0.0.1:{port}")
-    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
-    with robot(port):
-        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
-    dialog.reject()
-
-
-def test_a_rosbag2_folder_is_chosen_as_if_live(
+def test_the_source_of_each_kind_is_written_and_what_is_missing_said(
     open_bench: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = open_bench()
-    from bubbleviz_ui.live.connect_dialog import REPLAY, ZENOH, ConnectDialog
-
-    folder = fill(BagMaker("sqlite")).write(tmp_path)
-    assert folder.is_dir()
-    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
-    dialog.open()
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
-    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(folder))
-    bench.bot.mouseClick(dialog.folder, Qt.MouseButton.LeftButton)
-    assert dialog.source.text() == f"replay:{folder}"
-    bench.wait(lambda: dialog.topics.count() > 1)
-    dialog.kind.setCurrentIndex(dialog.kind.findData(ZENOH))
-    assert not dialog.folder.isVisible()
-    dialog.reject()
-
-
-def test_the_source_of_each_kind_is_written(open_bench: Open) -> None:
-    bench = open_bench()
-    from bubbleviz_ui.live.connect_dialog import KINDS, TOGETHER, ConnectDialog
-
-    dialog = ConnectDialog(bench.window, bench.live_controller, sensor_file(bench.folder))
-    dialog.open()
+    bench.window.show_connect()
+    dialog = bench.window.findChild(ConnectDialog)
     dialog.kind.setFocus()
     for kind in KINDS:
         expected = "dual_nut" if kind == TOGETHER else f"{kind}:"
         assert dialog.kind.currentData() == kind and dialog.source.text() == expected
         bench.bot.keyClick(dialog.kind, Qt.Key.Key_Down)
-    dialog.reject()
-
-
-def shows(label: QLabel, text: str) -> bool:
-    return label.text() == text
-
-
-def test_the_dialog_says_what_is_missing(open_bench: Open) -> None:
-    bench = open_bench()
-    bench.window.show_connect()
-    from bubbleviz_ui.live.connect_dialog import REALSENSE, REPLAY, ConnectDialog
-
-    dialog = bench.window.findChild(ConnectDialog)
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REALSENSE))
+    choose_kind(dialog, REALSENSE)
     bench.wait(lambda: "realsense" in dialog.problem.text().lower())
-    dialog.kind.setCurrentIndex(dialog.kind.findData(REPLAY))
+    choose_kind(dialog, REPLAY)
     dialog.place.setEditText("nowhere.mcap")
     bench.wait(lambda: "nowhere.mcap" in dialog.problem.text())
+    # a rosbag2 folder
+    folder = fill(BagMaker("sqlite")).write(tmp_path)
+    assert folder.is_dir()
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(folder))
+    bench.click(dialog.folder)
+    assert dialog.source.text() == f"replay:{folder}"
+    bench.wait(lambda: dialog.topics.count() > 1)
+    choose_kind(dialog, ZENOH)
+    assert not dialog.folder.isVisible()
     dialog.reject()
     assert bench.live_controller.connection is None

@@ -18,29 +18,24 @@ SHORT, FULL = 1, 3
 
 
 def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench: Open) -> None:
-    live = connected(open_bench)
+    live, port = connected(open_bench), free_port()
+    name, control = sensor_file(live.folder), live.live_controller
     for source, words in (
         ("replay:missing.mcap", "missing.mcap"),
         ("zenoh:nonsense", "nonsense"),
         ("realsense:", "realsense"),
     ):
         live.window.message.hide()
-        live.live_controller.connect_to(single(source, sensor_file(live.folder)))
-        live.wait(live.window.message.isVisible)
-        assert words in live.window.message.label.text()
-        assert live.live_controller.connection is None and live.live_controller.run is not None
+        control.connect_to(single(source, name))
+        live.told(words)
+        assert control.connection is None and control.run is not None
     live.follow(3)
-
-
-def test_cancelling_a_robot_that_is_not_there(open_bench: Open) -> None:
-    bench = open_bench()
-    port = free_port()
-    bench.live_controller.connect_to(
-        single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder))
-    )
-    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in bench.window.live.state.text())
-    bench.window.live.leave.click()
-    assert bench.live_controller.connection is None and not bench.window.live.isVisible()
+    live.window.live.leave.click()
+    # a robot that is not there is waited for until one cancels
+    control.connect_to(single(f"zenoh:tcp/127.0.0.1:{port}", name))
+    live.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in live.window.live.state.text())
+    live.window.live.leave.click()
+    assert control.connection is None
 
 
 def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path: Path) -> None:

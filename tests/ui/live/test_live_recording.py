@@ -15,14 +15,13 @@ from live_bench import IMAGE, STRING, Open, connected, contents
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QWidget
 from rosbags.highlevel import AnyReader
+from window_driver import SHIFT
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.frames.recording import Recording
 from bubbleviz.live.sources.zenoh_session import SessionOptions
 from bubbleviz.live.sources.zenoh_source import ZenohSource
 from bubbleviz.live.topic_names import TopicNames
-
-CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 
 
 def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
@@ -32,8 +31,7 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
     live.follow(5)
     pressed_ns = time.time_ns()
     live.record()
-    recording = live.window.shortcuts.actions["Live › Record"]
-    assert recording.isChecked()
+    assert live.ticked("Live › Record")
     live.key(Qt.Key.Key_M)
     live.key(Qt.Key.Key_M, SHIFT)
     live.wait(controls.note.isVisible)
@@ -43,7 +41,7 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
     live.window.live.show_now()
     assert re.fullmatch(r"\d\d:\d\d · .* MB waiting", controls.progress.text())
     path = live.stop()
-    assert not recording.isChecked()
+    assert not live.ticked("Live › Record")
     found = contents(path)
     numbers = np.array([message.sequence for message in found[IMAGE]])
     assert np.array_equal(numbers, np.arange(numbers[0], numbers[-1] + 1))
@@ -55,7 +53,7 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
         assert {c.msgtype for c in reader.connections} == set(found)
 
 
-def test_recordings_have_a_folder_of_their_own(
+def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(
     open_bench: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = connected(open_bench)
@@ -71,17 +69,13 @@ def test_recordings_have_a_folder_of_their_own(
         return "", ""
 
     monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
-    live.window.shortcuts.actions["File › Open recording"].trigger()
+    live.act("File › Open recording")
     chosen = str(live.folder)
     monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
-    live.window.shortcuts.actions["Live › Recordings go to"].trigger()
+    live.act("Live › Recordings go to")
     assert live.state.choices.record_folder == chosen
-    live.window.shortcuts.actions["File › Open recording"].trigger()
+    live.act("File › Open recording")
     assert begun == [str(own), chosen]
-
-
-def test_closing_the_window_ends_the_recording_whole(open_bench: Open) -> None:
-    live = connected(open_bench)
     live.record()
     path = Path(live.status().path)
     live.window.close()
@@ -96,11 +90,10 @@ def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> No
     try:
         live.record()
         live.wait(lambda: not live.live_controller.recording.busy)
-        live.wait(live.window.message.isVisible)
+        live.told("File too large")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, former)
-    assert "File too large" in live.window.message.label.text()
     assert not live.window.live.record.button.isChecked()
     live.follow(3)
     (path,) = live.folder.glob("*.mcap")
@@ -110,26 +103,25 @@ def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> No
 
 
 def test_results_go_out_only_when_asked_for(open_bench: Open) -> None:
-    live = connected(open_bench)
-    port = free_port()
+    live, port = connected(open_bench), free_port()
+
+    def listens() -> bool:
+        with socket.socket() as client:
+            return client.connect_ex(("127.0.0.1", port)) == 0
+
     live.live_controller.publishing.endpoint = f"tcp/127.0.0.1:{port}"
-    assert not live.live_controller.publishing.on and not _listens(port)
+    assert not live.live_controller.publishing.on and not listens()
     live.state.choose(layers=frozenset(), panels=frozenset())  # nobody looks at the patch
+    results = {"/bubbleviz/contact_patch", "/bubbleviz/contact_wrench"}
     names = TopicNames(depth="/bubbleviz/contact_patch", wrench="/bubbleviz/contact_wrench")
     place, topics = SessionOptions("test", f"tcp/127.0.0.1:{port}"), set[str]()
     source = ZenohSource(place, names)
     source.start(lambda message: topics.add(message.topic))
     try:
         live.window.live.publish.click()
-        live.wait(lambda: "/bubbleviz/contact_wrench" in topics)
-        live.wait(lambda: "/bubbleviz/contact_patch" in topics)
+        live.wait(lambda: results <= topics)
     finally:
         source.stop()
     live.window.live.publish.click()
-    live.wait(lambda: not _listens(port))
+    live.wait(lambda: not listens())
     live.wait(lambda: not live.window.controller.client.extra)
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as client:
-        return client.connect_ex(("127.0.0.1", port)) == 0

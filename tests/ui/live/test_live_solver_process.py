@@ -49,7 +49,7 @@ def none_left() -> bool:
 
 def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
     """Each frame with its gas pressure zeroed first."""
-    demand, newest = Demand(frozenset({"patch"})), NewestRequest(1, Demand(frozenset({"patch"})))
+    demand = Demand(frozenset({"patch"}))
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     zero.restore(zero.reference_pa + 40.0, waiting=False)
     server, stream = Server(), open_stream("synthetic:?rate=100&frames=1000", sensor)
@@ -59,14 +59,12 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
             pass
         frames.begin(frames.first_ns)
         server.serve(OpenRequest(1, "press", LiveOpener(frames), lambda: sensor, 0, demand))
-        assert server.session is not None and server.session.beside is not None
-        beside, own = (
-            server.session.beside,
-            Pipeline.of(sensor, server.session.source[0].intrinsics),
-        )
+        session = server.session
+        assert session is not None and session.beside is not None
+        beside, own = session.beside, Pipeline.of(sensor, session.source[0].intrinsics)
         compared = 0
         while compared < 3:
-            there, solved = beside.pid, server.serve(newest)
+            there, solved = beside.pid, server.serve(NewestRequest(1, demand))
             if there is None or not isinstance(solved, Solved):
                 continue
             frame, found = solved.result.frame, solved.result.estimate
@@ -87,34 +85,23 @@ def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench: Op
         before = bench.shown
         for child in active_children():
             os.kill(child.pid, signal.SIGKILL)
-        bench.wait(bench.window.message.isVisible)
-        text = bench.window.message.label.text()
-        assert "process that solved its frames has ended" in text and "code -9" in text
+        bench.told("process that solved its frames has ended", "code -9")
         bench.follow(5)
         assert none_left()
         known = bench.state.history.values["latency_ms"][before : bench.shown]
         assert np.isfinite(known).all()  # also of the frame that it was given
 
 
-@pytest.mark.parametrize("frozen", [False, True])
-def test_it_ends_with_the_source(open_bench: Open, *, frozen: bool) -> None:
+@pytest.mark.parametrize("end", ["disconnected", "frozen and disconnected", "another", "closed"])
+def test_it_ends_with_the_source_and_the_window(open_bench: Open, end: str) -> None:
     with cameras(open_bench) as bench:
-        bench.state.freeze(frozen)
-        bench.window.live.leave.click()
-        bench.wait(none_left)
-
-
-def test_it_ends_with_another_source(open_bench: Open) -> None:
-    with cameras(open_bench) as bench:
-        bench.connect(single(SYNTHETIC, sensor_file(bench.folder)))
-        bench.wait(none_left)
-        bench.follow()
-        assert none_left()
-
-
-def test_it_ends_with_the_window(open_bench: Open) -> None:
-    with cameras(open_bench) as bench:
-        bench.window.close()
+        if end == "closed":
+            bench.window.close()
+        elif end == "another":
+            bench.connect(single(SYNTHETIC, sensor_file(bench.folder)))
+        else:
+            bench.state.freeze(end.startswith("frozen"))
+            bench.window.live.leave.click()
         bench.wait(none_left)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from live_bench import SYNTHETIC, Bench, Open, connected, record_dents, robot, sensor_file
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtWidgets import QAbstractButton
-from window_driver import texts
+from window_driver import CTRL, SHIFT, texts
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live.source_status import STALE_AFTER_S
@@ -15,44 +17,39 @@ from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.messages import UserMessage
 
-CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 
-
-def test_frames_are_followed_and_nothing_of_two_sensors_is_there(open_bench: Open) -> None:
+def test_frames_are_followed_frozen_and_followed_again(open_bench: Open) -> None:
     live = connected(open_bench)
-    live.wait(lambda: live.window.live.state.text().endswith("Hz"))
-    assert (
-        "simulated" in live.window.live.state.text()
-        and "messages" in live.window.live.counts.text()
-    )
-    assert not live.window.live.sensors and live.window.pair.second is None
+    bar, frozen = live.window.live, "Playback › Freeze a live source"
+    live.wait(lambda: bar.state.text().endswith("Hz"))
+    assert "simulated" in bar.state.text() and "messages" in bar.counts.text()
+    # nothing of two sensors is there
+    assert not bar.sensors and live.window.pair.second is None
     assert live.window.pair.drawing is None
-    import threading
-
     assert sum(t.name == "solver" for t in threading.enumerate()) == 1
     facts, history = live.state.facts, live.state.history
     assert facts.frames == len(history) == len(facts.times_s)
     assert np.all(np.diff(facts.times_s) > 0)
-    known = history.values["residual_m"][1 : live.shown]
-    assert np.isfinite(known).all()
+    assert np.isfinite(history.values["residual_m"][1 : live.shown]).all()
     live.window.show_rates()
     assert live.window.status.labels["latency"].text().endswith(" ms")
-
-
-def test_standing_still_and_back_to_now(open_bench: Open) -> None:
-    live = connected(open_bench)
     live.follow(10)
     back = live.state.frame - 5
     live.state.seek(back)
     live.wait(lambda: live.shown == back)
-    frozen = live.window.shortcuts.actions["Playback › Freeze a live source"]
-    assert live.state.frozen and frozen.isChecked()
+    assert live.state.frozen and live.ticked(frozen)
     frames = live.state.facts.frames
     live.messages_come(10)
     assert live.shown == back and live.state.facts.frames <= frames + 2
     live.window.playback.now.click()
     live.follow(2)
-    assert not live.state.frozen and live.shown > back + 5 and not frozen.isChecked()
+    assert not live.state.frozen and live.shown > back + 5 and not live.ticked(frozen)
+    live.show("calibration")
+    box = live.window.gamma0.frames.collect
+    live.wait(box.button.isEnabled)
+    live.key(Qt.Key.Key_L, CTRL | SHIFT)  # after disconnecting no frames can be collected
+    live.wait(lambda: not box.button.isEnabled())
+    assert "connect again" in box.said.text()
 
 
 def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench: Open) -> None:
@@ -132,31 +129,25 @@ def test_all_of_the_window_stays_on_a_small_screen(open_bench: Open) -> None:
     assert window.status.geometry().bottom() < window.height()
 
 
-def test_a_frame_that_is_gone_is_a_message_and_the_source_goes_on(
+def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
     open_bench: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_frames, "KEPT_S", 0.05)
     live = connected(open_bench)
     live.follow(5)
     live.state.seek(0)
-    live.wait(live.window.message.isVisible)
-    assert "record to keep all" in live.window.message.label.text()
+    live.told("record to keep all")
     live.state.freeze(False)
     live.follow(2)
-
-
-def test_a_picture_that_is_frozen_is_kept_however_old(
-    open_bench: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    live.window.message.hide()
     monkeypatch.setattr(live_frames, "KEPT_S", 0.0)
-    live = connected(open_bench)
     for _ in range(3):
         live.follow(5)
         live.key(Qt.Key.Key_F)
         assert live.state.frozen
         shown = live.shown
         live.settle()
-        live.window.panels["threshold"].show()  # it has to be looked at once more
+        live.show("threshold")  # it has to be looked at once more
         live.wait(lambda: not live.window.controller.client.look_is_old)
         live.settle()
         assert live.shown == shown == live.state.frame and not live.window.message.isVisible()
@@ -166,27 +157,30 @@ def test_a_picture_that_is_frozen_is_kept_however_old(
 
 def one_frame_everywhere(live: Bench) -> bool:
     """Whether 3-D view, panels and status bar show the same frame."""
-    result, status = live.window.controller.result, live.window.status.labels
-    force = live.window.kappa.force.text()
+    status, force = live.window.status.labels, live.window.kappa.force.text()
     readout = texts(live)[0]
     return (
-        status["frame"].text().startswith(f"frame {result.frame.index} ")
+        status["frame"].text().startswith(f"frame {live.shown} ")
         and status["force"].text() == f"force {force}"
         and (readout == f"contact  {force}" or (readout, force) == ("no contact", "0.00 N"))
-        and live.state.frame == result.frame.index
+        and live.state.frame == live.shown
         and not live.window.controller.client.look_is_old
     )
 
 
-def test_a_frozen_view_shows_one_frame_everywhere(open_bench: Open) -> None:
+def test_a_frozen_view_and_a_source_that_ended_show_one_frame_everywhere(open_bench: Open) -> None:
     live = connected(open_bench)
-    live.window.panels["threshold"].show()
+    live.show("threshold")
     for _ in range(3):
         live.follow(3)
         live.window.playback.freeze.click()
-        live.wait(lambda: live.state.frozen)
-        live.wait(lambda: one_frame_everywhere(live))
+        live.wait(lambda: live.state.frozen and one_frame_everywhere(live))
         live.window.playback.now.click()
+    path = record_dents(live.folder / "dents.mcap")
+    live.live_controller.connect_to(single(f"replay:{path}", sensor_file(live.folder)))
+    live.wait(lambda: "dents.mcap" in live.state.facts.title)
+    live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
+    live.wait(lambda: texts(live)[0].startswith("contact") and one_frame_everywhere(live))
 
 
 def test_what_was_not_looked_at_is_no_outage(open_bench: Open) -> None:
@@ -201,26 +195,3 @@ def test_what_was_not_looked_at_is_no_outage(open_bench: Open) -> None:
     assert np.diff(live.state.facts.times_s)[last:].max() > STALE_AFTER_S
     assert live.state.facts.times_s[last] == before_s
     assert last not in [gap.after_frame for gap in live.state.facts.gaps]
-
-
-def test_after_disconnecting_no_frames_can_be_collected(open_bench: Open) -> None:
-    live = connected(open_bench)
-    live.window.panels["calibration"].show()
-    box = live.window.gamma0.frames.collect
-    live.wait(box.button.isEnabled)
-    live.key(Qt.Key.Key_L, CTRL, SHIFT)
-    live.wait(lambda: not box.button.isEnabled())
-    assert "connect again" in box.said.text()
-
-
-def test_a_source_that_ended_leaves_one_frame_everywhere(open_bench: Open) -> None:
-    live = open_bench()
-    path = record_dents(live.folder / "dents.mcap")
-    live.window.panels["threshold"].show()
-    ends = single(f"replay:{path}", sensor_file(live.folder))
-    live.live_controller.connect_to(ends)
-    live.wait(lambda: live.live_controller.run is not None)
-    live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
-    live.wait(lambda: live.shown >= 0)
-    live.wait(lambda: texts(live)[0].startswith("contact"))
-    live.wait(lambda: one_frame_everywhere(live))

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import DentSource
-from live_bench import IMAGE, Bench, Open, contents, robot_sensor, two
+from fakes import DentSource, record
+from live_bench import IMAGE, Bench, Open, contents, robot_sensor, sensor_file, two
 from PySide6.QtCore import Qt
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import props
 
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.frames.frame import Frame
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layers.drawn_surface import Surface
@@ -27,6 +28,14 @@ def paired(open_bench: Open) -> Bench:
     bench.connect(two(bench.folder))
     bench.wait(lambda: bench.window.pair.second.opened is not None)
     return bench
+
+
+def connect_played(bench: Bench, frames: Iterable[Frame]) -> None:
+    """Connect two sensors, of which the other plays these frames; the membranes alone are drawn."""
+    preset, played = two(bench.folder), record(bench.folder / "other.mcap", frames)
+    second = preset.sensors[1].model_copy(update={"source": f"replay:{played}?loop=true"})
+    bench.state.choose(layers=frozenset({"membrane"}))
+    bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], second)}))
 
 
 def other(bench: Bench) -> int:
@@ -57,7 +66,7 @@ def of_the_other(bench: Bench) -> int:
     """Pixels in the colour of the other sensor's rim."""
     colour = bench.run.preset.sensors[1].colour
     own = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
-    away = np.abs(bench.window.view.pixels().astype(int) - own).max(axis=2)
+    away = np.abs(bench.pixels().astype(int) - own).max(axis=2)
     return int(np.count_nonzero(away < 12))
 
 
@@ -78,10 +87,10 @@ def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(
     np.testing.assert_allclose(drawn(bench), expected, atol=3e-3)
     bench.state.choose(layers=frozenset({"rim", "membrane"}))
     bench.wait(lambda: drawn(bench)[2, 0] < 0.12 - 0.5 * dome.height_m)
-    bench.settle_picture()
+    bench.painted_anew()
     assert of_the_other(bench) > 50
     bench.window.pair.end()
-    bench.settle_picture()
+    bench.painted_anew()
     assert of_the_other(bench) == 0
 
 
@@ -91,7 +100,7 @@ def test_both_are_whole_in_a_low_view(open_bench: Open) -> None:
     bench.window.use_scene(load_scene("review"))
     bench.state.choose(layers=frozenset({"rim", "membrane"}))
     bench.follow(2)
-    bench.settle_picture()
+    bench.painted_anew()
     view = bench.window.view
     assert view.width() > 2 * view.height()
     own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
@@ -113,26 +122,19 @@ def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:
     assert bench.state.history is not first
     bench.follow(5)
     assert np.isfinite(bench.state.history.values["residual_m"][-3:-1]).all()
-    with bench.bot.waitActive(bench.window):
-        bench.window.activateWindow()
-    bench.bot.keyClick(bench.window, Qt.Key.Key_B)
+    bench.key(Qt.Key.Key_B)
     assert bench.live_controller.chosen == 0 and bench.window.controller.worker is worker
     assert bench.state.history is first and len(first) > known
     bench.follow(3)
     assert np.isfinite(first.values["residual_m"][1 : bench.shown]).all()
-    assert sum(t.name == "solver" for t in threading.enumerate()) == 2
-
-
-def test_turning_to_the_other_sensor_does_not_move_the_view_in_the_world(
-    open_bench: Open,
-) -> None:
-    bench = paired(open_bench)
+    # the view does not move in the world
     bench.window.view.camera.position = (0.3, -0.2, 0.35)
     before = world_camera(bench)
     bench.live_controller.choose_other()
     np.testing.assert_allclose(world_camera(bench), before, atol=1e-9)
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
+    assert sum(t.name == "solver" for t in threading.enumerate()) == 2
 
 
 @pytest.mark.long
@@ -212,14 +214,6 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
     And right after the chosen one has another sensor file, while the other stands still.
     """
     bench, seen, pressed = open_bench(), list[tuple[float, float, float]](), list[float]()
-    preset, source = two(bench.folder), DentSource(robot_sensor())
-    with RecordingWriter(bench.folder / "dent.mcap") as writer:
-        for k in range(len(source)):
-            writer.write(source[k])
-    replay = f"replay:{bench.folder / 'dent.mcap'}?loop=true"
-    hard = preset.sensors[1].model_copy(update={"source": replay})
-    bench.state.choose(layers=frozenset({"membrane"}))
-    bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], hard)}))
     pair = bench.window.pair
 
     def look() -> None:
@@ -230,6 +224,7 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
             pressed.append(1e-3 * estimate.contact_pressure_pa.max() if sure else 0.0)
 
     bench.window.view.rendered.connect(look)
+    connect_played(bench, DentSource(robot_sensor()))
     for _ in range(2):
         before = len(seen)
         bench.wait(lambda before=before: len(seen) > before + 8)
@@ -238,15 +233,11 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
     bench.wait(lambda: len(set(seen)) > 1)  # the scale has changed
     bench.wait(lambda: pressed[-1] > 4.0)
     bench.state.freeze(True)
-    bench.settle_picture()
-    own = robot_sensor()
-    softer = own.pneumatics.model_copy(update={"gauge_pressure_pa": 1500.0})
-    file = bench.folder / "softer.toml"
-    update = {"name": "softer", "pneumatics": softer}
-    file.write_text(sensor_to_toml(own.model_copy(update=update)))
+    bench.painted_anew()
+    file = Path(sensor_file(bench.folder, "softer", gauge_pressure_pa=1500.0))
     bench.window.open_file(file)
-    bench.wait(lambda: "softer" in bench.window.windowTitle())
-    bench.settle_picture()
+    bench.wait(lambda: "softer.toml" in bench.window.windowTitle())
+    bench.painted_anew()
     assert all(len(set(ends)) == 1 for ends in seen), seen
     assert all(peak <= ends[0] for peak, ends in zip(pressed, seen, strict=True))
 
@@ -254,22 +245,16 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
 def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench: Open) -> None:
     """Its membrane has the colour of that, and its button the word and the reason."""
     bench = open_bench()
-    preset, source = two(bench.folder), DentSource(robot_sensor())
-    with RecordingWriter(bench.folder / "far.mcap") as writer:
-        for k in range(len(source)):  # no membrane of this sensor is half as far again
-            frame = source[k]
-            writer.write(replace(frame, depth_m=np.float32(1.5) * frame.depth_m))
-    replay = f"replay:{bench.folder / 'far.mcap'}?loop=true"
-    far = preset.sensors[1].model_copy(update={"source": replay})
-    bench.state.choose(layers=frozenset({"membrane"}))
-    bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], far)}))
+    # no membrane of this sensor is half as far again
+    far = (replace(f, depth_m=np.float32(1.5) * f.depth_m) for f in DentSource(robot_sensor()))
+    connect_played(bench, far)
     buttons = lambda: [button.text() for button in bench.window.live.sensors]  # noqa: E731
     bench.wait(lambda: buttons() == ["● left", "● right: implausible"])
     assert "not near this membrane" in bench.window.live.sensors[1].toolTip() or (
         "off any shape" in bench.window.live.sensors[1].toolTip()
     )
-    bench.settle_picture()
+    bench.painted_anew()
     own = [int(theme.UNTRUSTED[k : k + 2], 16) for k in (1, 3, 5)]
-    hue = bench.window.view.pixels().astype(float)
+    hue = bench.pixels().astype(float)
     like = hue @ own / (np.linalg.norm(hue, axis=2) * np.linalg.norm(own) + 1e-9)
     assert np.count_nonzero(like > 0.99) > 200  # shaded, so by its hue

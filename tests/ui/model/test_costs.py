@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
-from PySide6.QtCore import Qt
+import pytest
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver
+from window_driver import Drive
 
 from bubbleviz.pipeline import stages
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.costs import STAGES, who_asks
 from bubbleviz_ui.model.demand import products
+from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.panels.costs_popup import NOBODY, CostsPopup
-
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
+from bubbleviz_ui.view3d.drawn_layers import CLASSES
 
 
 def rows(popup: CostsPopup) -> dict[str, list[str]]:
@@ -27,29 +25,45 @@ def rows(popup: CostsPopup) -> dict[str, list[str]]:
     }
 
 
-def test_what_runs_is_what_somebody_asks_for() -> None:
-    for choices in (
-        Choices(),
-        Choices(layers=frozenset({"rim"}), panels=frozenset()),
-        Choices(layers=frozenset({"cloud"}), panels=frozenset(), cloud_colour="plain"),
-        Choices(layers=frozenset({"cloud"}), panels=frozenset(), cloud_colour="patch"),
-        Choices(layers=frozenset(), panels=frozenset({"plots"}), plots=frozenset({"gas"})),
-    ):
-        asked = who_asks(choices)
-        assert set(asked) == stages(products(choices))
-        for name in {n for names in asked.values() for n in names}:
-            without = replace(choices, layers=choices.layers - {name},
-                              panels=choices.panels - {name})  # fmt: skip
-            for stage, names in asked.items():
-                if names == [name]:
-                    assert stage not in stages(products(without))
+NOTHING = Choices(layers=frozenset(), panels=frozenset())
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({}, set()),
+        ({"layers": frozenset({"rim", "frustum"})}, set()),
+        ({"layers": frozenset({"cloud"}), "cloud_colour": "plain"}, {"cloud"}),
+        (
+            {"layers": frozenset({"cloud"}), "cloud_colour": "patch"},
+            {"cloud", "estimate", "patch", "pixel_mask"},
+        ),
+        ({"panels": frozenset({"plots"}), "plots": frozenset({"gas"})}, None),
+        ({"layers": frozenset({"membrane"})}, None),  # the colour of a hidden cloud is for nothing
+    ],
+)
+def test_what_runs_is_what_somebody_asks_for(
+    changes: dict[str, object], wanted: set[str] | None
+) -> None:
+    choices = replace(NOTHING, **changes)
+    asked = who_asks(choices)
+    assert set(asked) == stages(products(choices)) and "residual" not in products(choices)
+    assert wanted is None or products(choices) == wanted
+    for name in {n for names in asked.values() for n in names}:
+        less = {"layers": choices.layers - {name}, "panels": choices.panels - {name}}
+        without = stages(products(replace(choices, **less)))
+        assert not without & {stage for stage, names in asked.items() if names == [name]}
+
+
+def test_a_layer_is_asked_for_by_its_name_in_the_registry() -> None:
+    assert [made.name for made in CLASSES] == list(LAYERS)
 
 
 def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive: Drive) -> None:
     driver = drive(frame=3)
     for frame in (4, 5, 6):
         driver.seek(frame)
-    driver.bot.mouseClick(driver.window.status.labels["solve"], LEFT)
+    driver.click(driver.window.status.labels["solve"])
     popup = driver.window.findChildren(CostsPopup)[-1]
     driver.bot.waitExposed(popup)
     table = popup.table
@@ -62,7 +76,7 @@ def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive: Drive) -> None
     for stage in STAGES:
         assert seen[stage][2] == f"{counts[stage]}×"
     last, median, _, why = seen["estimate"]
-    result = driver.window.controller.result
+    result = driver.result
     assert last == driver.state.units.duration.text(result.times_ms["estimate"])
     assert median.endswith(" ms") and "Membrane" in why and "status bar" in why
     assert seen["pixel_mask"][3] == NOBODY and seen["pixel_mask"][2] == "0×"

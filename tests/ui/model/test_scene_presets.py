@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from fakes import DentSource
-from window_driver import Driver
+from window_driver import Drive
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
@@ -18,7 +17,6 @@ from bubbleviz_ui.model.demand import products
 from bubbleviz_ui.model.scene_presets import load_scene, read_scene
 from bubbleviz_ui.view3d.layers_panel import CLOUD_POINTS
 
-Drive = Callable[..., Driver]
 RUNS = {
     "calibrate": {"estimate", "fine_contact", "patch", "cloud", "residual"},
     "press": {"estimate", "fine_contact", "patch"},
@@ -27,12 +25,8 @@ RUNS = {
     "dual_nut": {"estimate", "fine_contact", "patch"},
     "residual": {"estimate", "fine_contact", "patch", "cloud", "residual"},
     "review": {"estimate", "fine_contact", "patch"},
-    "shear": {
-        "estimate",
-        "fine_contact",
-        "patch",
-        "texture",
-    },  # of the linear membrane no traction is made
+    # of the linear membrane no traction is made
+    "shear": {"estimate", "fine_contact", "patch", "texture"},
 }
 """Stages each scene runs."""
 
@@ -63,18 +57,14 @@ def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive: Dri
         assert ran == RUNS[name], name
 
 
-def test_a_scene_has_its_point_of_view(drive: Drive) -> None:
+def test_a_scene_has_its_point_of_view_keeps_kappa_and_speed_and_starts_with_what_it_needs(
+    drive: Drive,
+) -> None:
     driver = drive(DentSource, frame=6)
     before = tuple(driver.window.view.camera.position)
     driver.window.use_scene(load_scene("cloud"))
     assert tuple(driver.window.view.camera.position) != pytest.approx(before)
-
-
-def test_a_scene_keeps_kappa_and_speed() -> None:
     assert not {"kappa", "speed", "loop"} & set(load_scene("press").choices())
-
-
-def test_a_scene_starts_with_only_what_it_needs() -> None:
     assert products(Choices(**load_scene("cloud").choices())) == {"cloud"}
 
 

@@ -11,13 +11,6 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 
 
-@pytest.fixture
-def state() -> SessionState:
-    made = SessionState()
-    made.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=False)
-    return made
-
-
 def heard(state: SessionState) -> list[tuple[Any, ...]]:
     """What the signals tell from now on, each by its name."""
     told: list[tuple[Any, ...]] = []
@@ -28,51 +21,37 @@ def heard(state: SessionState) -> list[tuple[Any, ...]]:
     return told
 
 
-def test_nothing_moves_before_a_source_is_open() -> None:
+def test_the_cursor_stays_inside_and_stepping_pauses() -> None:
     state = SessionState()
-    state.seek(3)
+    state.seek(3)  # nothing moves before a source is open
     state.set_playing(True)
     assert state.frame == 0 and not state.playing
-
-
-def test_the_cursor_stays_inside(state: SessionState) -> None:
+    state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=False)
     events = heard(state)
     state.seek(99)
     state.seek(-5)
     state.seek(0)
     assert events == [("frame", 9, False), ("frame", 0, False)]
-
-
-def test_stepping_pauses(state: SessionState) -> None:
     state.set_playing(True)
-    events = heard(state)
     state.step(2)
-    assert events == [("playing", False), ("frame", 2, False)]
-
-
-def test_playing_from_the_end_without_a_loop_begins_anew(state: SessionState) -> None:
+    assert events[2:] == [("playing", True), ("playing", False), ("frame", 2, False)]
     state.choose(loop=False)
     state.seek(9)
-    state.set_playing(True)
+    state.set_playing(True)  # begins anew
     assert state.frame == 0
 
 
-def test_only_choices_that_differ_are_told(state: SessionState) -> None:
+def test_only_choices_that_differ_are_told_and_they_outlive_a_source() -> None:
+    state = SessionState()
     events = heard(state)
     state.choose(speed=2.0, loop=True)
     state.choose(speed=2.0)
     state.choose_layer("cloud", False)
     assert events == [("choices", "speed"), ("choices", "layers")]
-
-
-def test_choices_outlive_a_new_source(state: SessionState) -> None:
-    state.choose(kappa=4.0, cloud_colour="patch")
-    events = heard(state)
     facts = SourceFacts("other", "dome", np.arange(3) / 20.0)
     state.open(facts, frame=7, playing=True)
-    assert state.choices.kappa == 4.0 and state.choices.cloud_colour == "patch"
-    assert state.frame == 2
-    assert events == [("source", facts), ("playing", True)]
+    assert state.choices.speed == 2.0 and state.frame == 2
+    assert events[2:] == [("source", facts), ("playing", True)]
 
 
 def test_rate_of_a_source() -> None:

@@ -3,40 +3,24 @@
 from __future__ import annotations
 
 import math
-import shutil
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QKeySequence
-from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
-from window_driver import Driver, idle
+from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider
+from window_driver import Drive, Driver, idle
 
-from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.undo import LAYOUT
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.shell.theme import GAP
-
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
-CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-
-
-def undo(driver: Driver, widget: QWidget | None = None) -> None:
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
-    driver.bot.keyClick(widget or driver.window, Qt.Key.Key_Z, CTRL)
-
-
-def redo(driver: Driver) -> None:
-    driver.bot.keyClick(driver.window, Qt.Key.Key_Z, CTRL | SHIFT)
-
 
 CHANGES = {
     "layers": frozenset({"rim"}),
@@ -68,7 +52,7 @@ CHANGES = {
     "pose_stage": 1,
     "flow_preset": "fine",
     "friction": 0.8,
-    "compared": (Setting(nodes=300), Setting(solver="paper")),
+    "compared": (Setting(nodes=300), Setting(solver="osqp")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,
     "record_folder": "/somewhere",
@@ -89,10 +73,10 @@ def test_every_choice_is_undone_and_done_again(drive: Drive) -> None:
         seen.append(driver.state.choices)
     assert driver.window.undo_stack.index() == len(CHANGES)
     for before in reversed(seen[:-1]):
-        undo(driver)
+        driver.undo()
         assert driver.state.choices == before
     for after in seen[1:]:
-        redo(driver)
+        driver.redo()
         assert driver.state.choices == after
     driver.state.choose(theme="system")
 
@@ -101,11 +85,11 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive: D
     driver = drive(frame=3)
     layers = driver.window.layers
     for name in ("wireframe", "rim"):
-        driver.bot.mouseClick(layers.boxes[name], LEFT, pos=QPoint(10, 8))
+        driver.click(layers.boxes[name])
     assert layers.boxes["wireframe"].isChecked() and not layers.boxes["rim"].isChecked()
-    undo(driver)
+    driver.undo()
     assert layers.boxes["rim"].isChecked() and layers.boxes["wireframe"].isChecked()
-    undo(driver)
+    driver.undo()
     assert not layers.boxes["wireframe"].isChecked()
     assert driver.state.choices.layers == Choices().layers
 
@@ -114,43 +98,18 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive: D
     slider.initStyleOption(option)
     control, part = QStyle.ComplexControl.CC_Slider, QStyle.SubControl.SC_SliderHandle
     place = slider.style().subControlRect(control, option, part, slider).center()
-    driver.bot.mousePress(slider, LEFT, pos=place)
-    for step in range(1, 8):
-        driver.bot.mouseMove(slider, place - QPoint(8 * step, 0))
-    driver.bot.mouseRelease(slider, LEFT, pos=place - QPoint(56, 0))
+    driver.drag(slider, *(place - QPoint(8 * step, 0) for step in range(8)))
     assert driver.state.choices.membrane_opacity < 0.8
     assert driver.window.undo_stack.index() == 1
-    undo(driver)
+    driver.undo()
     assert driver.state.choices.membrane_opacity == 1.0 and slider.value() == 100
 
     box = driver.window.kappa.box  # the keys go to the window from within a number box
     driver.window.kappa.automatic.setChecked(False)
-    box.setFocus()
-    box.selectAll()
-    driver.bot.keyClicks(box, "2.5")
-    driver.bot.keyClick(box, Qt.Key.Key_Return)
+    driver.type(box, "2.5")
     assert driver.state.choices.kappa == 2.5
-    undo(driver, box)
+    driver.undo(box)
     assert driver.state.choices.kappa != 2.5
-
-
-def test_a_scene_is_one_step(drive: Drive) -> None:
-    driver = drive(frame=3)
-    driver.window.use_scene(load_scene("residual"))
-    assert driver.state.choices.layers != Choices().layers
-    assert driver.window.undo_stack.index() == 1
-    assert (
-        driver.window.panels["threshold"].isHidden() and driver.window.panels["layers"].isVisible()
-    )
-    driver.window.use_scene(load_scene("review"))
-    assert driver.window.panels["plots"].isVisible()
-    driver.window.use_scene(load_scene("review"))  # nothing changes: no step
-    assert driver.window.undo_stack.index() == 2
-    undo(driver)
-    assert driver.window.panels["plots"].isHidden()
-    undo(driver)
-    assert driver.state.choices.layers == Choices().layers
-    assert driver.state.choices.view_from == Choices().view_from
 
 
 def opened(driver: Driver) -> set[str]:
@@ -175,30 +134,41 @@ def test_opening_and_closing_of_panels_is_undone(drive: Drive) -> None:
     assert window.undo_stack.index() == len(names)
     assert "status" not in driver.state.choices.panels
     for before in reversed(seen[:-1]):
-        undo(driver)
+        driver.undo()
         assert opened(driver) == before
     assert "status" in driver.state.choices.panels and window.status.isVisible()
     for after in seen[1:]:
-        redo(driver)
+        driver.redo()
         assert opened(driver) == after
     assert window.undo_stack.index() == len(names)
 
 
-def test_the_cross_of_a_dock_is_a_step_and_a_tab_in_front_is_none(drive: Drive) -> None:
+def test_a_scene_and_the_cross_of_a_dock_are_steps_and_a_tab_in_front_is_none(drive: Drive) -> None:
     driver = drive(frame=3)
-    window = driver.window
-    window.shortcuts.actions["View › Threshold"].trigger()
+    window, stack = driver.window, driver.window.undo_stack
+    window.use_scene(load_scene("residual"))
+    assert driver.state.choices.layers != Choices().layers and stack.index() == 1
+    assert window.panels["threshold"].isHidden() and window.panels["layers"].isVisible()
+    for _ in range(2):  # again nothing changes: no step
+        window.use_scene(load_scene("review"))
+        assert window.panels["plots"].isVisible() and stack.index() == 2
+    driver.undo()
+    assert window.panels["plots"].isHidden()
+    driver.undo()
+    assert driver.state.choices.layers == Choices().layers
+    assert driver.state.choices.view_from == Choices().view_from
+
+    driver.act("View › Threshold")
     window.panels["kappa"].raise_()
     driver.wait(lambda: "threshold" not in driver.state.choices.panels)
-    assert window.undo_stack.index() == 1 and window.undo_stack.undoText() == "open panels"
-    cross = window.panels["layers"].findChild(QAbstractButton, "qt_dockwidget_closebutton")
-    driver.bot.mouseClick(cross, LEFT)
-    assert window.panels["layers"].isHidden() and window.undo_stack.index() == 2
-    undo(driver)
+    assert stack.index() == 1 and stack.undoText() == "open panels"
+    driver.click(window.panels["layers"].findChild(QAbstractButton, "qt_dockwidget_closebutton"))
+    assert window.panels["layers"].isHidden() and stack.index() == 2
+    driver.undo()
     assert window.panels["layers"].isVisible()
     window.hide()
     window.show()
-    assert window.undo_stack.index() == 1 and window.undo_stack.canRedo()
+    assert stack.index() == 1 and stack.canRedo()
 
 
 @pytest.mark.long
@@ -238,7 +208,7 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
         state.choose(**{name: CHANGES[name]})
         changed = settled()
         assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
-        undo(driver)
+        driver.undo()
         assert settled() == before, name
 
 
@@ -247,21 +217,21 @@ def test_keys_range_and_markers_are_undone(drive: Drive) -> None:
     shortcuts = driver.window.shortcuts
     shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
     shortcuts.reset_all()
-    undo(driver)
+    driver.undo()
     assert shortcuts.keys("View › Reset view") == "Ctrl+J"
-    undo(driver)
+    driver.undo()
     assert shortcuts.keys("View › Reset view") == "R"
-    redo(driver)
+    driver.redo()
     assert shortcuts.keys("View › Reset view") == "Ctrl+J"
 
     driver.state.toggle_marker(3)
     driver.state.choose_range((2, 9))
-    undo(driver)
+    driver.undo()
     assert driver.state.play_range is None and driver.state.markers == (3,)
-    undo(driver)
+    driver.undo()
     assert driver.state.markers == ()
-    redo(driver)
-    redo(driver)
+    driver.redo()
+    driver.redo()
     assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
 
 
@@ -270,7 +240,7 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.window.use_scene(load_scene("calibrate"))
     driver.settle()
     for name in ("cylinder", "frustum"):
-        shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
+        (tmp_path / f"{name}.ply").write_bytes(ply_bytes(load_object(name)))
         driver.window.open_file(tmp_path / f"{name}.ply")
         driver.wait(lambda name=name: driver.window.pose.session.obj is not None
                     and driver.window.pose.session.obj.name == name)  # fmt: skip
@@ -278,13 +248,13 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.settle()
     drawn = driver.window.scene.object  # seen, and not called found before it is
     assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == GAP
-    undo(driver)
+    driver.undo()
     driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
     driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
-    undo(driver)
+    driver.undo()
     driver.wait(lambda: driver.window.pose.session.obj is None)
     assert driver.window.panels["pose"].isHidden()
-    redo(driver)
+    driver.redo()
     driver.wait(lambda: driver.window.pose.session.obj is not None)
 
 
@@ -292,14 +262,11 @@ def test_compared_settings_are_undone_in_their_boxes(
     drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     driver = drive(frame=6)
-    driver.window.panels["compare"].show()
+    driver.show("compare")
     panel = driver.window.compare
-    panel.b.nodes.setFocus()
-    panel.b.nodes.selectAll()
-    driver.bot.keyClicks(panel.b.nodes, "300")
-    driver.bot.keyClick(panel.b.nodes, Qt.Key.Key_Return)
+    driver.type(panel.b.nodes, "300")
     driver.wait(lambda: panel.b.setting.options.nodes == 300)
-    undo(driver, panel.b.nodes)
+    driver.undo(panel.b.nodes)
     assert panel.b.nodes.value() == 0 and panel.b.setting.options.nodes is None
     assert panel.b.setting.options == EstimatorOptions("linear")
     assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
@@ -313,10 +280,10 @@ def test_compared_settings_are_undone_in_their_boxes(
         for _ in range(4):
             driver.bot.keyClick(box, Qt.Key.Key_Up)
     assert column.nodes.value() == 400 and stack.index() == before + 2
-    undo(driver, column.nodes)
+    driver.undo(column.nodes)
     assert column.nodes.value() == 400
     assert column.setting.options.pressure_scale == EstimatorOptions().pressure_scale
-    undo(driver, column.nodes)
+    driver.undo(column.nodes)
     assert column.nodes.value() == 0
 
 

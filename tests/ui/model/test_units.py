@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 
 import pytest
 from PySide6.QtWidgets import QApplication, QMenu
-from window_driver import Driver, texts
+from window_driver import CONTACT, Drive, Driver, clipped, texts
 
 from bubbleviz_ui.model.units import SYSTEMS, Units
 from bubbleviz_ui.view3d.scale_ranges import rounded_up
-
-Drive = Callable[..., Driver]
-CONTACT = 75
 
 
 @pytest.mark.parametrize(
@@ -42,22 +38,11 @@ def test_text(text: str, expected: str) -> None:
     assert text == expected
 
 
-def test_there_and_back() -> None:
-    unit = Units().pressure
-    assert unit.to_si(unit.of(321.0)) == pytest.approx(321.0)
-
-
 @pytest.mark.parametrize(
     ("value", "end"), [(0.9, 1.0), (1.0, 1.0), (1.01, 1.5), (8.1, 10.0), (646.0, 800.0)]
 )
 def test_scales_end_at_round_numbers(value: float, end: float) -> None:
     assert rounded_up(value) == pytest.approx(end)
-
-
-def choose(driver: Driver, symbol: str) -> None:
-    """Trigger an entry of the menu of units."""
-    menu = driver.window.findChild(QMenu, "menu_units")
-    next(a for a in menu.actions() if a.text() == symbol).trigger()
 
 
 @pytest.mark.parametrize(
@@ -77,7 +62,15 @@ def test_other_units(quantity: str, symbol: str, si: float, text: str) -> None:
     units = Units()
     kind = next(k for k, s in SYSTEMS.items() if symbol in s and quantity in s[symbol])
     units.use({kind: symbol})
-    assert getattr(units, quantity).text(si) == text
+    unit = getattr(units, quantity)
+    assert unit.text(si) == text and unit.to_si(unit.of(si)) == pytest.approx(si)
+
+
+def choose(driver: Driver, *symbols: str) -> None:
+    """Trigger entries of the menu of units."""
+    menu = driver.window.findChild(QMenu, "menu_units")
+    for symbol in symbols:
+        next(a for a in menu.actions() if a.text() == symbol).trigger()
 
 
 def test_every_label_follows_the_units(drive: Drive) -> None:
@@ -86,16 +79,14 @@ def test_every_label_follows_the_units(drive: Drive) -> None:
     window.resize(1280, 800)
     plots, images = frozenset({"force", "center"}), frozenset({"depth"})
     driver.state.choose(plots=plots, images=images, kappa=3.0)
-    window.panels["images"].show()
-    window.panels["plots"].show()
+    driver.show("images", "plots")
     driver.wait(lambda: "depth" in window.controller.inspection.images)
     window.hover.at_pixel(24, 44)
     driver.settle()
     solved = driver.pipeline.counts["estimate"]
-    for symbol in ("m", "psi", "mN", "s"):
-        choose(driver, symbol)
+    choose(driver, "m", "psi", "mN", "s")
     driver.settle()
-    force = 1e3 * float((window.controller.result.patch.force_n**2).sum() ** 0.5)
+    force = 1e3 * float((driver.result.patch.force_n**2).sum() ** 0.5)
     labels = window.status.labels
     assert labels["force"].text() == f"force {force:.0f} mN"
     for name, symbol in {"area": "m²", "gas": "psi", "residual": "m", "solve": "Hz"}.items():
@@ -117,26 +108,16 @@ def test_every_label_follows_the_units(drive: Drive) -> None:
     assert sorted(bar.split()[-1] for bar in bars) == ["(m)", "(psi)"]
     assert re.search(r"p_c .* psi .*\n u .* m ", pointed)
     drawn = window.scene.layers["membrane"].actor.mapper.dataset["contact pressure"].max()
-    peak = window.controller.result.estimate.contact_pressure_pa.max()
+    peak = driver.result.estimate.contact_pressure_pa.max()
     assert drawn == pytest.approx(peak / 6894.757293168)
     assert driver.pipeline.counts["estimate"] == solved  # nothing is computed for it
+    window.show_rates()
+    QApplication.processEvents()
+    assert window.width() == 1280 and not clipped(window.status)
     choose(driver, "kPa")
     assert window.kappa.threshold.text().endswith("kPa")
-
-
-def test_in_other_units_no_number_is_clipped_and_a_given_range_stays(drive: Drive) -> None:
-    driver = drive(frame=CONTACT)
-    driver.window.resize(1280, 800)
-    for symbol in ("m", "psi", "mN", "s"):
-        choose(driver, symbol)
-    driver.window.show_rates()
-    QApplication.processEvents()
-    assert driver.window.width() == 1280
-    for label in driver.window.status.labels.values():
-        assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
-    # a range that the user gave stays
-    choose(driver, "kPa")
-    box = driver.window.layers.pressure_max
+    # a range that the user gave stays, and none is given by 0
+    box = window.layers.pressure_max
     box.setValue(5.0)
     assert driver.state.choices.pressure_max_pa == pytest.approx(5000.0)
     choose(driver, "psi")
@@ -144,3 +125,5 @@ def test_in_other_units_no_number_is_clipped_and_a_given_range_stays(drive: Driv
     assert box.value() == pytest.approx(5000.0 / 6894.757, abs=1e-3)
     choose(driver, "kPa")
     assert box.value() == 5.0
+    box.setValue(0.0)
+    assert driver.state.choices.pressure_max_pa is None

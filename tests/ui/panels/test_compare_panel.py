@@ -2,48 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
-from live_bench import Bench, sensor_file
-from PySide6.QtCore import QPoint, Qt
-from window_driver import Driver, texts
+from live_bench import Open, connected
+from window_driver import CONTACT, Drive, Driver, texts
 
-from bubbleviz.calibration.pressure_zero import ENOUGH
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.result import Result
-from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.choices import Setting
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_maps import rgb
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
-CONTACT = 75
-
-
-def number(text: str) -> float:
-    return float(text.split()[0])
+PRESSED = 8
 
 
 def outlines(driver: Driver) -> list[int]:
     """How many pixels of the 3-D view have the colour of A's outline, and of B's."""
-    pixels = driver.window.view.pixels()
-    return [int(np.all(pixels == rgb(c), axis=2).sum()) for c in theme.COMPARED]
+    return driver.count(*theme.COMPARED)
 
 
-def text(driver: Driver, row: str) -> str:
-    return driver.window.compare.a.values[row].text()
+def text(driver: Driver, row: str, *, of_b: bool = False) -> str:
+    panel = driver.window.compare
+    return (panel.b if of_b else panel.a).values[row].text()
 
 
 def wait_until_as_shown(driver: Driver) -> None:
     """Wait until A, the window's own setting, is measured to be what the window shows."""
 
     def as_shown() -> bool:
-        result, units = driver.window.controller.result, driver.state.units
-        assert result is not None and result.patch is not None
+        result, units = driver.result, driver.state.units
         force = units.force.text(float(np.linalg.norm(result.patch.force_n)))
         shown = (f"{result.frame.index}", force, units.area.text(result.patch.area_m2))
         compared = tuple(text(driver, row) for row in ("frame", "force", "area"))
@@ -53,19 +40,22 @@ def wait_until_as_shown(driver: Driver) -> None:
 
 
 def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> None:
-    driver = drive(DentSource, frame=8)
-    window, panel, controller = driver.window, driver.window.compare, driver.window.controller
-    a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=4.0, nodes=300)
-    driver.state.choose(layers=frozenset({"membrane", "compared"}), compared=(a, b))
-    driver.settle()
+    driver = drive(DentSource, frame=PRESSED)
+    controller, dock = driver.window.controller, driver.window.panels["compare"]
+    a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=4.0)
+    driver.choose(layers=frozenset({"membrane", "compared"}), compared=(a, b))
     assert outlines(driver) == [0, 0]
-    window.panels["compare"].show()
+    dock.show()
     driver.wait(lambda: min(outlines(driver)) > 20)
     assert outlines(driver)[0] > 1.1 * outlines(driver)[1]  # A's patch is the larger one
-    driver.bot.mouseClick(panel.outlines, LEFT, pos=QPoint(10, 10))
-    assert outlines(driver) == [0, 0]
-    driver.bot.mouseClick(panel.outlines, LEFT, pos=QPoint(10, 10))
-    assert min(outlines(driver)) > 20
+    areas, residuals = (
+        [float(text(driver, row, of_b=of_b).split()[0]) for of_b in (False, True)]
+        for row in ("area", "residual")
+    )
+    assert areas[0] > 1.2 * areas[1] and residuals[0] == pytest.approx(residuals[1], rel=0.02)
+    for shown in (False, True):
+        driver.click(driver.window.compare.outlines)
+        assert (min(outlines(driver)) > 20) == (max(outlines(driver)) > 0) == shown
     driver.state.seek(9)
     assert outlines(driver) == [0, 0]
     driver.wait(lambda: text(driver, "frame") == "9")
@@ -86,34 +76,29 @@ def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> 
     driver.settle()
     driver.state.choose(compared=(a, Setting(solver="no such")))
     assert outlines(driver) == [0, 0]
-    driver.wait(lambda: panel.b.values["status"].text() == "impossible")
+    driver.wait(lambda: text(driver, "status", of_b=True) == "impossible")
     assert outlines(driver)[0] > 20 and outlines(driver)[1] == 0
     driver.state.seek(0)
     driver.wait(lambda: text(driver, "status") == "no_contact")
     assert outlines(driver) == [0, 0]
     driver.seek(9)
     driver.wait(lambda: outlines(driver)[0] > 20)
-    window.panels["compare"].hide()
+    dock.hide()
     assert outlines(driver) == [0, 0]
 
 
 def test_the_window_s_own_setting_measures_what_the_window_shows(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
-    driver.window.panels["compare"].show()
+    driver.show("compare")
     driver.state.choose(compared=(Setting(), Setting(solver="linear", nodes=100)))
     wait_until_as_shown(driver)
     for frame in (CONTACT - 15, CONTACT):  # from elsewhere, with another warm start
         driver.seek(frame)
         wait_until_as_shown(driver)
     driver.state.choose(least_area_m2=1.0)
-    driver.wait(lambda: driver.window.controller.result.patch.area_m2 == 0.0)
+    driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
     driver.wait(lambda: text(driver, "area").startswith("0 "))
-
-
-def test_numbers_say_which_frame_they_are_of(drive: Drive) -> None:
-    driver = drive(frame=CONTACT)
-    driver.window.panels["compare"].show()
-    driver.wait(lambda: text(driver, "frame") == f"{CONTACT}")
+    # numbers say which frame they are of
     driver.state.seek(2)
     assert {text(driver, row) for row in ("frame", "status", "force")} == {"–"}
     named: list[tuple[str, int]] = []
@@ -128,44 +113,21 @@ def test_numbers_say_which_frame_they_are_of(drive: Drive) -> None:
     assert all(text == f"{index}" for text, index in named)
 
 
-def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(
-    open_bench: Callable[[], Bench],
-) -> None:
-    live = open_bench()
-    live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
-    zero = live.run.session.sensors[0].zero
-    zero.zero_now()
-    for _ in range(ENOUGH):
-        zero.learn(zero.reference_pa + 250.0, contact_free=True)
-    live.window.panels["compare"].show()
+def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(open_bench: Open) -> None:
+    live = connected(open_bench)
+    live.learn_zero(shift_pa=250.0)
+    live.show("compare")
     live.follow()
-    live.wait(lambda: live.window.controller.result.patch.area_m2 > 0.0)
+    live.wait(lambda: live.result.patch.area_m2 > 0.0)
     live.state.freeze(True)
     live.settle()
     wait_until_as_shown(live)
 
 
-def test_settings_that_differ_in_kappa_differ_in_area_alone(drive: Drive) -> None:
-    driver = drive(DentSource, frame=8)
-    driver.window.panels["compare"].show()
-    panel = driver.window.compare
-    driver.state.choose(compared=(Setting(solver="linear"), Setting(solver="linear")))
-    panel.a.kappa.setValue(1.0)
-    panel.b.kappa.setValue(4.0)
-    area = lambda column: column.values["area"].text()  # noqa: E731
-    driver.wait(lambda: area(panel.a) != area(panel.b) and area(panel.b)[0].isdigit())
-    assert number(area(panel.a)) > 1.2 * number(area(panel.b))
-    a, b = (number(column.values["residual"].text()) for column in (panel.a, panel.b))
-    assert a == pytest.approx(b, rel=0.02)
-
-
 def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive: Drive) -> None:
-    sensor = small_sensor()
-    known = sensor.membrane.model_copy(update={"prestretch": 1.3})
-    exact = sensor.model_copy(update={"membrane": known})
-    driver = drive(DentSource, sensor=exact, frame=6)
+    driver = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=6)
     window, panel = driver.window, driver.window.compare
-    window.panels["compare"].show()
+    driver.show("compare")
 
     def tangential() -> str:
         """As the whole window shows it."""
@@ -174,28 +136,21 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive:
         assert window.status.labels["force"].toolTip().endswith(f"by depth alone: {shown}")
         return shown
 
-    estimate = window.controller.result.estimate
-    whole, normal = estimate.force_n, estimate.force_n - estimate.friction_n.sum(axis=0)
-    friction = np.linalg.norm(whole - normal)
+    friction = np.linalg.norm(driver.result.estimate.friction_n.sum(axis=0))
     assert friction > 0.05 and tangential() == f"{friction:.2f} N"
     driver.wait(lambda: text(driver, "tangential") == f"{friction:.2f} N")
-    driver.state.choose(force_unit="mN")
-    driver.settle()
+    driver.choose(force_unit="mN")
     assert tangential() == f"{1e3 * friction:.0f} mN" == text(driver, "tangential")
-    driver.state.choose(force_unit="N")
-    driver.settle()
-    assert panel.b.values["tangential"].text() == "– N"  # the linear model has none
+    driver.choose(force_unit="N")
+    assert text(driver, "tangential", of_b=True) == "– N"  # the linear model has none
 
-    panel.a.friction.setFocus()
-    panel.a.friction.selectAll()
-    driver.bot.keyClicks(panel.a.friction, "0")
-    driver.bot.keyClick(panel.a.friction, Qt.Key.Key_Return)
+    driver.type(panel.a.friction, "0")
     assert panel.a.friction.text() == "none"
     driver.wait(lambda: text(driver, "tangential") == "– N")
-    driver.bot.mouseClick(panel.a.used, LEFT)
+    driver.click(panel.a.used)
     driver.wait(lambda: driver.pipeline.options.friction == 0.0)
     driver.settle()
-    estimate = window.controller.result.estimate
+    estimate = driver.result.estimate
     assert not estimate.friction_n.any() and np.linalg.norm(estimate.force_n) > 0.1
     assert tangential() == "– N"
     for _ in range(2):
@@ -208,14 +163,14 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive:
 
 
 def test_a_setting_is_used_everywhere_and_undone(drive: Drive) -> None:
-    driver = drive(DentSource, frame=8)
-    window, panel = driver.window, driver.window.compare
-    window.panels["compare"].show()
-    driver.state.choose(compared=(Setting(), Setting(solver="linear", nodes=300, kappa=2.5)))
-    driver.bot.mouseClick(panel.b.used, LEFT)
+    driver = drive(DentSource, frame=PRESSED)
+    window, panel, state = driver.window, driver.window.compare, driver.state
+    driver.show("compare")
+    state.choose(compared=(Setting(), Setting(solver="linear", nodes=300, kappa=2.5)))
+    driver.click(panel.b.used)
     driver.wait(lambda: driver.pipeline.options.nodes == 300)
     driver.settle()
-    assert driver.pipeline.options.solver == "linear" and driver.state.choices.kappa == 2.5
+    assert driver.pipeline.options.solver == "linear" and state.choices.kappa == 2.5
     assert window.kappa.solver.currentText() == "setting B of Compare"
     panel.b.block.setValue(2)  # of what is in use
     driver.wait(lambda: driver.pipeline.options.block == 2)
@@ -223,19 +178,16 @@ def test_a_setting_is_used_everywhere_and_undone(drive: Drive) -> None:
     panel.a.block.setValue(3)  # of what is not
     driver.settle()
     assert driver.server.session.number == session
-    panel.b.kappa.setFocus()
-    panel.b.kappa.selectAll()
-    driver.bot.keyClicks(panel.b.kappa, "4.5")
-    driver.bot.keyClick(panel.b.kappa, Qt.Key.Key_Return)
+    driver.type(panel.b.kappa, "4.5")
     driver.wait(driver.thresholded)
-    assert driver.state.choices.kappa == window.kappa.box.value() == 4.5
+    assert state.choices.kappa == window.kappa.box.value() == 4.5
     panel.a.kappa.setValue(7.0)
-    assert driver.state.choices.kappa == 4.5
+    assert state.choices.kappa == 4.5
     for _ in range(2):
         window.undo_stack.undo()
-    assert driver.state.choices.kappa == panel.b.kappa.value() == 2.5
+    assert state.choices.kappa == panel.b.kappa.value() == 2.5
     for _ in range(3):
         window.undo_stack.undo()
     driver.wait(lambda: driver.pipeline.options.solver is None)
     driver.settle()
-    assert driver.state.choices.kappa is None and driver.state.choices.solver is None
+    assert state.choices.kappa is None and state.choices.solver is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -12,20 +11,16 @@ import numpy as np
 import pyqtgraph as pg
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
-from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
-from PySide6.QtGui import QFontMetrics, QImage
+from PySide6.QtCore import QEvent, QPoint, QPointF
+from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
-from window_driver import Driver, canvas, hover
+from window_driver import CONTACT, Drive, Driver, canvas, copied, hover, painted
 
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.diagnostics.kappa_curve import KAPPAS, kappa_curve
-from bubbleviz.diagnostics.overlap import iou
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.gaps import find_gaps
 from bubbleviz.patch.patch_finder import PatchFinder
-from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
 from bubbleviz_ui.engine.source_openers import CachedSource
@@ -35,15 +30,14 @@ from bubbleviz_ui.panels.plot_frame import PlotFrame
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.time_plot import Band
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
+PATCH = frozenset({"estimate", "patch"})
 
 
 def opened(driver: Driver, *plots: str) -> PlotsPanel:
     """The panel with these plots, shown and laid out."""
     driver.state.choose(plots=frozenset(plots))
     driver.window.resize(1280, 800)
-    driver.window.panels["plots"].show()
+    driver.show("plots")
     driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
     QApplication.processEvents()
     driver.settle()
@@ -61,24 +55,26 @@ def plain(panel: PlotsPanel, name: str) -> str:
     return re.sub(r"<[^>]*>", "", panel.plots[name].frame.text)
 
 
+def curve(driver: Driver, plot: str, name: str, known: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of a curve, once so many values are known."""
+    shown = driver.window.plots.plots[plot]
+    driver.wait(lambda: np.count_nonzero(np.isfinite(shown.data[name][1])) == known)
+    return shown.data[name]
+
+
 def test_all_frames_are_analysed_in_the_background(drive: Drive, sensor: Sensor) -> None:
     whole = default_press(sensor)
     fewer = CachedSource(SyntheticSource(sensor, whole.obj, whole.poses[::5], whole.noise))
     driver = drive(lambda _: fewer)
-    panel = opened(driver, "force", "area")
-    steps: list[tuple[int, int]] = []
-    driver.window.controller.analysis.progressed.connect(lambda *step: steps.append(step))
-    driver.bot.mouseClick(panel.analyse, LEFT)
-    driver.wait(lambda: steps and steps[-1][0] == steps[-1][1] > 0)
-    history = driver.state.history
-    assert len(history.missing(frozenset({"estimate", "patch"}))) == 0
-    driver.wait(lambda: len(panel.plots["force"].data["force_n"][0]) == 30)
-    driver.wait(lambda: np.isfinite(panel.plots["force"].data["force_n"][1]).all())
-    force = panel.plots["force"].data["force_n"][1]
-    assert not panel.progress.isVisible() and driver.state.frame == 0
+    panel, history = opened(driver, "force", "area"), driver.state.history
+    driver.click(panel.analyse)
+    driver.wait(lambda: not len(history.missing(PATCH)))
+    _, force = curve(driver, "force", "force_n", 30)
+    driver.wait(lambda: not panel.progress.isVisible())
+    assert driver.state.frame == 0
     for frame in (1, 12, 15):  # the same as when one looks at them
         driver.seek(frame)
-        found = np.linalg.norm(driver.window.controller.result.patch.force_n)
+        found = np.linalg.norm(driver.result.patch.force_n)
         assert force[frame] == pytest.approx(found, rel=0.05, abs=1e-6)
     assert force[1] == 0.0 and force[15] > 0.5
     # areas of all frames follow κ: they are found in the estimates that were made
@@ -92,18 +88,20 @@ def test_all_frames_are_analysed_in_the_background(drive: Drive, sensor: Sensor)
     assert touching.any() and np.all(area[touching] != before[touching])
     assert driver.server.counts["estimate"] == solved
     driver.seek(15)
-    assert area[15] == pytest.approx(driver.window.controller.result.patch.area_m2, rel=0.05)
+    assert area[15] == pytest.approx(driver.result.patch.area_m2, rel=0.05)
 
 
 class Repeated:
-    """A short source again and again: too long to be analysed while a test looks on."""
+    """A source that begins again and again."""
+
+    name = "repeated"
 
     def __init__(self, source: FrameSource, frames: int) -> None:
-        self.name, self._source = source.name, source
+        self._source, self._frames = source, frames
         self.times_s = np.arange(frames) / 30.0
 
     def __len__(self) -> int:
-        return len(self.times_s)
+        return self._frames
 
     def __getitem__(self, index: int) -> Frame:
         return replace(self._source[index % len(self._source)], index=index)
@@ -114,33 +112,30 @@ class Repeated:
 
 def test_analysis_is_cancelled_and_seeking_stays_possible(drive: Drive, press: FrameSource) -> None:
     driver = drive(lambda _: Repeated(press, 5000))
-    panel = opened(driver, "force")
-    driver.bot.mouseClick(panel.analyse, LEFT)
+    panel, missing = opened(driver, "force"), lambda: len(driver.state.history.missing(PATCH))
+    driver.click(panel.analyse)
     driver.wait(lambda: panel.progress.value() > 3)
     driver.seek(100)  # answered in between
     assert panel.cancel.isVisible()
-    driver.bot.mouseClick(panel.cancel, LEFT)
+    driver.click(panel.cancel)
     assert not panel.cancel.isVisible() and panel.analyse.isEnabled()
-    missing = driver.state.history.missing(frozenset({"patch"}))
+    left = missing()
     driver.seek(200)  # what was on its way is through
-    after = driver.state.history.missing(frozenset({"patch"}))
-    assert 0 < len(missing) < 5000 and len(missing) - len(after) < 40
+    after = missing()
+    assert 0 < left < 5000 and left - after < 40
     driver.seek(300)
-    assert len(after) - 2 <= len(driver.state.history.missing(frozenset({"patch"})))
+    assert after - 2 <= missing()
 
 
 def test_curves_and_bands_break_where_frames_are_missing(drive: Drive) -> None:
     driver = drive(GappySource)
     panel = opened(driver, "force", "residual")
-    driver.bot.mouseClick(panel.analyse, LEFT)
-    driver.wait(lambda: len(driver.state.history.missing(frozenset({"estimate", "patch"}))) == 0)
-    force, residual = panel.plots["force"], panel.plots["residual"]
-    for read in (lambda: force.data["force_n"], lambda: residual.data["residual_m"]):
-        driver.wait(lambda read=read: np.count_nonzero(np.isfinite(read()[1])) == FRAMES)
-        times, values = read()
+    driver.click(panel.analyse)
+    for plot, name in (("force", "force_n"), ("residual", "residual_m")):
+        times, values = curve(driver, plot, name, FRAMES)
         assert list(np.flatnonzero(np.isnan(values))) == [6]
         np.testing.assert_array_equal(np.delete(times, 6), driver.state.facts.times_s)
-    band = force.bands["force_n"]
+    band = panel.plots["force"].bands["force_n"]
     for edge in (band.low, band.high):
         np.testing.assert_array_equal(edge.getOriginalDataset()[0], times)
 
@@ -156,16 +151,14 @@ class FlickeringSource(DentSource):
 def test_a_good_frame_between_two_without_a_number_is_a_dot(drive: Drive) -> None:
     driver = drive(FlickeringSource)
     panel = opened(driver, "residual")
-    driver.bot.mouseClick(panel.analyse, LEFT)
-    plot = panel.plots["residual"]
-    driver.wait(lambda: np.count_nonzero(np.isfinite(plot.data["residual_m"][1])) == FRAMES - 2)
-    times, values = plot.data["residual_m"]
-    np.testing.assert_array_equal(plot.dots["residual_m"].getData()[0], times[[7]])
+    driver.click(panel.analyse)
+    times, values = curve(driver, "residual", "residual_m", FRAMES - 2)
+    box = panel.plots["residual"].box
 
     def drawn() -> bool:
-        place = canvas(panel).mapFromScene(plot.box.mapViewToScene(QPointF(times[7], values[7])))
-        colour = canvas(panel).grab().toImage().pixelColor(place)
-        return colour.blue() > colour.red() + 60
+        at = canvas(panel).mapFromScene(box.mapViewToScene(QPointF(times[7], values[7])))
+        red, _, blue = painted(canvas(panel))[at.y(), at.x()].astype(int)
+        return blue > red + 60
 
     driver.wait(drawn)  # the axes follow the curve once it is there
 
@@ -183,40 +176,38 @@ def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp: QApplication) -> 
 
 def test_the_numbers_follow_a_click_and_the_mouse(drive: Drive) -> None:
     driver = drive(DentSource)
-    panel = opened(driver, "force", "residual")
-    frame = FIRST_CONTACT + 4
-    time_s = float(driver.state.facts.times_s[frame])
-    driver.bot.mouseClick(canvas(panel).viewport(), LEFT, pos=place(panel, "residual", time_s))
+    panel, frame = opened(driver, "force", "residual"), FIRST_CONTACT + 4
+    times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
+    view = canvas(panel).viewport()
+    driver.click(view, place(panel, "residual", times[frame]))
     assert driver.state.frame == frame
     driver.settle()
-    driver.wait(lambda: driver.window.controller.result.patch is not None)
     for name in ("force", "residual"):
-        assert panel.plots[name].cursor.value() == pytest.approx(time_s)
-    patch = driver.window.controller.result.patch
-    force = driver.state.units.force.text(float(np.linalg.norm(patch.force_n)))
+        assert panel.plots[name].cursor.value() == pytest.approx(times[frame])
+    force = units.force.text(float(np.linalg.norm(driver.result.patch.force_n)))
     driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
     # pointing at a plot shows time and numbers there
-    times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
     driver.seek(2)
-    known = lambda: np.isfinite(history.of("residual_m")[[2, frame]]).all()  # noqa: E731
-    driver.wait(known)
+    driver.wait(lambda: np.isfinite(history.of("residual_m")[[2, frame]]).all())
     at_cursor = f"Residual rms: {units.fine_length.text(history.of('residual_m')[2])}"
     driver.wait(lambda: plain(panel, "residual") == at_cursor)
-    hover(canvas(panel).viewport(), place(panel, "residual", times[frame]))
+    hover(view, place(panel, "residual", times[frame]))
     there = units.fine_length.text(history.of("residual_m")[frame])
     driver.wait(lambda: plain(panel, "residual") == f"at {times[frame]:.3f} s: {there}")
     assert plain(panel, "force").startswith("Force: ") and driver.state.frame == 2
     QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
     driver.wait(lambda: plain(panel, "residual") == at_cursor)
+    for name, light in (("dark", False), ("light", True)):
+        driver.state.choose(theme=name)
+        assert (painted(canvas(panel))[3, -3].mean() > 127) == light
 
 
 def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
-    driver = drive(frame=75)
+    driver = drive(frame=CONTACT)
     driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
     driver.window.panels["kappa"].hide()
-    panel = opened(driver, "latency")
+    panel, counts = opened(driver, "latency"), driver.pipeline.counts
     driver.state.choose(panels=frozenset({"plots"}))
-    counts = driver.pipeline.counts
     before = dict(counts)
     driver.seek(76)
     assert counts["estimate"] == before["estimate"] and counts["patch"] == before["patch"]
@@ -235,86 +226,43 @@ def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
 
 
 def test_measured_and_estimated_gas_pressure(drive: Drive) -> None:
-    driver = drive(frame=75)
-    panel = opened(driver, "gas")
-    frame = driver.window.controller.result.frame
-    measured = (
-        frame.gas_pressure_pa - driver.window.controller.sensor.pneumatics.reference_pressure_pa
-    )
-    history = driver.state.history.values
-    assert history["gas_measured_pa"][75] == pytest.approx(measured)
-    mesh, estimate = driver.pipeline.mesh, driver.window.controller.result.estimate
-    a_bit = 1e-4 * estimate.displacement_m
-    change = 1e4 * (mesh.cap_volume(a_bit) - mesh.cap_volume())
-    V0 = driver.window.controller.sensor.pneumatics.chamber_volume_m3 + mesh.cap_volume()
-    P0 = frame.gas_pressure_pa - measured
-    law = P0 * V0 / (V0 + change) - P0
-    assert history["gas_law_pa"][75] == pytest.approx(law, rel=5e-3)
+    driver = drive(frame=CONTACT)
+    panel, history = opened(driver, "gas"), driver.state.history.values
+    rest_pa = driver.window.controller.sensor.pneumatics.reference_pressure_pa
+    measured = driver.result.frame.gas_pressure_pa - rest_pa
+    assert history["gas_measured_pa"][CONTACT] == pytest.approx(measured)
+    assert np.isfinite(history["gas_law_pa"][CONTACT])
     driver.wait(lambda: f"measured {measured:.0f} Pa" in plain(panel, "gas"))
-    assert driver.window.status.labels["gas"].text() == f"p_v {measured:+.0f} Pa"
-
-
-def test_the_status_bar_says_that_a_gas_pressure_was_not_measured(drive: Drive) -> None:
-    driver = drive(DentSource, frame=8)
+    gas = driver.window.status.labels["gas"]
+    assert gas.text() == f"p_v {measured:+.0f} Pa"
+    driver.opens("dent", DentSource, driver.window.controller.sensor, frame=8, playing=False)
+    driver.wait(lambda: driver.state.facts.title == "dent")
+    driver.settle()  # it has none: by the gas law
     law = driver.state.history.values["gas_law_pa"][8]
-    assert law > 1.0
-    assert driver.window.status.labels["gas"].text() == f"p_v {law:+.0f} Pa"
+    assert law > 1.0 and gas.text() == f"p_v {law:+.0f} Pa"
 
 
-def test_the_plots_follow_the_theme(drive: Drive) -> None:
-    driver = drive(DentSource)
-    panel = opened(driver, "force")
-    for name, light in (("dark", False), ("light", True)):
-        driver.state.choose(theme=name)
-        image = canvas(panel).grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
-        assert (image.pixelColor(image.width() - 3, 3).lightness() > 127) == light
-    driver.state.choose(theme="system")
-
-
-def test_the_plots_are_not_clipped_at_1280x800(drive: Drive) -> None:
-    driver = drive(frame=75)
+def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive: Drive) -> None:
+    driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
     for plot in panel.plots.values():
-        place, words = plot.frame.item.sceneBoundingRect(), plot.frame.words
+        at, words = plot.frame.item.sceneBoundingRect(), plot.frame.words
         width = words.item.boundingRect().width() + words.pos().x()
-        assert width <= place.width() + 8, plot.frame.text
+        assert width <= at.width() + 8, plot.frame.text
         assert plot.box.height() > 40
-    assert driver.window.width() == 1280 and driver.window.height() == 800
-
-
-def test_the_kappa_curve_is_that_of_the_thresholds(drive: Drive) -> None:
-    driver = drive(frame=75)
-    panel = opened(driver, "kappa")
+    assert driver.size == (1280, 800)
     driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
-    curve = driver.window.controller.inspection.kappa_curve
-    estimate, pipeline = driver.window.controller.result.estimate, driver.pipeline
-    finder = PatchFinder(pipeline.mesh, 1.0, 1e-3)
-    for k in (0, 20, 40):
-        area = finder.find(estimate, float(KAPPAS[k])).area_m2
-        assert curve.area_m2[k] == pytest.approx(area)
+    finder = PatchFinder(driver.pipeline.mesh, 1.0, 1e-3)
     x, y = panel.kappa.curve.getOriginalDataset()
-    np.testing.assert_allclose(y, 1e6 * curve.area_m2)
-    np.testing.assert_allclose(10.0**x, KAPPAS)
+    for k in (0, 20, 40):
+        area = finder.find(driver.result.estimate, float(10.0 ** x[k])).area_m2
+        assert y[k] == pytest.approx(1e6 * area)
 
 
-def test_iou_over_kappa_is_that_of_the_masks(sensor: Sensor, press: FrameSource) -> None:
-    pipeline = Pipeline.of(sensor)
-    estimate = pipeline.process(press[75], frozenset({"estimate"})).estimate
-    view = MembraneView(pipeline.camera, pipeline.mesh)
-    truth = np.zeros(view.shape, bool)
-    truth[20:35, 30:50] = True
-    curve = kappa_curve(pipeline.mesh, estimate, truth, view)
-    pressure = estimate.contact_pressure_pa
-    mean = pipeline.mesh.areas @ pressure / pipeline.mesh.areas.sum()
-    for k in (5, 25, 40):
-        mask = view.above(estimate.displacement_m, pressure, float(KAPPAS[k] * mean))
-        assert curve.iou[k] == pytest.approx(iou(mask, truth), abs=0.02)
-
-
-def test_thin_curves_keep_every_peak() -> None:
-    times = np.arange(36_000) / 30.0
-    values = np.full(36_000, np.nan)
+def test_thin_curves_keep_every_peak_and_break_at_gaps() -> None:
+    frame = np.arange(36_000)
+    times, values = frame / 30.0, np.full(36_000, np.nan)
     values[1000:30_000] = 1.0
     values[17_100:17_140:2] = np.nan
     values[17_123] = 50.0
@@ -324,11 +272,10 @@ def test_thin_curves_keep_every_peak() -> None:
     assert x[np.nanargmax(y)] == pytest.approx(times[17_123], abs=1.0)
     x, y = thinned(times, values, (570.0, 572.0))
     assert len(x) < 70 and 17_123 / 30 in x
+    x, y = thinned(np.zeros(1), np.ones(1), (0.0, 1.0))  # times need no pixels
+    assert list(x) == [0.0] and list(y) == [1.0]
 
-
-def test_thin_curves_break_at_gaps() -> None:
-    frame = np.arange(36_000)
-    times = frame / 30.0 + 60.0 * (frame > 17_123)
+    times = times + 60.0 * (frame > 17_123)
     gaps = find_gaps(times)
     x, y = thinned(times, np.ones(36_000), (0.0, 1300.0), gaps)
     (broken,) = np.flatnonzero(np.isnan(y))
@@ -337,73 +284,62 @@ def test_thin_curves_break_at_gaps() -> None:
         assert np.isfinite(thinned(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
-def test_times_need_no_pixels(sensor: Sensor) -> None:
-    x, y = thinned(np.zeros(1), np.ones(1), (0.0, 1.0))
-    assert list(x) == [0.0] and list(y) == [1.0]
-
-
 def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive: Drive) -> None:
     driver = drive(DentSource)
     panel = opened(driver, "force", "gas", "residual")
-    assert not panel.statistics.isVisible()
+    table, force = panel.statistics, driver.state.history.of("force_n")
+
+    def rows() -> list[list[str]]:
+        """The table as it is copied."""
+        driver.click(table.copy)
+        return [line.split("\t") for line in copied().splitlines()]
+
+    assert not table.isVisible()
     driver.seek(3)
     driver.state.choose_range((3, 8))
-    assert panel.statistics.isVisible()
-    driver.wait(lambda: panel.statistics.item(4, 0).text() == "1 of 6")
-    assert panel.statistics.item(1, 0).text() == "–"
+    assert table.isVisible()
+    driver.wait(lambda: table.item(4, 0).text() == "1 of 6")
+    assert table.item(1, 0).text() == "–"
     for frame in (7, 8, 6):
         driver.seek(frame)
-    actions = driver.window.shortcuts.actions
-    actions["Playback › Range begins here"].trigger()
+    driver.act("Playback › Range begins here")
     driver.seek(9)
-    actions["Playback › Range ends here"].trigger()
-    assert driver.state.play_range == (6, 9) and panel.statistics.isVisible()
-    force = driver.state.history.of("force_n")
+    driver.act("Playback › Range ends here")
+    assert driver.state.play_range == (6, 9) and table.isVisible()
     driver.wait(lambda: np.isfinite(force[6:10]).all())
-    table = panel.statistics
     driver.wait(lambda: table.item(4, 0).text() == "4")
-    driver.bot.mouseClick(panel.statistics.copy, LEFT)
-    rows = [line.split("\t") for line in copied().splitlines()]
-    assert rows[0][:3] == ["Frames 6 to 9", "Force (N)", "Gas pressure change p_v, gas law (Pa)"]
-    assert [row[0] for row in rows[1:]] == [
-        "mean", "standard deviation", "minimum", "maximum", "frames"
-    ]  # fmt: skip
-    known = force[6:10]
+    known, (head, *body) = force[6:10], rows()
+    assert head[:3] == ["Frames 6 to 9", "Force (N)", "Gas pressure change p_v, gas law (Pa)"]
+    names = ["mean", "standard deviation", "minimum", "maximum", "frames"]
+    assert [row[0] for row in body] == names
     expected = [known.mean(), known.std(ddof=1), known.min(), known.max(), 4]
-    assert [float(row[1]) for row in rows[1:]] == pytest.approx(expected, rel=1e-5)
+    assert [float(row[1]) for row in body] == pytest.approx(expected, rel=1e-5)
     assert table.item(0, 0).text() == f"{known.mean():.3f}"
     driver.state.choose(force_unit="mN", plots=frozenset({"force"}))
-    driver.bot.mouseClick(panel.statistics.copy, LEFT)
-    assert copied().splitlines()[0] == "Frames 6 to 9\tForce (mN)\tκ\tsensor"
-    assert float(copied().splitlines()[1].split("\t")[1]) == pytest.approx(1e3 * known.mean())
     name = driver.window.controller.sensor.name
-    assert {tuple(line.split("\t")[2:]) for line in copied().splitlines()[1:]} == {("", name)}
-    driver.state.choose(kappa=2.5)
-    driver.bot.mouseClick(panel.statistics.copy, LEFT)
-    assert {tuple(line.split("\t")[2:]) for line in copied().splitlines()[1:]} == {("2.5", name)}
-    actions["Playback › Play all frames"].trigger()
-    driver.wait(lambda: not panel.statistics.isVisible())
-
-
-def copied() -> str:
-    return QApplication.clipboard().text()
+    for kappa in (None, 2.5):
+        driver.state.choose(kappa=kappa)
+        head, *body = rows()
+        assert head == ["Frames 6 to 9", "Force (mN)", "κ", "sensor"]
+        assert {tuple(row[2:]) for row in body} == {(f"{kappa or ''}", name)}
+    assert float(body[0][1]) == pytest.approx(1e3 * known.mean())
+    driver.act("Playback › Play all frames")
+    driver.wait(lambda: not table.isVisible())
 
 
 def test_plots_open_with_room_for_two_rows_in_a_small_window(drive: Drive) -> None:
     """Of those that are chosen at first, two are side by side there; more rows are scrolled to."""
     driver = drive(frame=5)
-    window = driver.window
-    window.resize(1016, 660)
-    window.shortcuts.actions["View › Plots"].trigger()
+    driver.resize(1016, 660)
+    driver.act("View › Plots")
     driver.settle()
-    assert (window.width(), window.height()) == (1016, 660)
-    shown = canvas(window.plots).viewport()
+    shown = canvas(driver.window.plots).viewport()
     assert shown.visibleRegion().boundingRect().height() == shown.height() > 200
-    for box in window.plots.boxes.values():
+    for box in driver.window.plots.boxes.values():
         if not box.isChecked():
             box.trigger()
     driver.settle()
-    assert (window.width(), window.height()) == (1016, 660)
+    assert driver.size == (1016, 660)
     assert shown.height() >= 2 * shown.visibleRegion().boundingRect().height()
 
 

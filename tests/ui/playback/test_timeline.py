@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -10,10 +9,9 @@ import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QInputDialog
 from pytestqt.qtbot import QtBot
-from window_driver import Driver
+from window_driver import CTRL, LEFT, SHIFT, Drive, Driver, painted
 
 from bubbleviz.diagnostics.frame_numbers import Numbers
 from bubbleviz.frames.gaps import Gap, TimeAxis
@@ -25,37 +23,16 @@ from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
-CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-NONE = Qt.KeyboardModifier.NoModifier
 BELOW, ABOVE = RULER + 8, RULER // 2
-
-
-def pixels(timeline: Timeline) -> np.ndarray:
-    """What the timeline shows, (h, w, 3)."""
-    image = timeline.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
-    flat = np.frombuffer(image.constBits(), np.uint8)
-    rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
-    return rows.reshape(image.height(), image.width(), 3).copy()
 
 
 def at(timeline: Timeline, frame: int, y: int = BELOW) -> QPoint:
     return QPoint(round(timeline.x_of(frame)), y)
 
 
-def key(driver: Driver, which: Qt.Key, modifier: Qt.KeyboardModifier = NONE) -> None:
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
-    driver.bot.keyClick(driver.window, which, modifier)
-
-
 def drag(driver: Driver, first: int, last: int, y: int) -> None:
     timeline = driver.window.playback.timeline
-    driver.bot.mousePress(timeline, LEFT, pos=at(timeline, first, y))
-    driver.bot.mouseMove(timeline, at(timeline, (first + last) // 2, y))
-    driver.bot.mouseMove(timeline, at(timeline, last, y))
-    driver.bot.mouseRelease(timeline, LEFT, pos=at(timeline, last, y))
+    driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
 
 
 def test_click_and_drag_seek(drive: Drive) -> None:
@@ -72,12 +49,12 @@ def test_click_and_drag_seek(drive: Drive) -> None:
 def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
     driver = drive(DentSource)
     assert not driver.window.playback.freeze.isVisible()  # it is for live sources only
-    key(driver, Qt.Key.Key_F)
+    driver.key(Qt.Key.Key_F)
     assert not driver.state.frozen
     timeline = driver.window.playback.timeline
     for frame in (1, FIRST_CONTACT + 4):
         driver.seek(frame)
-    seen = pixels(timeline)
+    seen = painted(timeline)
     row = RULER + 2
 
     def colour(frame: int) -> tuple[int, ...]:
@@ -96,22 +73,22 @@ def test_gaps_and_markers_are_seen(drive: Drive) -> None:
     driver = drive(GappySource)
     timeline = driver.window.playback.timeline
     assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
-    before = pixels(timeline)
+    before = painted(timeline)
     red = np.flatnonzero(np.all(before == rgb(theme.GAP), axis=2).any(axis=0))
     left, right = timeline.x_of(5), timeline.x_of(6)
     assert left < red.min() < left + 0.2 * (right - left)
     assert right > red.max() > right - 0.2 * (right - left)
     assert not np.all(before == rgb(theme.DARK.marker), axis=2).any()
     driver.seek(9)
-    key(driver, Qt.Key.Key_M)
+    driver.key(Qt.Key.Key_M)
     driver.seek(3)
-    driver.bot.mouseClick(driver.window.playback.mark, LEFT)
+    driver.click(driver.window.playback.mark)
     assert driver.state.markers == (3, 9)
-    marked = np.argwhere(np.all(pixels(timeline) == rgb(theme.DARK.marker), axis=2))[:, 1]
+    marked = np.argwhere(np.all(painted(timeline) == rgb(theme.DARK.marker), axis=2))[:, 1]
     assert abs(marked.min() - timeline.x_of(3)) < 6 and abs(marked.max() - timeline.x_of(9)) < 6
-    key(driver, Qt.Key.Key_PageDown)
+    driver.key(Qt.Key.Key_PageDown)
     assert driver.state.frame == 9
-    key(driver, Qt.Key.Key_M)
+    driver.key(Qt.Key.Key_M)
     assert driver.state.markers == (3,)
     assert "3 missing after it" in timeline.words(5) and "marked" in timeline.words(3)
     # an outage is as wide as it was long
@@ -134,11 +111,11 @@ def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot: QtBot) 
     timeline = Timeline(state)
     qtbot.addWidget(timeline)
     timeline.resize(900, timeline.height())
-    assert not np.all(pixels(timeline) == rgb(theme.GAP), axis=2).any()
+    assert not np.all(painted(timeline) == rgb(theme.GAP), axis=2).any()
     state.history.grow(21)
     outage = Gap(19, 59, 2.0)
     state.grow(replace(facts, times_s=np.append(times, times[-1] + 2.0), outages=(outage,)))
-    red = np.flatnonzero(np.all(pixels(timeline) == rgb(theme.GAP), axis=2).any(axis=0))
+    red = np.flatnonzero(np.all(painted(timeline) == rgb(theme.GAP), axis=2).any(axis=0))
     assert timeline.x_of(19) < red.min() < red.max() < timeline.x_of(20)
     assert np.ptp(red) > 400 and "missing after it" in timeline.words(19)
 
@@ -157,21 +134,21 @@ def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive: Drive)
         (Qt.Key.Key_Left, CTRL, 33),
         (Qt.Key.Key_Left, SHIFT, 30),
     ):
-        key(driver, which, modifier)
+        driver.key(which, modifier)
         assert driver.state.frame == frame
-    driver.bot.mouseClick(driver.window.playback.jumps[-1.0], LEFT)
+    driver.click(driver.window.playback.jumps[-1.0])
     assert driver.state.frame == 0
-    driver.bot.mouseClick(driver.window.playback.jumps[0.1], LEFT)
+    driver.click(driver.window.playback.jumps[0.1])
     assert driver.state.frame == 3
     panel = driver.window.playback
-    key(driver, Qt.Key.Key_Up, CTRL)
+    driver.key(Qt.Key.Key_Up, CTRL)
     assert driver.state.choices.speed == 2.0 and panel.speed.currentText() == "2×"
     for _ in range(8):
-        key(driver, Qt.Key.Key_Down, CTRL)
+        driver.key(Qt.Key.Key_Down, CTRL)
     assert driver.state.choices.speed == 0.1
-    key(driver, Qt.Key.Key_E)
+    driver.key(Qt.Key.Key_E)
     assert driver.state.choices.every_frame and panel.mode.currentText() == "every frame"
-    key(driver, Qt.Key.Key_L)
+    driver.key(Qt.Key.Key_L)
     assert not driver.state.choices.loop and not panel.loop.isChecked()
 
 
@@ -180,28 +157,28 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
     timeline = driver.window.playback.timeline
     drag(driver, 3, 6, ABOVE)
     assert driver.state.play_range == (3, 6) and driver.state.frame == 0
-    edge = pixels(timeline)[RULER + 3, round(timeline.x_of(6))]
+    edge = painted(timeline)[RULER + 3, round(timeline.x_of(6))]
     assert tuple(edge) == rgb(theme.DARK.accent)
     played: list[int] = []
     driver.state.frame_changed.connect(lambda index, _: played.append(index))
     driver.state.choose(every_frame=True, speed=2.0)
-    key(driver, Qt.Key.Key_Space)
+    driver.key(Qt.Key.Key_Space)
     driver.wait(lambda: len(played) > 9)
-    key(driver, Qt.Key.Key_Space)
+    driver.key(Qt.Key.Key_Space)
     assert played[:9] == [3, 4, 5, 6, 3, 4, 5, 6, 3]
     drag(driver, 6, 9, ABOVE)  # the end of the range is taken hold of
     assert driver.state.play_range == (3, 9)
-    key(driver, Qt.Key.Key_Backspace)
+    driver.key(Qt.Key.Key_Backspace)
     assert driver.state.play_range is None
     # where loop is off a range turns it on, which is one step
-    key(driver, Qt.Key.Key_L)
+    driver.key(Qt.Key.Key_L)
     steps = driver.window.undo_stack.index()
     drag(driver, 3, 6, ABOVE)
     assert driver.state.play_range == (3, 6) and driver.state.choices.loop
     assert driver.window.undo_stack.index() == steps + 1
-    key(driver, Qt.Key.Key_Z, CTRL)
+    driver.key(Qt.Key.Key_Z, CTRL)
     assert driver.state.play_range is None and not driver.state.choices.loop
-    key(driver, Qt.Key.Key_Z, CTRL | SHIFT)
+    driver.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert driver.state.play_range == (3, 6) and driver.state.choices.loop
 
 
@@ -224,7 +201,7 @@ def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive: 
     state.set_playing(True)
     driver.wait(lambda: state.frame > shown.result.frame.index > 0)
     before = shown.result.frame.index
-    key(driver, Qt.Key.Key_M)
+    driver.key(Qt.Key.Key_M)
     assert len(state.markers) == 1 and state.markers[0] in (before, shown.result.frame.index)
     state.set_playing(False)
     driver.settle()
@@ -236,15 +213,15 @@ def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
     panel, title = driver.window.playback, driver.window.windowTitle
     driver.wait(lambda: driver.state.frame > 2)
     assert " (simulated) " in title()
-    driver.bot.mouseClick(panel.freeze, LEFT)
+    driver.click(panel.freeze)
     assert driver.state.frozen and " (frozen) " in title()
     frame, now = driver.state.frame, driver.state.now
     driver.wait(lambda: driver.state.now >= now + 5)
     assert driver.state.frame == frame and driver.state.playing
     driver.settle()
-    seen = pixels(panel.timeline)
+    seen = painted(panel.timeline)
     assert np.all(seen == rgb(theme.FORCE), axis=2).any()
-    key(driver, Qt.Key.Key_N)
+    driver.key(Qt.Key.Key_N)
     assert not driver.state.frozen and driver.state.frame == driver.state.now
     assert " (simulated) " in title()
     driver.bot.mouseClick(panel.timeline, LEFT, pos=at(panel.timeline, 40))
@@ -262,7 +239,7 @@ def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
     assert sum(a.nbytes for a in state.history.values.values()) < 8e6
     timeline = Timeline(state)
     timeline.resize(900, timeline.height())
-    seen = np.all(pixels(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
+    seen = np.all(painted(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
     assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_of(18_000)) < 2
     assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)
 
@@ -292,6 +269,43 @@ def test_what_is_missing_depends_on_what_is_asked() -> None:
     assert history.values["force_n"][2] == 2.0  # the whole pressure's, whatever the threshold
 
 
+@pytest.fixture
+def clock() -> PlayClock:
+    made = PlayClock(np.arange(10) / 10.0 + 5.0)
+    made.start(2, wall_s=100.0, speed=1.0)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("now_s", "loop", "due"),
+    [
+        (100.05, True, (2, 0, False)),
+        (100.1, True, (3, 0, False)),
+        (100.4, True, (6, 3, False)),  # late looks count what they skip
+        (100.7, False, (9, 6, True)),
+        (100.75, True, (9, 6, False)),  # a loop begins one interval after the last frame
+        (100.85, True, (0, 7, False)),
+        (102.85, True, (0, 27, False)),  # several turns at once
+    ],
+)
+def test_frames_come_due_in_time(
+    clock: PlayClock, now_s: float, loop: bool, due: tuple[int, int, bool]
+) -> None:
+    assert clock.due(now_s, loop=loop) == due
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 2.0, 8.0])
+def test_speed_a_single_frame_and_uneven_times(speed: float) -> None:
+    for times, wait_s, frame in (
+        (np.arange(10) / 10.0, 0.5, 5),
+        (np.zeros(1), 0.5, 0),
+        (np.array([0.0, 0.1, 1.0]), 0.9, 1),
+    ):
+        clock = PlayClock(times)
+        clock.start(0, wall_s=0.0, speed=speed)
+        assert clock.due(wait_s / speed, loop=False)[0] == frame
+
+
 def test_the_clock_makes_up_for_small_delays_only() -> None:
     clock = PlayClock(np.arange(10) / 10.0)
     clock.start(0, 0.0, 1.0)
@@ -309,19 +323,19 @@ def test_contacts_the_largest_force_and_a_frame_by_number_are_one_key_away(
     drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     driver = drive(DentSource, frame=0)
-    key(driver, Qt.Key.Key_PageDown, CTRL)
+    driver.key(Qt.Key.Key_PageDown, CTRL)
     assert driver.state.frame == 0 and "No such contact" in driver.window.notice.label.text()
     for frame in (FIRST_CONTACT - 1, FIRST_CONTACT, 6, 8, 7):
         driver.seek(frame)
     force = driver.state.history.values["force_n"]
-    key(driver, Qt.Key.Key_Home, CTRL)
+    driver.key(Qt.Key.Key_Home, CTRL)
     assert driver.state.frame == np.nanargmax(force)
-    key(driver, Qt.Key.Key_PageUp, CTRL)
+    driver.key(Qt.Key.Key_PageUp, CTRL)
     first = driver.state.frame
     assert driver.state.history.contact[first] == CONTACT != driver.state.history.contact[first - 1]
     driver.seek(0)
-    key(driver, Qt.Key.Key_PageDown, CTRL)
+    driver.key(Qt.Key.Key_PageDown, CTRL)
     assert driver.state.frame == first
     monkeypatch.setattr(QInputDialog, "getInt", lambda *_: (7, True))
-    key(driver, Qt.Key.Key_G, CTRL)
+    driver.key(Qt.Key.Key_G, CTRL)
     assert driver.state.frame == 7

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import csv
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PySide6.QtGui import QDropEvent
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtWidgets import QApplication
 from scipy.spatial.transform import Rotation
-from window_driver import Driver, axes_corner, idle, in_view, texts
+from window_driver import CTRL, LEFT, SHIFT, Driver, axes_corner, idle, in_view, texts
 
-from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import NOTHING
@@ -31,8 +29,6 @@ from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, OBJECT_PATCH
 from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
 
-LEFT = Qt.MouseButton.LeftButton
-CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5
 FLAT = "found; 3 of 6 directions not determined"
@@ -56,45 +52,30 @@ def source() -> SyntheticSource:
     )  # fmt: skip
 
 
-class Bench:
+class Bench(Driver):
     """The window with its pose panel open, and what a person does with it."""
 
     def __init__(self, driver: Driver) -> None:
-        self.driver, self.window = driver, driver.window
+        super().__init__(driver.bot, driver.window, driver.server)
         self.window.use_scene(load_scene("pose"))
-        driver.settle()
+        self.settle()
 
     @property
     def panel(self) -> PosePanel:
         return self.window.pose
 
-    def click(self, widget: QWidget) -> None:
-        assert widget.isEnabled()
-        self.driver.bot.mouseClick(widget, LEFT)
-
-    def choose(self, name: str) -> None:
+    def choose_object(self, name: str) -> None:
         box = self.panel.object
-        box.setFocus()
-        row = box.findData(name)
-        self.driver.bot.keyClick(box, Qt.Key.Key_Home)
-        for _ in range(row):
-            self.driver.bot.keyClick(box, Qt.Key.Key_Down)
+        self.pick(box, box.itemText(box.findData(name)))
         box.activated.emit(box.currentIndex())
         obj = lambda: self.panel.session.obj  # noqa: E731
-        self.driver.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
-
-    def key(
-        self, which: Qt.Key, held: Qt.KeyboardModifier = Qt.KeyboardModifier.NoModifier
-    ) -> None:
-        with self.driver.bot.waitActive(self.window):
-            self.window.activateWindow()
-        self.driver.bot.keyClick(self.window, which, held)
+        self.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
 
     def fit(self) -> None:
         self.click(self.panel.once)
-        self.driver.wait(lambda: not self.panel.session.busy)
-        self.driver.wait(lambda: self.text("state") != "fitting…")
-        self.driver.settle()
+        self.wait(lambda: not self.panel.session.busy)
+        self.wait(lambda: self.text("state") != "fitting…")
+        self.settle()
 
     def text(self, name: str) -> str:
         return self.panel.values[name].text()
@@ -117,19 +98,19 @@ class Bench:
 def bench(drive: Callable[..., Driver], source: SyntheticSource) -> Iterator[Bench]:
     made = Bench(drive(lambda _: source, sensor=source.sensor))
     yield made
-    del made.driver, made.window  # pytest keeps the fixture's value longer than the window lives
+    made.let_go()
 
 
 def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench: Bench) -> None:
     assert bench.green() == 0
     assert not bench.panel.once.isEnabled()
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     bench.click(bench.panel.once)
     assert bench.panel.session.busy
     for widget in (bench.panel.object, bench.panel.once, bench.panel.track, bench.panel.start):
         assert not widget.isEnabled()
-    bench.driver.wait(lambda: bench.text("state") == FLAT)
-    bench.driver.settle()
+    bench.wait(lambda: bench.text("state") == FLAT)
+    bench.settle()
     assert bench.panel.once.isEnabled()
     assert bench.green() == 0 and bench.drawn() == AMBER
     pose = bench.panel.session.pose
@@ -142,9 +123,9 @@ def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench: Benc
     assert pose.stage_one is not None
     box = bench.panel.stage
     box.setFocus()
-    bench.driver.bot.keyClick(box, Qt.Key.Key_Down)
+    bench.bot.keyClick(box, Qt.Key.Key_Down)
     box.activated.emit(box.currentIndex())
-    bench.driver.settle()
+    bench.settle()
     assert np.array_equal(bench.window.scene.object.place, pose.stage_one.T_B_O)
 
 
@@ -152,18 +133,18 @@ def test_the_pose_is_read_selected_and_copied(bench: Bench) -> None:
     """In numbers of the units that are chosen; the object keeps a frame of its own."""
     panel = bench.panel
     assert bench.text("place") == bench.text("turn") == "–" and not panel.copy.isEnabled()
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     bench.fit()
     pose = panel.session.pose
     assert pose is not None
     T = pose.T_B_O
-    bench.driver.wait(lambda: bench.text("place") != "–")
+    bench.wait(lambda: bench.text("place") != "–")
     assert bench.text("place") == ", ".join(f"{1e3 * each:.2f} mm" for each in T[:3, 3])
     turns = [float(each.removesuffix("°")) for each in bench.text("turn").split(", ")]
     assert np.allclose(Rotation.from_euler("xyz", turns, degrees=True).as_matrix(), T[:3, :3],
                        atol=3e-3)  # fmt: skip
     label = panel.values["place"]
-    bench.driver.bot.mouseDClick(label, LEFT, pos=QPoint(6, label.height() // 2))
+    bench.bot.mouseDClick(label, LEFT, pos=QPoint(6, label.height() // 2))
     assert label.hasSelectedText()
     bench.click(panel.copy)
     head, place, turn, _, *rows = QApplication.clipboard().text().splitlines()
@@ -173,21 +154,23 @@ def test_the_pose_is_read_selected_and_copied(bench: Bench) -> None:
     xyzw = np.array(turn.removeprefix("quaternion x y z w, no unit: ").split(), float)
     assert np.allclose(Rotation.from_quat(xyzw).as_matrix(), T[:3, :3], atol=1e-7)
     assert np.allclose(np.array([row.split() for row in rows], float), T, atol=1e-9)
-    bench.driver.state.choose(length_unit="m")
-    bench.driver.wait(lambda: bench.text("place").endswith(" m"))
+    bench.state.choose(length_unit="m")
+    bench.wait(lambda: bench.text("place").endswith(" m"))
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
-    bench.driver.wait(lambda: bench.text("place") == "–")
+    bench.wait(lambda: bench.text("place") == "–")
     assert not panel.copy.isEnabled()
+    # the patch that is fitted is the one that is shown, without parts that are too small
+    bench.state.choose(least_area_m2=0.01)
+    bench.fit()
+    assert bench.result.patch.area_m2 == 0.0
+    assert panel.session.pose is None or panel.session.pose.stage_two is None
 
 
 def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     panel = bench.panel
     for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
-        box.setFocus()
-        box.selectAll()
-        bench.driver.bot.keyClicks(box, f"{value:g}")
-        bench.driver.bot.keyClick(box, Qt.Key.Key_Return)
+        bench.type(box, f"{value:g}")
     assert not panel.search.isChecked()
     assert panel.session.start is not None
     assert np.allclose(panel.session.start[:3, 3], [5e-3, 1e-3, 38e-3], atol=1e-5)
@@ -198,52 +181,52 @@ def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     assert panel.session.pose is None
     controller = bench.window.controller
-    with bench.driver.bot.waitSignal(controller.shown):
+    with bench.bot.waitSignal(controller.shown):
         controller.client.ask_settled()  # of the frame as it was shown, with its pose
-    bench.driver.wait(lambda: bench.text("state") == "not fitted yet")
+    bench.wait(lambda: bench.text("state") == "not fitted yet")
 
 
 def test_poses_that_were_forgotten_are_brought_back(bench: Bench) -> None:
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     bench.click(bench.panel.track)
     session, stack = bench.panel.session, bench.window.undo_stack
     for frame in (1, 2):
-        bench.driver.seek(frame)
-    bench.driver.wait(lambda: {1, 2} <= session.rows.keys())
+        bench.seek(frame)
+    bench.wait(lambda: {1, 2} <= session.rows.keys())
     rows, steps = dict(session.rows), stack.index()
     place = bench.window.scene.object.place
     bench.key(Qt.Key.Key_X)  # beside Z: no key of anything
     assert stack.index() == steps and session.rows == rows
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
-    bench.driver.settle()
+    bench.settle()
     assert not session.rows and not bench.panel.track.isChecked()
     assert bench.drawn() == GAP and stack.index() == steps + 1  # above the membrane, not found
     bench.key(Qt.Key.Key_Z, CTRL)
     assert session.rows == rows and bench.panel.track.isChecked()
     assert np.array_equal(bench.window.scene.object.place, place)
-    bench.driver.seek(3)  # tracked on
-    bench.driver.wait(lambda: 3 in session.rows)
+    bench.seek(3)  # tracked on
+    bench.wait(lambda: 3 in session.rows)
     assert session.rows[3].status == "ok"
     bench.key(Qt.Key.Key_Z, CTRL | SHIFT)
-    bench.driver.wait(lambda: bench.text("state") == "not fitted yet")
+    bench.wait(lambda: bench.text("state") == "not fitted yet")
     assert not session.rows and not bench.panel.track.isChecked()
 
 
 def test_tracking_runs_only_when_asked_and_exports(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench.choose("frustum")
-    counts = bench.driver.pipeline.counts
-    bench.driver.seek(1)
+    bench.choose_object("frustum")
+    counts = bench.pipeline.counts
+    bench.seek(1)
     assert counts["pose"] == 0
     bench.click(bench.panel.track)
     session = bench.panel.session
-    bench.driver.wait(lambda: session.pose is not None)
+    bench.wait(lambda: session.pose is not None)
     for frame in range(2, FRAMES):
-        bench.driver.seek(frame)
-    bench.driver.wait(lambda: len(session.rows) == FRAMES - 1)
+        bench.seek(frame)
+    bench.wait(lambda: len(session.rows) == FRAMES - 1)
     assert counts["pose"] >= FRAMES - 1
-    bench.driver.wait(lambda: bench.panel.csv.isEnabled())
+    bench.wait(lambda: bench.panel.csv.isEnabled())
     for button, name in ((bench.panel.csv, "p.csv"), (bench.panel.tum, "p.tum")):
         out = str(tmp_path / name)
         monkeypatch.setattr(pose_panel, "file_to_save", lambda *_, out=out, **__: Path(out))
@@ -257,16 +240,16 @@ def test_tracking_runs_only_when_asked_and_exports(
     # closing what shows it stops it
     ran = counts["pose"]
     bench.window.panels["pose"].hide()
-    bench.driver.state.choose(layers=frozenset({"membrane"}))
-    bench.driver.seek(0)
+    bench.state.choose(layers=frozenset({"membrane"}))
+    bench.seek(0)
     assert counts["pose"] == ran
 
 
 def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(bench: Bench) -> None:
     """Both outlines in their colours and both areas in words; neither work nor outline before."""
-    driver, window = bench.driver, bench.window
+    driver, window = bench, bench.window
     driver.state.choose(layers=frozenset({"membrane", "contour", "readout"}))
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     bench.click(bench.panel.track)
     driver.seek(1)
     driver.settle()
@@ -297,24 +280,29 @@ def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(benc
 
 def outlined(driver: Driver) -> tuple[bool, bool]:
     """Whether the outlines of the patch and of that by the object are seen."""
-    pixels = driver.window.view.pixels()[:, 60:]
+    pixels = driver.pixels()[:, 60:]
     white, green = (np.all(pixels == rgb(colour), axis=2).sum() for colour in (LINE, OBJECT_PATCH))
     return bool(white > 40), bool(green > 40)
 
 
 def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench: Bench) -> None:
-    bench.choose("frustum")
+    bench.choose_object("two_spheres")  # the frustum is pressed
     bench.fit()
+    assert bench.text("state") == "not found yet"  # and has no last pose
+    assert bench.text("place") == bench.text("fit") == NOTHING
+    bench.choose_object("frustum")
+    bench.fit()
+    assert bench.text("state").startswith("found")
     window, curves = bench.window, bench.panel.findChild(Curves)
     assert curves is not None and curves.isVisible()
     window.resize(1024, 700)
-    bench.driver.settle()
+    bench.settle()
     assert (window.width(), window.height()) == (1024, 700)
     pose = bench.panel.session.pose
     assert pose is not None and pose.stage_two is not None
     for unit, factor in (("mm", 1e3), ("m", 1.0)):
-        bench.driver.state.choose(length_unit=unit)
-        bench.driver.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
+        bench.state.choose(length_unit=unit)
+        bench.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
         fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
         assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
         assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
@@ -323,29 +311,19 @@ def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench: Benc
             assert low <= 0.0 and low + high == pytest.approx(largest)  # from 0, no further
 
 
-def test_an_object_that_was_never_found_has_no_last_pose(bench: Bench) -> None:
-    bench.choose("two_spheres")  # the frustum is pressed
-    bench.fit()
-    assert bench.text("state") == "not found yet"
-    assert bench.text("place") == bench.text("fit") == NOTHING
-    bench.choose("frustum")
-    bench.fit()
-    assert bench.text("state").startswith("found")
-
-
 def test_curves_have_no_line_across_what_is_lost_or_was_left_out(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lose(monkeypatch, 1)
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     bench.click(bench.panel.track)
     session = bench.panel.session
-    bench.driver.wait(lambda: 0 in session.rows)
+    bench.wait(lambda: 0 in session.rows)
     for frame in (1, 2, 4):
-        bench.driver.seek(frame)
-        bench.driver.wait(lambda frame=frame: frame in session.rows)
+        bench.seek(frame)
+        bench.wait(lambda frame=frame: frame in session.rows)
         assert bench.drawn() == (GAP if frame == 1 else AMBER)
-        bench.driver.wait(lambda: idle(bench.panel))
+        bench.wait(lambda: idle(bench.panel))
         curves = bench.panel.findChild(Curves)
         assert curves is not None
         for curve in (*curves.frames, *curves.iterations):  # of a lost pose: no number, no curve
@@ -374,41 +352,24 @@ def lose(monkeypatch: pytest.MonkeyPatch, lost: int) -> None:
     monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
 
 
-def test_a_fit_leaves_out_the_parts_that_are_too_small(bench: Bench) -> None:
-    """The patch that is fitted is the one that is shown."""
-    bench.driver.state.choose(least_area_m2=0.01)
-    bench.choose("frustum")
-    bench.fit()
-    patch = bench.window.controller.result.patch
-    assert patch is not None and patch.area_m2 == 0.0
-    assert bench.panel.session.pose is None or bench.panel.session.pose.stage_two is None
-
-
 def test_a_dropped_file_is_the_object(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "mine.ply"
-    shutil.copy(presets_folder("objects") / "cylinder.ply", path)
-    drop(bench.panel, path)
-    bench.driver.wait(lambda: bench.panel.session.obj is not None)
+    path.write_bytes(ply_bytes(load_object("cylinder")))
+    bench.drop(path, on=bench.panel)
+    bench.wait(lambda: bench.panel.session.obj is not None)
     assert bench.panel.session.obj.name == "mine"
     flat = tmp_path / "flat.obj"
     flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
-    drop(bench.panel, flat)
-    bench.driver.wait(lambda: "no area" in bench.window.message.label.text())
-    bench.driver.wait(lambda: bench.panel.session.obj is None)
+    bench.drop(flat, on=bench.panel)
+    bench.wait(lambda: "no area" in bench.window.message.label.text())
+    bench.wait(lambda: bench.panel.session.obj is None)
     assert not bench.panel.once.isEnabled()
 
 
-def drop(panel: PosePanel, path: Path) -> None:
-    data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(path))])
-    action, keys = Qt.DropAction.CopyAction, Qt.KeyboardModifier.NoModifier
-    panel.dropEvent(QDropEvent(QPointF(5, 5), action, data, LEFT, keys))
-
-
 def test_the_object_is_moved_in_the_view(bench: Bench) -> None:
-    bench.choose("frustum")
+    bench.choose_object("frustum")
     bench.click(bench.panel.move_it)
-    bench.driver.settle()
+    bench.settle()
     gizmo, view = bench.window.overlay.gizmo, bench.window.view
     assert gizmo.on
     start = bench.panel.session.start
@@ -416,15 +377,15 @@ def test_the_object_is_moved_in_the_view(bench: Bench) -> None:
     assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn where it is to begin
     before = start.copy()
     # the middle of the frustum, which is 40 mm tall
-    at = in_view(bench.driver, before[:3, 3] + [0.0, 0.0, 0.02])
-    bot = bench.driver.bot
+    at = in_view(bench, before[:3, 3] + [0.0, 0.0, 0.02])
+    bot = bench.bot
     bot.mouseMove(view, at)
     bot.mousePress(view, LEFT, pos=at)
     for step in range(1, 6):
         bot.mouseMove(view, at + QPoint(8 * step, 0))
-        bench.driver.settle()
+        bench.settle()
     bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
-    bench.driver.settle()
+    bench.settle()
     moved = bench.panel.session.start
     assert moved is not None
     assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3

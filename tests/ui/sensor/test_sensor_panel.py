@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QWidget
-from window_driver import Driver, typed
+from window_driver import Drive, Driver, typed
 
 from bubbleviz.sensor import Calibration, Sensor, load_sensor, sensor_to_toml
 from bubbleviz_ui.sensor import sensor_panel
 from bubbleviz_ui.sensor.sensor_panel import SensorPanel
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
 GAUGE, TENSION = "pneumatics.gauge_pressure_pa", "pneumatics.tension_n_per_m"
 
 
@@ -49,28 +44,24 @@ def left(tmp_path: Path) -> Path:
     return path
 
 
-@dataclass
-class Bench:
-    driver: Driver
+class Bench(Driver):
+    def __init__(self, driver: Driver) -> None:
+        super().__init__(driver.bot, driver.window, driver.server)
 
     @property
     def panel(self) -> SensorPanel:
-        return self.driver.window.sensor
+        return self.window.sensor
 
     @property
     def sensor(self) -> Sensor:
-        sensor = self.driver.window.controller.sensor
+        sensor = self.window.controller.sensor
         assert sensor is not None
         return sensor
 
-    def click(self, widget: QWidget) -> None:
-        assert widget.isVisible() and widget.isEnabled()
-        self.driver.bot.mouseClick(widget, LEFT)
-
-    def type(self, key: str, text: str) -> None:
+    def write(self, key: str, text: str) -> None:
         box = self.panel.rows[key].box
         box.selectAll()
-        self.driver.bot.keyClicks(box, text)
+        self.bot.keyClicks(box, text)
 
     def save(self, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sensor_panel, "new_file", lambda *_, **__: (path, ""))
@@ -80,14 +71,14 @@ class Bench:
 @pytest.fixture
 def bench(drive: Drive, left: Path) -> Iterator[Bench]:
     made = Bench(drive(DentSource, sensor=load_sensor(left), frame=6))
-    made.driver.window.panels["sensor"].show()
-    made.driver.wait(made.panel.edit.isVisible)
+    made.show("sensor")
+    made.wait(made.panel.edit.isVisible)
     yield made
-    del made.driver  # pytest keeps the fixture's value longer than the window lives
+    made.let_go()
 
 
 def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Path) -> None:
-    window, panel = bench.driver.window, bench.panel
+    window, panel = bench.window, bench.panel
     assert "left finger (left.toml)" in window.windowTitle()
     assert "left finger (left.toml)" in window.status.labels["sensor"].toolTip()
     assert panel.name.text() == "left finger" and panel.file.text() == str(left)
@@ -99,40 +90,36 @@ def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Pat
     assert gauge.interval.toolTip() == "from a manometer"
     assert panel.identified.text() == "2026-11-20 09:30 UTC"
     assert panel.recording.text() == "rest.mcap"
-    bench.driver.state.choose(pressure_unit="psi")
+    bench.state.choose(pressure_unit="psi")
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
 
 
-def test_depth_noise_has_three_digits_and_says_of_what(drive: Drive, left: Path) -> None:
+def test_depth_noise_has_three_digits_and_a_preset_says_so(drive: Drive, left: Path) -> None:
     sensor = load_sensor(left)
     camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
-    quiet = sensor.model_copy(update={"camera": camera})
-    driver = drive(DentSource, sensor=quiet)
-    driver.window.panels["sensor"].show()
-    row = driver.window.sensor.rows["camera.noise_relative"]
+    driver = drive(DentSource, sensor=sensor.model_copy(update={"camera": camera}))
+    driver.show("sensor")
+    panel = driver.window.sensor
+    row = panel.rows["camera.noise_relative"]
     driver.wait(row.isVisible)
     assert row.shown.text() == "0.0643 % of the range"
-    driver.bot.mouseClick(driver.window.sensor.edit, LEFT)
+    driver.click(panel.edit)
     assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
     assert row.unit.isVisible()
+    driver = drive(DentSource, sensor=load_sensor("pico_flexx_75mm"))
+    assert "soft-bubble pico flexx (preset)" in driver.window.windowTitle()
+    assert driver.window.sensor.file.text() == "preset"
 
 
 def test_a_copy_named_without_its_suffix_is_a_toml(bench: Bench, left: Path) -> None:
     bench.click(bench.panel.edit)
-    assert typed(bench.driver, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
-    bench.driver.wait(lambda: bench.sensor.file == "double.toml")
-    assert not bench.driver.window.message.isVisible()
+    assert typed(bench, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
+    bench.wait(lambda: bench.sensor.file == "double.toml")
+    assert not bench.window.message.isVisible()
     bench.click(bench.panel.edit)
-    typed(bench.driver, bench.panel.save.click, str(left.parent / "double"))
-    bench.driver.wait(bench.driver.window.message.isVisible)
-    assert "double.toml: exists already" in bench.driver.window.message.label.text()
-
-
-def test_a_preset_says_so(drive: Drive) -> None:
-    preset = load_sensor("pico_flexx_75mm")
-    driver = drive(DentSource, sensor=preset)
-    assert "soft-bubble pico flexx (preset)" in driver.window.windowTitle()
-    assert driver.window.sensor.file.text() == "preset"
+    typed(bench, bench.panel.save.click, str(left.parent / "double"))
+    bench.wait(bench.window.message.isVisible)
+    assert "double.toml: exists already" in bench.said
 
 
 def test_a_copy_with_another_value_is_saved_and_used(
@@ -140,22 +127,22 @@ def test_a_copy_with_another_value_is_saved_and_used(
 ) -> None:
     before, copy = left.read_bytes(), left.with_name("right.toml")
     bench.click(bench.panel.edit)
-    bench.type(GAUGE, "5.259")
+    bench.write(GAUGE, "5.259")
     assert "gauge_pressure_pa = 5.259" in bench.panel.problem.text()
     assert "pressures are in pascals" in bench.panel.problem.text()
     assert not bench.panel.save.isEnabled()
-    bench.type(GAUGE, "2610.5")
+    bench.write(GAUGE, "2610.5")
     assert bench.panel.problem.isHidden()
     bench.save(copy, monkeypatch)
-    bench.driver.wait(lambda: bench.sensor.file == "right.toml")
+    bench.wait(lambda: bench.sensor.file == "right.toml")
     saved = load_sensor(copy)
     assert saved.pneumatics.gauge_pressure_pa == 2610.5 and saved.name == "left finger, edited"
     assert saved.calibration is not None and saved.calibration.gauge_interval_pa is None
     assert saved.calibration.tension_interval_n_per_m == (88.0, 92.5)
     assert saved.calibration.pixels_file == "right.npz" and left.read_bytes() == before
-    assert "right.toml" in bench.driver.window.windowTitle() and bench.panel.edit.isVisible()
-    bench.driver.wait(lambda: bench.panel.identified.text().endswith("UTC, edited since"))
-    assert f"Saved {copy}" in bench.driver.window.notice.label.text()
+    assert "right.toml" in bench.window.windowTitle() and bench.panel.edit.isVisible()
+    bench.wait(lambda: bench.panel.identified.text().endswith("UTC, edited since"))
+    assert f"Saved {copy}" in bench.window.notice.label.text()
 
 
 def test_what_cannot_be_saved_is_not_lost(
@@ -163,11 +150,11 @@ def test_what_cannot_be_saved_is_not_lost(
 ) -> None:
     before = left.read_bytes()
     bench.click(bench.panel.edit)
-    bench.type(TENSION, "101.5")
-    bench.driver.state.choose(pressure_unit="psi", solver="linear")  # the sensor is opened anew
-    bench.driver.settle()
+    bench.write(TENSION, "101.5")
+    bench.state.choose(pressure_unit="psi", solver="linear")  # the sensor is opened anew
+    bench.settle()
     bench.save(left, monkeypatch)
-    assert "exists already" in bench.driver.window.message.label.text()
+    assert "exists already" in bench.said
     assert left.read_bytes() == before
     assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
     bench.click(bench.panel.cancel)
@@ -175,42 +162,37 @@ def test_what_cannot_be_saved_is_not_lost(
 
 
 def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench: Bench, left: Path) -> None:
-    message, text = bench.driver.window.message, left.read_text()
+    message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
     new = left.with_suffix(".new")
     new.write_text(text.replace("90.25", "95.5"))
     new.replace(left)  # as editors do
-    bench.driver.wait(message.isVisible)
+    bench.wait(message.isVisible)
     assert f"{left}: has changed on disk" in message.label.text()
     assert message.kind.text() == "Warning"
     assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
     bench.click(bench.panel.reload)
-    bench.driver.wait(lambda: bench.panel.rows[TENSION].shown.text() == "95.50 N/m")
+    bench.wait(lambda: bench.panel.rows[TENSION].shown.text() == "95.50 N/m")
     assert not message.isVisible() and bench.panel.difference.isHidden()
     left.write_text("nonsense")
-    bench.driver.wait(message.isVisible)
+    bench.wait(message.isVisible)
     assert "cannot be used" in message.label.text()
     left.unlink()
-    bench.driver.wait(lambda: "is gone" in message.label.text())
+    bench.wait(lambda: "is gone" in message.label.text())
     left.write_text(text.replace("90.25", "95.5"))
-    bench.driver.wait(lambda: bench.panel.difference.isHidden())
+    bench.wait(lambda: bench.panel.difference.isHidden())
 
 
-def test_pixels_that_change_meanwhile_are_told(bench: Bench, left: Path) -> None:
-    message, pixels = bench.driver.window.message, left.with_suffix(".npz")
+def test_pixels_that_change_are_told_and_the_panel_fits_a_small_screen(
+    bench: Bench, left: Path
+) -> None:
+    pixels, dock = left.with_suffix(".npz"), bench.window.panels["sensor"]
     pixels.write_bytes(pixels.read_bytes())
-    bench.driver.wait(message.isVisible)
-    assert "mesh or pixels have changed on disk" in message.label.text()
+    bench.told("mesh or pixels have changed on disk")
     bench.click(bench.panel.reload)
-    bench.driver.wait(bench.panel.difference.isHidden)
-
-
-def test_the_panel_fits_a_small_screen(bench: Bench) -> None:
-    window = bench.driver.window
-    window.resize(1016, 660)
-    bench.driver.wait(lambda: window.width() == 1016 and window.height() == 660)
-    dock = window.panels["sensor"]
-    assert window.tabifiedDockWidgets(dock)
-    right = dock.mapTo(window, dock.rect().bottomRight())
-    assert right.x() <= window.width() and right.y() <= window.height()
+    bench.wait(bench.panel.difference.isHidden)
+    bench.resize(1016, 660)
+    assert bench.window.tabifiedDockWidgets(dock)
+    right = dock.mapTo(bench.window, dock.rect().bottomRight())
+    assert right.x() <= 1016 and right.y() <= 660
     assert dock.height() > 250

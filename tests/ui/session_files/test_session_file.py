@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import shutil
@@ -11,17 +12,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
-from fakes import small_sensor
-from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PySide6.QtGui import QDropEvent
-from window_driver import Driver
+from fakes import DentSource, record, small_sensor
+from PySide6.QtCore import QPoint
+from window_driver import Drive, Driver
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.session_files.session_file import (
@@ -33,47 +33,40 @@ from bubbleviz_ui.session_files.session_file import (
 )
 from bubbleviz_ui.window_session import window_session
 
-Drive = Callable[..., Driver]
 FRAMES = 12
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory, sensor: Sensor) -> Path:
     """A folder with a short recording and the file of its sensor."""
-    from fakes import DentSource
-
     folder = tmp_path_factory.mktemp("session")
-    source = DentSource(sensor)
-    with RecordingWriter(folder / "press.mcap") as writer:
-        for frame in map(source.__getitem__, range(len(source))):
-            writer.write(frame)
+    record(folder / "press.mcap", DentSource(sensor))
     (folder / "dome.toml").write_text(sensor_to_toml(sensor))
     return folder
 
 
+def open_press(driver: Driver, files: Path, folder: Path | None = None, **at: Any) -> None:
+    """Open the recording, or a copy of it, in a window."""
+    opener, before = recording((folder or files) / "press.mcap"), driver.window.controller.client
+    former = before.session
+    driver.opens("press", opener, load_sensor(files / "dome.toml"), playing=False, **at)
+    driver.wait(lambda: driver.window.controller.client.session > former)
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+
+
 def settings(driver: Driver, files: Path) -> None:
     """Change something of every kind."""
-    driver.window.controller.opening.open(
-        "press", recording(files / "press.mcap"), lambda: load(files / "dome.toml"),
-        frame=7, playing=False,
-    )  # fmt: skip
-    driver.wait(lambda: driver.state.facts.frames == FRAMES and driver.state.frame == 7)
+    open_press(driver, files, frame=7)
     driver.state.choose(
         kappa=2.5, speed=0.5, pressure_max_pa=4000.0, cloud_colour="plain", theme="light",
         layers=frozenset({"membrane", "rim"}), plots=frozenset({"force"}),
     )  # fmt: skip
     driver.state.choose_markers((3, 9))
     driver.state.choose_range((2, 10))
-    driver.window.panels["plots"].show()
+    driver.show("plots")
     driver.window.panels["layers"].hide()
     driver.window.view.camera.position = (0.3, 0.2, 0.1)
     driver.settle()
-
-
-def load(path: Path) -> Sensor:
-    from bubbleviz.sensor import load_sensor
-
-    return load_sensor(path)
 
 
 def check(driver: Driver) -> None:
@@ -88,15 +81,6 @@ def check(driver: Driver) -> None:
     assert driver.window.view.camera.position == pytest.approx((0.3, 0.2, 0.1))
     assert driver.thresholded()
     assert driver.window.controller.sensor.name == "small dome"
-
-
-@pytest.fixture(autouse=True)
-def dark_again(qapp: object) -> object:
-    yield
-    from bubbleviz_ui.shell import theme
-    from bubbleviz_ui.window_session import application
-
-    theme.apply(application(), theme.DARK)
 
 
 def test_a_session_is_sent_to_a_colleague(drive: Drive, files: Path, tmp_path: Path) -> None:
@@ -139,9 +123,7 @@ def test_a_file_that_is_no_session_is_a_message(drive: Drive, tmp_path: Path) ->
         bad.write_text(text)
         driver.window.message.hide()
         driver.window.open_file(bad)
-        assert driver.window.message.isVisible() and "bad.bubbleviz" in (
-            driver.window.message.label.text()
-        )
+        assert driver.window.message.isVisible() and "bad.bubbleviz" in (driver.said)
 
 
 def test_choices_of_another_version_cost_only_themselves() -> None:
@@ -170,68 +152,46 @@ def test_an_unreadable_session_is_put_aside(tmp_path: Path) -> None:
 
 def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> None:
     driver = drive()
-    window = driver.window
-    copy = tmp_path / "again.mcap"
+    window, copy = driver.window, tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", copy)
-    window.controller.opening.open(
-        "again", recording(copy), lambda: load(files / "dome.toml"), frame=5, playing=False
-    )
-    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    open_press(driver, files, tmp_path, frame=5)
     menu = next(
         a.menu() for a in window.menuBar().actions()[0].menu().actions() if "recent" in a.text()
     )
     assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml"]
     driver.state.choose_markers((1,))
     gone = window.controller.client.session
-    window.shortcuts.actions["File › Reload"].trigger()
+    driver.act("File › Reload")
     driver.wait(lambda: window.controller.client.session > gone)
     driver.settle()
     assert driver.state.frame == 5 and driver.state.markers == (1,)
+    driver.state.choose_range((2, 10))
+    open_press(driver, files)  # another recording of the same name does not take them over
+    assert driver.state.facts.title == "press.mcap"
+    assert not driver.state.markers and driver.state.play_range is None
+    open_press(driver, files, tmp_path)
     copy.unlink()
-    window.shortcuts.actions["File › Reload"].trigger()
-    driver.wait(window.message.isVisible)
-    assert "again.mcap" in window.message.label.text()
-
-
-def test_marks_and_range_are_not_taken_over_by_another_recording_of_the_same_name(
-    drive: Drive, files: Path, tmp_path: Path
-) -> None:
-    driver, dome = drive(), lambda: load(files / "dome.toml")
-    state, opening = driver.state, driver.window.controller.opening
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        shutil.copy(files / "press.mcap", tmp_path / name)
-    opening.open("a", recording(tmp_path / "a" / "press.mcap"), dome, playing=False)
-    driver.wait(lambda: state.facts.frames == FRAMES)
-    state.choose_markers((1,))
-    state.choose_range((2, 10))
-    opened = driver.window.controller.client.session
-    opening.open("b", recording(tmp_path / "b" / "press.mcap"), dome, playing=False)
-    driver.wait(lambda: driver.window.controller.client.session > opened)
-    assert state.facts.title == "press.mcap" and not state.markers and state.play_range is None
+    driver.act("File › Reload")
+    driver.told("press.mcap")
 
 
 def test_recording_and_sensor_dropped_together(drive: Drive, files: Path) -> None:
     driver = drive(sensor=small_sensor("other", nodes=150))
-    data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(files / n)) for n in ("press.mcap", "dome.toml")])
-    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-    action = Qt.DropAction.CopyAction
-    driver.window.view.dropEvent(QDropEvent(QPointF(5, 5), action, data, buttons, keys))
+    driver.drop(files / "press.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     driver.wait(lambda: driver.window.controller.sensor.name == "small dome")
 
 
-def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive: Drive) -> None:
+def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive: Drive, tmp_path: Path) -> None:
     driver = drive(frame=3)
-    assert driver.window.session_saver.snapshot().camera is None
-    view = driver.window.view
-    middle = view.rect().center()
-    driver.bot.mousePress(view, Qt.MouseButton.LeftButton, pos=middle)
-    driver.bot.mouseMove(view, middle + QPoint(40, 20))
-    driver.bot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=middle + QPoint(40, 20))
-    saved = driver.window.session_saver.snapshot().camera
+    saver, view = driver.window.session_saver, driver.window.view
+    assert saver.snapshot().camera is None
+    driver.drag(view, view.rect().center(), view.rect().center() + QPoint(40, 20))
+    saved = saver.snapshot().camera
     assert saved is not None and saved.position == pytest.approx(view.camera.position)
+    saver.save_as(tmp_path / "a.bubbleviz")
+    assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
+    assert read_session(tmp_path / "a.bubbleviz").frame == 3
 
 
 KILLED = """
@@ -282,7 +242,7 @@ def test_after_a_kill_the_next_start_is_where_it_was(
     eventually(lambda: file.exists() and "1.75" in file.read_text())
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    with window_session(load(files / "dome.toml"), None, None, None, lambda: file) as again:
+    with window_session(load_sensor(files / "dome.toml"), None, None, None, lambda: file) as again:
         state, window = again.state, again.window
         window.show()
         assert Path(state.facts.title).name == "press.mcap"
@@ -290,27 +250,14 @@ def test_after_a_kill_the_next_start_is_where_it_was(
         assert window.shortcuts.keys("View › Reset view") == "Ctrl+J"
         assert not window.message.label.text()
     rec.unlink()
-    with window_session(load(files / "dome.toml"), None, None, None, lambda: file) as gone:
+    with window_session(load_sensor(files / "dome.toml"), None, None, None, lambda: file) as gone:
         assert "press.mcap is not there" in gone.window.message.label.text()
         assert gone.state.choices.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 
-def test_a_session_is_a_small_file(drive: Drive, tmp_path: Path) -> None:
-    driver = drive()
-    driver.window.session_saver.save_as(tmp_path / "a.bubbleviz")
-    assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
-    assert np.isfinite(read_session(tmp_path / "a.bubbleviz").frame)
-
-
 def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
     """Each answer holds a camera's rays and a frame: 15 MiB for a RealSense."""
-    import gc
-
-    from fakes import DentSource
-
-    from bubbleviz_ui.engine.requests import Opened
-
-    sensor = load(files / "dome.toml")
+    sensor = load_sensor(files / "dome.toml")
     with window_session(sensor, files / "press.mcap", 3) as session:
         controller = session.controller
         for frame in (1, 2, 3, 4):

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import DentSource, small_sensor
+from fakes import DentSource, record, small_sensor
 from live_bench import sensor_file
-from PySide6.QtCore import Qt
-from window_driver import Driver
+from window_driver import Drive, Driver, run_bubbleviz
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
-from bubbleviz.files.preset_files import presets_folder
-from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (
@@ -33,8 +29,6 @@ from bubbleviz_ui.session_files.session_file import (
 )
 from bubbleviz_ui.window_session import WindowSession, window_session
 
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
 FRAMES = 12
 
 
@@ -43,12 +37,9 @@ def files(tmp_path: Path, sensor: Sensor) -> Path:
     """A folder with a short recording, the file of its sensor, and a mesh."""
     folder = tmp_path / "mine"
     folder.mkdir()
-    source = DentSource(sensor)
-    with RecordingWriter(folder / "press.mcap") as writer:
-        for frame in map(source.__getitem__, range(len(source))):
-            writer.write(frame)
+    record(folder / "press.mcap", DentSource(sensor))
     (folder / "dome.toml").write_text(sensor_to_toml(sensor))
-    shutil.copy(presets_folder("objects") / "cylinder.ply", folder / "stamp.ply")
+    (folder / "stamp.ply").write_bytes(ply_bytes(load_object("cylinder")))
     return folder
 
 
@@ -63,9 +54,7 @@ def start(keep_in: Path | None = None, saved: Path | None = None) -> Iterator[Wi
 
 def open_press(driver: Driver, files: Path, sensor: Sensor | None = None) -> None:
     chosen = sensor or load_sensor(files / "dome.toml")
-    driver.window.controller.opening.open(
-        "press", recording(files / "press.mcap"), lambda: chosen, frame=8, playing=False
-    )
+    driver.opens("press", recording(files / "press.mcap"), chosen, frame=8, playing=False)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
 
@@ -81,11 +70,8 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague(
     pose = mine.window.pose
     mine.wait(lambda: pose.session.obj is not None)
     for box, value in zip(pose.start.places, (4.0, 1.0, 45.0), strict=True):
-        box.setFocus()
-        box.selectAll()
-        mine.bot.keyClicks(box, f"{value:g}")
-        mine.bot.keyClick(box, Qt.Key.Key_Return)
-    mine.bot.mouseClick(pose.track, LEFT)
+        mine.type(box, f"{value:g}")
+    mine.click(pose.track)
     mine.window.session_saver.save_as(files / "look.bubbleviz")
     assert str(files) not in (files / "look.bubbleviz").read_text()
     shutil.move(files, tmp_path / "theirs")
@@ -111,7 +97,7 @@ def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
     other = drive()
     other.window.open_file(files / "look.bubbleviz")
     other.wait(other.window.message.isVisible)
-    assert "stamp.ply is not there; the rest is restored" in other.window.message.label.text()
+    assert "stamp.ply is not there; the rest is restored" in other.said
     other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
     assert other.window.pose.session.object_name is None
 
@@ -228,25 +214,6 @@ def test_a_recording_that_is_gone_for_a_while_loses_nothing(
 # -- the command line ---------------------------------------------------------------------------
 
 
-PROGRAM = """
-import bubbleviz_ui.app
-from bubbleviz.cli.command_line import main
-bubbleviz_ui.app.OFFSCREEN_SECONDS = 0.5
-main()
-"""
-
-
-def bubbleviz(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The program without a display: it draws for a moment and ends."""
-    hidden = ("DISPLAY", "WAYLAND_DISPLAY")
-    kept = {k: v for k, v in os.environ.items() if k not in hidden}
-    return subprocess.run(
-        [sys.executable, "-c", PROGRAM, *arguments],
-        env={**kept, **environment}, capture_output=True, text=True, timeout=600, check=False,
-        cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-
-
 @pytest.mark.long
 def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: Path) -> None:
     mine = drive()
@@ -257,7 +224,7 @@ def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: P
         assert session.state.facts.frames == FRAMES and session.state.frame == 8
         assert session.state.markers == (2,) and not session.window.message.isVisible()
         assert Path(session.window.session_saver.recent[0]).name in ("press.mcap", "dome.toml")
-    done = bubbleviz("open", str(files / "look.bubbleviz"), TMPDIR=str(tmp_path))
+    done = run_bubbleviz("open", str(files / "look.bubbleviz"), TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert "wrote" in done.stdout
 
@@ -272,15 +239,11 @@ def test_a_bad_session_file_is_one_sentence(tmp_path: Path, text: str | None) ->
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_a_session_that_is_not_there_ends_the_command(tmp_path: Path) -> None:
-    done = bubbleviz("open", str(tmp_path / "bad.bubbleviz"))
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1 and "bad.bubbleviz" in done.stderr
-
-
-def test_what_is_for_recordings_is_refused_with_a_session(tmp_path: Path) -> None:
-    done = bubbleviz("open", str(tmp_path / "a.bubbleviz"), "--frame", "3")
-    assert done.returncode == 2 and "--frame" in done.stderr
+def test_a_session_that_is_not_there_or_has_a_frame_ends_the_command(tmp_path: Path) -> None:
+    for words, told in ([], "a.bubbleviz"), (["--frame", "3"], "--frame"):
+        done = run_bubbleviz("open", tmp_path / "a.bubbleviz", *words)
+        assert done.returncode == 2
+        assert len(done.stderr.strip().splitlines()) == 1 and told in done.stderr
 
 
 def test_a_session_does_not_say_where_to_publish(drive: Drive, tmp_path: Path) -> None:

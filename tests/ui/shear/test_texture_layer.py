@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from fakes import FIRST_CONTACT, FRAMES, ColouredSource
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver, in_view, texts
+from window_driver import Drive, Driver, in_view, texts
 
 from bubbleviz.sensor import Sensor
 
-Drive = Callable[..., Driver]
 DENTED = FIRST_CONTACT + 4
 
 
 def opened(drive: Drive, sensor: Sensor, frame: int = 2) -> tuple[Driver, ColouredSource]:
     source = ColouredSource(sensor)
     driver = drive(open_source=lambda _: source, frame=frame)
-    driver.state.choose(layers=frozenset({"membrane"}))
-    driver.settle()
+    driver.choose(layers=frozenset({"membrane"}))
     return driver, source
 
 
 def colour_at(driver: Driver, node: int) -> np.ndarray:
     """Red, green and blue of the view at a node."""
-    result = driver.window.controller.result
+    result = driver.result
     at = in_view(driver, driver.pipeline.mesh.deformed(result.estimate.motion_m)[node])
-    return driver.window.view.pixels()[at.y(), at.x()].astype(int)
+    return driver.pixels()[at.y(), at.x()].astype(int)
 
 
 def is_red(rgb: np.ndarray) -> bool:
@@ -50,34 +46,31 @@ def test_the_membrane_has_the_colours_of_the_image_where_the_camera_sees_them(
     left, right = node_at(driver, -0.02, -0.01), node_at(driver, 0.02, -0.01)
     assert not is_red(colour_at(driver, left))
     driver.state.choose(layers=frozenset({"membrane", "texture"}))
-    driver.wait(lambda: driver.window.controller.result.texture is not None)
+    driver.wait(lambda: driver.result.texture is not None)
     driver.settle()
     assert is_red(colour_at(driver, left)) and is_green(colour_at(driver, right))
-    driver.state.choose(layers=frozenset({"texture"}))
-    driver.settle()
+    driver.choose(layers=frozenset({"texture"}))
     assert is_red(colour_at(driver, left)) and is_green(colour_at(driver, right))
-    driver.state.choose(layers=frozenset({"membrane"}))
-    driver.settle()
+    driver.choose(layers=frozenset({"membrane"}))
     assert not is_red(colour_at(driver, left))
 
 
 def test_pressure_has_its_own_colours_where_something_touches(drive: Drive, sensor: Sensor) -> None:
     driver, _ = opened(drive, sensor, DENTED)
-    pressed = int(driver.window.controller.result.estimate.contact_pressure_pa.argmax())
+    pressed = int(driver.result.estimate.contact_pressure_pa.argmax())
     alone = colour_at(driver, pressed)
     driver.state.choose(layers=frozenset({"membrane", "texture"}))
-    driver.wait(lambda: driver.window.controller.result.texture is not None)
+    driver.wait(lambda: driver.result.texture is not None)
     driver.settle()
     np.testing.assert_allclose(colour_at(driver, pressed), alone, atol=12)
-    driver.state.choose(layers=frozenset({"texture"}))
-    driver.settle()
+    driver.choose(layers=frozenset({"texture"}))
     assert is_green(colour_at(driver, pressed))
 
 
 def test_a_frame_without_a_colour_image_says_so(drive: Drive, sensor: Sensor) -> None:
     driver, _ = opened(drive, sensor, 0)
     driver.state.choose(layers=frozenset({"texture"}), images=frozenset({"colour"}))
-    driver.window.panels["images"].show()
+    driver.show("images")
     driver.wait(lambda: driver.window.controller.inspection.colour is not None)
     driver.settle()
     cell = driver.window.images.cells["colour"]
@@ -92,7 +85,7 @@ def test_a_frame_without_a_colour_image_says_so(drive: Drive, sensor: Sensor) ->
 def test_the_image_is_shown_as_it_is(drive: Drive, sensor: Sensor) -> None:
     driver, _ = opened(drive, sensor)
     driver.state.choose(images=frozenset({"colour", "depth"}))
-    driver.window.panels["images"].show()
+    driver.show("images")
     driver.wait(lambda: driver.window.controller.inspection.colour is not None)
     QApplication.processEvents()
     driver.settle()
@@ -110,7 +103,7 @@ def test_hidden_it_is_not_decoded(drive: Drive, sensor: Sensor) -> None:
     driver.seek(3)
     assert source.decoded == 0 and driver.pipeline.counts["look colour"] == 0
     driver.state.choose(layers=frozenset({"membrane", "texture"}))
-    driver.wait(lambda: driver.window.controller.result.texture is not None)
+    driver.wait(lambda: driver.result.texture is not None)
     driver.settle()
     assert source.decoded > 0
     driver.state.choose(layers=frozenset({"membrane"}))

@@ -2,47 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from fakes import DentSource
+from fakes import DentSource, record
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QAction, QImage
-from PySide6.QtWidgets import (
-    QApplication,
-    QFileDialog,
-    QWidget,
-)
-from window_driver import Driver, typed
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
+from window_driver import Drive, typed
 
 from bubbleviz.files.defaults import SESSION_SUFFIX
-from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 
-Drive = Callable[..., Driver]
 
-
-def action(driver: Driver, text: str) -> QAction:
-    found = [
-        a for a in driver.window.findChildren(QAction) if a.text().replace("&", "").startswith(text)
-    ]
-    assert len(found) == 1, text
-    return found[0]
-
-
-def test_a_session_named_without_its_suffix_is_not_replaced_unasked(
+def test_nothing_is_replaced_unasked_and_names_get_their_suffix(
     drive: Drive, tmp_path: Path
 ) -> None:
-    driver = drive()
-    precious = tmp_path / f"look{SESSION_SUFFIX}"
+    driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
+    actions = driver.window.shortcuts.actions
     precious.write_text("precious")
-    save = action(driver, "Save session as")
-    assert typed(driver, save.trigger, str(tmp_path / "look")) == ["dialog", "question"]
+    save = actions["File › Save session as"].trigger
+    assert typed(driver, save, str(tmp_path / "look")) == ["dialog", "question"]
     assert precious.read_text() == "precious"
-    assert typed(driver, save.trigger, str(tmp_path / "other")) == ["dialog"]
+    assert typed(driver, save, str(tmp_path / "other")) == ["dialog"]
     assert (tmp_path / f"other{SESSION_SUFFIX}").is_file()
+    for name in ("shot", "shot.v2"):
+        before = set(tmp_path.iterdir())
+        typed(driver, actions["File › Screenshot"].trigger, str(tmp_path / name))
+        (path,) = set(tmp_path.iterdir()) - before
+        assert path.name in ("shot.png", "shot.v2")
+        assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
+        assert str(path) in driver.window.notice.label.text()
+        assert not driver.window.message.isVisible()
 
 
 def test_space_plays_what_was_opened_by_the_dialog(
@@ -56,40 +48,21 @@ def test_space_plays_what_was_opened_by_the_dialog(
 
     # Qt's own dialog lives on its stack, where Python must not hold it
     monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
-    source = DentSource(sensor)
-    with RecordingWriter(tmp_path / "press.mcap") as writer:
-        for k in range(len(source)):
-            writer.write(source[k])
-    driver = drive()
+    path, driver = record(tmp_path / "press.mcap", DentSource(sensor)), drive()
     loop, state = driver.window.playback.loop, driver.state
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
+    driver.activate()
     loop.setFocus()  # as by Tab; Space there is a click on it
-    typed(driver, action(driver, "Open recording…").trigger, str(tmp_path / "press.mcap"))
+    typed(driver, lambda: driver.act("File › Open recording"), str(path))
     driver.wait(lambda: state.facts.title == "press.mcap")
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
+    driver.activate()
     driver.wait(lambda: QApplication.focusWidget() is not None)
     state.set_playing(False)
     driver.bot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
     assert state.playing and loop.isChecked() == state.choices.loop == Choices().loop
     state.set_playing(False)
     loop.setFocus()
-    state.choose(solver="fast")  # the same source, solved anew: who is at a box stays there
-    driver.settle()
+    driver.choose(solver="fast")  # the same source, solved anew: who is at a box stays there
     assert QApplication.focusWidget() is loop
-
-
-def test_a_picture_named_without_suffix_is_a_png(drive: Drive, tmp_path: Path) -> None:
-    driver = drive()
-    for name in ("shot", "shot.v2"):
-        before = set(tmp_path.iterdir())
-        typed(driver, action(driver, "Screenshot").trigger, str(tmp_path / name))
-        (path,) = set(tmp_path.iterdir()) - before
-        assert path.name in ("shot.png", "shot.v2")
-        assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
-        assert str(path) in driver.window.notice.label.text()
-        assert not driver.window.message.isVisible()
 
 
 def test_a_dialog_comes_back_to_the_last_folder_of_its_kind(
@@ -108,9 +81,9 @@ def test_a_dialog_comes_back_to_the_last_folder_of_its_kind(
         (tmp_path / name).parent.mkdir()
     for _ in range(2):
         for title in answers:
-            driver.window.shortcuts.actions[f"File › {title}"].trigger()
+            driver.act(f"File › {title}")
     assert asked[2:] == [(title, str((tmp_path / name).parent)) for title, name in answers.items()]
-    driver.wait(driver.window.message.isVisible)  # neither is there
+    driver.told()  # neither is there
     (tmp_path / "records").rmdir()
-    driver.window.shortcuts.actions["File › Open recording"].trigger()
+    driver.act("File › Open recording")
     assert asked[-1] == ("Open recording", "")

@@ -7,68 +7,53 @@ from collections.abc import Callable
 from fakes import DentSource
 from live_bench import Bench, contents, sensor_file
 from PySide6.QtCore import Qt
-from window_driver import Driver, texts
+from window_driver import CTRL, Drive, Driver, texts
 
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.live.connection import single
 
-Drive = Callable[..., Driver]
-LEFT, CTRL = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ControlModifier
-
 
 def test_check_marks_follow_the_state(drive: Drive) -> None:
     driver = drive(frame=3)
-    actions, state = driver.window.shortcuts.actions, driver.state
+    state, tools = driver.state, driver.window.tools
     for name, choice in (("Playback › Loop", "loop"), ("Playback › Every frame", "every_frame")):
         before = getattr(state.choices, choice)
-        assert actions[name].isChecked() == before
-        actions[name].trigger()
-        assert getattr(state.choices, choice) is actions[name].isChecked() is not before
+        assert driver.ticked(name) == before
+        driver.act(name)
+        assert getattr(state.choices, choice) is driver.ticked(name) is not before
         driver.window.undo_stack.undo()
-        assert actions[name].isChecked() == before
-    mark = actions["Playback › Mark this frame"]
-    mark.trigger()
-    assert state.markers == (3,) and mark.isChecked()
+        assert driver.ticked(name) == before
+    driver.act("Playback › Mark this frame")
+    assert state.markers == (3,) and driver.ticked("Playback › Mark this frame")
     driver.seek(4)
-    assert not mark.isChecked()
-    full = actions["View › Full screen"]
-    full.trigger()
-    assert full.isChecked() and driver.window.isFullScreen()
-    full.trigger()
-    assert not full.isChecked()
-
-
-def test_check_marks_of_the_tools_are_those_of_the_panel(drive: Drive) -> None:
-    driver = drive(frame=3)
-    actions, tools = driver.window.shortcuts.actions, driver.window.tools
-    driver.bot.mouseClick(tools.turn, LEFT)
-    turntable = actions["View › Turntable"]
-    assert turntable.isChecked() and tools.turntable.turning
-    turntable.trigger()
-    assert not turntable.isChecked() and not tools.turntable.turning
-    probe, distance = actions["View › Probe a place"], actions["View › Measure a distance"]
-    probe.trigger()
-    assert probe.isChecked() and tools.tools["probe"].isChecked() and tools.tool == "probe"
-    driver.bot.mouseClick(tools.tools["distance"], LEFT)
-    assert distance.isChecked() and not probe.isChecked()
-    distance.trigger()
-    assert not distance.isChecked() and tools.tool == "rotate"
-
-
-def test_what_has_no_live_source_cannot_be_checked(drive: Drive) -> None:
-    driver = drive(frame=3)
+    assert not driver.ticked("Playback › Mark this frame")
+    for shown in (True, False):
+        driver.act("View › Full screen")
+        assert driver.ticked("View › Full screen") == driver.window.isFullScreen() == shown
+    # those of the tools are those of their panel
+    turntable, probe, distance = (
+        f"View › {name}" for name in ("Turntable", "Probe a place", "Measure a distance")
+    )
+    driver.click(tools.turn)
+    assert driver.ticked(turntable) and tools.turntable.turning
+    driver.act(turntable)
+    assert not driver.ticked(turntable) and not tools.turntable.turning
+    driver.act(probe)
+    assert driver.ticked(probe) and tools.tools["probe"].isChecked() and tools.tool == "probe"
+    driver.click(tools.tools["distance"])
+    assert driver.ticked(distance) and not driver.ticked(probe)
+    driver.act(distance)
+    assert not driver.ticked(distance) and tools.tool == "rotate"
+    # what has no live source cannot be checked
     for name in ("Playback › Freeze a live source", "Live › Record", "Live › Publish results"):
-        action = driver.window.shortcuts.actions[name]
-        assert action.isCheckable()
-        action.trigger()
-        assert not action.isChecked(), name
+        assert driver.window.shortcuts.actions[name].isCheckable()
+        driver.act(name)
+        assert not driver.ticked(name), name
 
 
 def close(driver: Driver) -> None:
     """Press Ctrl+W and wait until the sensor is alone."""
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
-    driver.bot.keyClick(driver.window, Qt.Key.Key_W, CTRL)
+    driver.key(Qt.Key.Key_W, CTRL)
     assert driver.window.busy.label.text() == "Closing …"
     driver.wait(lambda: driver.window.windowTitle().startswith("nothing open – "))
     driver.settle()
@@ -89,8 +74,7 @@ def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(
     assert {"no contact", "no depth data"}.isdisjoint(texts(driver))
     for panel in driver.window.panels.values():
         panel.show()
-    driver.state.choose(kappa=2.0, layers=frozenset(driver.window.layers.boxes))
-    driver.settle()
+    driver.choose(kappa=2.0, layers=frozenset(driver.window.layers.boxes))
     assert not driver.window.message.isVisible()
     driver.bot.keyClick(driver.window, Qt.Key.Key_Space)
     driver.bot.keyClick(driver.window, Qt.Key.Key_End)

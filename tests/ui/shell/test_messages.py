@@ -1,22 +1,23 @@
-"""What went well is told quietly, what went wrong until it was read, and all of it once more."""
+"""What went well is told quietly, what went wrong until it was read; waiting has a way out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from threading import Event
 
 import pytest
-from PySide6.QtCore import QObject, Qt, QUrl, Slot
+from fakes import DentSource
+from PySide6.QtCore import QObject, QUrl, Slot
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication
-from window_driver import Driver
+from window_driver import Drive, copied
 
+from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.session_files.session_file import read_user_file
 from bubbleviz_ui.shell import message_bars
 from bubbleviz_ui.shell.text_dialogs import MessagesDialog
-
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
 
 
 class Desktop(QObject):
@@ -42,28 +43,23 @@ def desktop() -> Iterator[Desktop]:
 def test_a_file_that_was_written_is_opened_from_its_notice(
     drive: Drive, desktop: Desktop, tmp_path: Path
 ) -> None:
-    driver = drive()
-    window, path = driver.window, tmp_path / "shot.png"
+    driver = drive(frame=5)
+    window, notice, path = driver.window, driver.window.notice, tmp_path / "shot.png"
     window.save_screenshot(path)
-    notice = window.notice
     assert notice.isVisible() and str(path) in notice.label.text()
     assert not window.message.isVisible()
-    driver.bot.mouseClick(notice.open, LEFT)
-    driver.bot.mouseClick(notice.folder, LEFT)
+    driver.click(notice.open)
+    driver.click(notice.folder)
     assert desktop.opened == [path, tmp_path]
     path.unlink()
-    driver.bot.mouseClick(notice.open, LEFT)
-    assert f"{path}: cannot be opened; it is gone" in window.message.label.text()
-    driver.bot.mouseClick(notice.dismiss, LEFT)
+    driver.click(notice.open)
+    assert f"{path}: cannot be opened; it is gone" in driver.said
+    driver.click(notice.dismiss)
     assert not notice.isVisible()
-
-
-def test_a_session_that_was_saved_is_opened_in_the_window(drive: Drive, tmp_path: Path) -> None:
-    driver = drive(frame=5)
-    window = driver.window
+    # a session is opened in the window
     window.session_saver.save_as(tmp_path / "look.bubbleviz")
     driver.state.choose(kappa=2.5)
-    driver.bot.mouseClick(window.notice.open, LEFT)
+    driver.click(notice.open)
     assert driver.state.choices.kappa is None
 
 
@@ -77,77 +73,129 @@ def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(
     window.session_saver.save_as(tmp_path / "look.bubbleviz")  # something else
     assert window.notice.isVisible()
     driver.wait(lambda: not window.notice.isVisible())
-    assert window.message.isVisible() and "cannot be written" in window.message.label.text()
-    driver.bot.mouseClick(window.message.dismiss, LEFT)
+    driver.told("cannot be written")
+    driver.click(window.message.dismiss)
     assert not window.message.isVisible()
 
 
-def test_an_error_is_not_covered_by_a_warning(drive: Drive) -> None:
+def test_messages_are_told_apart_listed_and_copied_and_none_covers_an_error(drive: Drive) -> None:
     driver = drive()
     window, message = driver.window, driver.window.message
-    for kind, text in (("error", "bad"), ("warning", "odd"), ("warning", "odd")):
-        window.messages.tell(UserMessage(kind, text))
-    assert message.kind.text() == "Error" and message.label.text() == "bad"
-    driver.bot.mouseClick(message.more, LEFT)
-    (dialog,) = window.findChildren(MessagesDialog)
-    lines = [line.split(None, 1)[1] for line in dialog.text.toPlainText().splitlines()]
-    assert [line.split() for line in lines] == [["error", "bad"], *[["warning", "odd"]] * 2]
-    window.messages.tell(UserMessage("notice", "good"))
-    assert "good" in dialog.text.toPlainText()
-    dialog.close()
-    driver.bot.mouseClick(message.dismiss, LEFT)
-    assert message.kind.text() == "Warning" and message.label.text() == "odd"
-    driver.bot.mouseClick(message.dismiss, LEFT)
-    assert not message.isVisible()
-
-
-def test_all_messages_are_copied_with_their_details(drive: Drive) -> None:
-    driver = drive()
-    window = driver.window
-    window.messages.tell(UserMessage("notice", "Saved it"))
-    window.messages.tell(UserMessage("error", "a bug", "Traceback: here"))
-    window.messages.tell(UserMessage("warning", "odd"))
-    window.shortcuts.actions["Help › Messages"].trigger()
-    (dialog,) = window.findChildren(MessagesDialog)
-    driver.bot.mouseClick(dialog.copy, LEFT)
-    copied = QApplication.clipboard().text()
-    assert copied.index("Saved it") < copied.index("Traceback: here") < copied.index("odd")
-    dialog.close()
-
-
-def test_errors_warnings_and_notices_look_different(drive: Drive) -> None:
-    driver = drive()
-    window = driver.window
     for theme in ("dark", "light"):
         driver.state.choose(theme=theme)
         seen = set()
         for kind in ("warning", "error", "notice"):
             window.messages.tell(UserMessage(kind, "text"))
-            bar = window.notice if kind == "notice" else window.message
+            bar = window.notice if kind == "notice" else message
             driver.wait(bar.isVisible)
             seen.add(bar.grab().toImage().pixelColor(3, 3).name())
         assert len(seen) == 3
         for _ in range(2):
-            driver.bot.mouseClick(window.message.dismiss, LEFT)
-    assert window.message.kind.text()
+            driver.click(message.dismiss)
+    before = len(window.messages.all)
+    window.messages.tell(UserMessage("error", "bad", "Traceback: here"))
+    for _ in range(2):
+        window.messages.tell(UserMessage("warning", "odd"))
+    assert message.kind.text() == "Error" and driver.said == "bad"
+    driver.click(message.more)
+    (dialog,) = window.findChildren(MessagesDialog)
+    lines = [line.split()[1:] for line in dialog.text.toPlainText().splitlines()]
+    told = [line for line in lines[before:] if line[:1] in (["error"], ["warning"])]
+    assert told == [["error", "bad"], *[["warning", "odd"]] * 2]
+    window.messages.tell(UserMessage("notice", "good"))
+    assert "good" in dialog.text.toPlainText()
+    driver.click(dialog.copy)
+    places = [copied().index(text) for text in ("Traceback: here", "odd", "good")]
+    assert places == sorted(places)
+    dialog.close()
+    driver.click(message.dismiss)
+    assert message.kind.text() == "Warning" and driver.said == "odd"
+    driver.click(message.dismiss)
+    assert not message.isVisible()
 
 
 def test_a_notice_moves_nothing(drive: Drive, tmp_path: Path) -> None:
     """It is beside the menus, and the middle of a long path is left out."""
     driver = drive()
-    window = driver.window
-    window.resize(1024, 700)
-    before = window.view.geometry()
+    bar, notice = driver.window.menuBar(), driver.window.notice
+    before = driver.window.view.geometry()
     path = tmp_path / ("long_" * 40 + ".png")
-    window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
-    driver.wait(window.notice.isVisible)
+    driver.window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
+    driver.wait(notice.isVisible)
     QApplication.processEvents()
-    assert window.view.geometry() == before
-    bar, notice = window.menuBar(), window.notice
+    assert driver.window.view.geometry() == before
     menus = [bar.actionGeometry(action) for action in bar.actions()]
-    assert notice.x() > max(menu.right() for menu in menus) and bar.rect().contains(
-        notice.geometry()
-    )
+    assert notice.x() > max(menu.right() for menu in menus)
+    assert bar.rect().contains(notice.geometry())
     assert notice.rect().contains(notice.dismiss.geometry()) and str(path) in notice.label.toolTip()
-    driver.bot.mouseClick(notice.dismiss, LEFT)
+    driver.click(notice.dismiss)
     assert not notice.isVisible()
+
+
+class SlowOpener:
+    """Opens when it is let."""
+
+    def __init__(self) -> None:
+        self.go, self.begun = Event(), Event()
+        self.source: DentSource | None = None
+
+    def __call__(self, sensor: Sensor) -> DentSource:
+        self.begun.set()
+        assert self.go.wait(20)
+        self.source = DentSource(sensor)
+        return self.source
+
+    def let_go(self) -> bool:
+        """Whether it was closed after it opened for nothing."""
+        return self.source is not None and self.source.closed
+
+
+def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(
+    drive: Drive, sensor: Sensor
+) -> None:
+    driver = drive(frame=5)
+    window, title = driver.window, driver.window.windowTitle()
+    left, replaced, last = SlowOpener(), SlowOpener(), SlowOpener()
+    driver.opens("slow.mcap", left, sensor)
+    driver.wait(window.busy.isVisible)
+    assert "slow.mcap" in window.busy.label.text()
+    driver.state.seek(6)
+    driver.click(window.busy.cancel)
+    assert not window.busy.isVisible()
+    driver.wait(left.begun.is_set)
+    left.go.set()
+    driver.wait(left.let_go)
+    driver.settle()
+    assert window.windowTitle() == title and driver.state.frame == 6
+    assert not window.message.isVisible()
+
+    driver.opens("slow.mcap", replaced, sensor)
+    driver.wait(replaced.begun.is_set)
+    driver.opens("dent", DentSource, sensor, frame=3, playing=False)
+    replaced.go.set()
+    driver.wait(lambda: driver.state.facts.title == "dent" and driver.state.frame == 3)
+    assert replaced.let_go() and not window.busy.isVisible()
+
+    driver.opens("slow.mcap", last, sensor, frame=4, playing=False)
+    driver.wait(window.busy.isVisible)
+    last.go.set()
+    driver.wait(lambda: driver.state.frame == 4)
+    assert not window.busy.isVisible() and not last.let_go()
+
+
+def test_the_hint_is_shown_until_it_is_read(drive: Drive, tmp_path: Path) -> None:
+    driver = drive(frame=5)
+    saver, hint, file = driver.window.session_saver, driver.window.hint, tmp_path / "session.json"
+    assert not hint.isVisible()
+    saver.keep_in(file)
+    assert hint.isVisible() and "Ctrl+K" in hint.label.text()
+    saver.save()
+    assert not read_user_file(file).hinted
+    driver.click(hint.understood)
+    assert not hint.isVisible()
+    saver.save()
+    assert read_user_file(file).hinted
+    saver.keep_in(file)
+    assert not hint.isVisible()
+    driver.act("Help › First steps")
+    assert hint.isVisible()

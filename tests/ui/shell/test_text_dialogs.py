@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-from PySide6.QtCore import Qt, QUrl
-from PySide6.QtWidgets import QApplication
+from fakes import DentSource
+from PySide6.QtCore import QUrl
 from small_press import write_press
-from window_driver import Driver
+from window_driver import Drive, copied
 
 from bubbleviz.commands.info import recording_info
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
-
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
 
 
 def test_information_is_that_of_the_command_and_names_the_sensor(
@@ -25,32 +21,33 @@ def test_information_is_that_of_the_command_and_names_the_sensor(
     path = tmp_path / "press.mcap"
     write_press(path, sensor)
     driver = drive(open_source=recording(path))
-    driver.window.shortcuts.actions["File › Information"].trigger()
-    (dialog,) = driver.window.findChildren(InformationDialog)
-    driver.wait(lambda: bool(dialog.text.toPlainText()))
-    driver.bot.mouseClick(dialog.copy, LEFT)
-    first, rest = QApplication.clipboard().text().split("\n", 1)
+
+    def opened() -> InformationDialog:
+        driver.act("File › Information")
+        dialog = driver.window.findChildren(InformationDialog)[-1]
+        driver.wait(lambda: bool(dialog.text.toPlainText()))
+        return dialog
+
+    dialog = opened()
+    driver.click(dialog.copy)
+    first, rest = copied().split("\n", 1)
     assert sensor.name in first and rest == recording_info(path).to_text()
     dialog.close()
-
-
-def test_information_on_what_is_no_file_names_the_source(drive: Drive) -> None:
-    driver = drive()
-    driver.window.shortcuts.actions["File › Information"].trigger()
-    (dialog,) = driver.window.findChildren(InformationDialog)
-    text = dialog.text.toPlainText()
-    assert driver.state.facts.title in text and "frames" in text
+    driver.opens("dent", DentSource, sensor, playing=False)  # of what is no file
+    driver.wait(lambda: driver.state.facts.title == "dent")
+    dialog = opened()
+    assert "dent" in dialog.text.toPlainText() and "frames" in dialog.text.toPlainText()
     dialog.close()
 
 
 def test_documentation_is_read_in_the_window(drive: Drive) -> None:
     driver = drive()
-    driver.window.shortcuts.actions["Help › Documentation"].trigger()
+    driver.act("Help › Documentation")
     (dialog,) = driver.window.findChildren(PagesDialog)
     assert "Soft-bubble tactile sensors" in dialog.page.toPlainText()
     assert "![" not in dialog.page.toPlainText() and not dialog.back.isEnabled()
     dialog.page.setSource(QUrl("tutorials/first-press.md"))
     assert "First press" in dialog.page.toPlainText()
-    driver.bot.mouseClick(dialog.back, LEFT)
+    driver.click(dialog.back)
     assert dialog.page.source().fileName() == "index.md"
     dialog.close()

@@ -3,42 +3,21 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PySide6.QtCore import QRect, Qt
-from PySide6.QtGui import QColor, QImage, QPalette
-from PySide6.QtWidgets import QApplication, QLabel, QLineEdit, QMenu, QWidget
-from window_driver import Driver
+from PySide6.QtGui import QColor, QPalette
+from PySide6.QtWidgets import QApplication, QLineEdit, QMenu, QWidget
+from window_driver import CONTACT, Drive, Driver, clipped, painted, run_python
 
 from bubbleviz_ui.live.live_bar import BADGES
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colour_maps import rgb
 
-Drive = Callable[..., Driver]
 HERE = Path(__file__).parents[1]
-CONTACT = 75
-
-
-@pytest.fixture(autouse=True)
-def dark_again() -> object:
-    yield
-    application = QApplication.instance()
-    assert isinstance(application, QApplication)
-    theme.apply(application, theme.DARK)
-
-
-def pixels(widget: QWidget) -> np.ndarray:
-    """RGB pixels of a widget as painted, (height, width, 3)."""
-    image = widget.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
-    flat = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
-    return flat[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
 
 
 def choose(driver: Driver, title: str) -> None:
@@ -70,12 +49,12 @@ def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive: Drive) ->
         assert np.allclose(corner, rgb(colours.view), atol=2)
         is_light = colours is theme.LIGHT
         for part in parts:
-            assert (np.median(pixels(part)) > 127) == is_light, part
+            assert (np.median(painted(part)) > 127) == is_light, part
         # Text of the readout, at the upper left of the view.
         head = window.view.pixels()[:50, :160].reshape(-1, 3).astype(int)
         assert np.abs(head - rgb(colours.text)).sum(axis=1).min() < 12
         # The icon on the play button.
-        play = pixels(window.playback.play).reshape(-1, 3).astype(int)
+        play = painted(window.playback.play).reshape(-1, 3).astype(int)
         assert np.abs(play - rgb(colours.text)).sum(axis=1).min() < 12
         assert len(driver.warm_pixels()) > 200  # pressure has its colours on both
 
@@ -120,7 +99,7 @@ def selected(item: np.ndarray) -> float:
 def within(widget: QWidget, place: QRect) -> np.ndarray:
     """Pixels of a part of a widget, its frame and check mark aside."""
     left, top = place.left() + 28, place.top() + 3
-    return pixels(widget)[top : place.bottom() - 2, left : place.right() - 28]
+    return painted(widget)[top : place.bottom() - 2, left : place.right() - 28]
 
 
 @pytest.mark.parametrize("title", ["Dark", "Light"])
@@ -143,7 +122,7 @@ def test_what_is_selected_can_be_read(drive: Drive, title: str) -> None:
     number = driver.window.layers.pressure_max
     number.selectAll()
     line = number.findChild(QLineEdit)
-    assert line is not None and selected(pixels(line)[4:-4, 2:30]) > 4.5
+    assert line is not None and selected(painted(line)[4:-4, 2:30]) > 4.5
 
 
 @pytest.mark.parametrize("title", ["Dark", "Light"])
@@ -151,7 +130,7 @@ def test_what_is_disabled_can_be_read_and_looks_it(drive: Drive, title: str) -> 
     """Controls of every kind that the window has, and what a menu does not offer now."""
     driver = drive(frame=3)
     choose(driver, title)
-    driver.window.panels["pose"].show()
+    driver.show("pose")
     QApplication.processEvents()
     pose, menu = driver.window.pose, driver.window.findChild(QMenu, "menu_theme")
     assert isinstance(menu, QMenu)
@@ -159,7 +138,7 @@ def test_what_is_disabled_can_be_read_and_looks_it(drive: Drive, title: str) -> 
         now = []
         for enabled in (True, False):
             widget.setEnabled(enabled)
-            now.append(selected(pixels(widget)[4:-4, 24:70]))
+            now.append(selected(painted(widget)[4:-4, 24:70]))
         assert now[0] > 1.5 * now[1] > 1.5 * 3.0, (widget, now)
     action = menu.actions()[0]
     menu.popup(driver.window.pos())
@@ -178,13 +157,12 @@ def test_colours_are_nowhere_else() -> None:
 
 
 FITS = """
-import json, sys
-sys.path.insert(0, {here!r})
+import json
 from fakes import small_sensor
 from PySide6.QtWidgets import QAbstractButton, QLabel
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.window_session import window_session
-with screen_for_pictures({screen}), window_session(small_sensor(), None, 75) as session:
+with screen_for_pictures(3200, 2000), window_session(small_sensor(), None, 75) as session:
     window = session.window
     window.resize(1280, 800)
     window.show()
@@ -204,23 +182,15 @@ with screen_for_pictures({screen}), window_session(small_sensor(), None, 75) as 
             widest = max(widget.fontMetrics().horizontalAdvance(line) for line in lines)
             if widest > widget.width():
                 clipped.append([name, text, widest, widget.width()])
-    print(json.dumps({{"clipped": clipped, "ratio": window.devicePixelRatio()}}))
+    print(json.dumps({"clipped": clipped, "ratio": window.devicePixelRatio()}))
 """
-
-
-def fits(screen: str, **environment: str) -> dict[str, object]:
-    done = subprocess.run(
-        [sys.executable, "-c", FITS.format(here=str(HERE), screen=screen)],
-        env={**os.environ, **environment}, capture_output=True, text=True, check=False,
-        timeout=600, cwd=HERE.parents[1],
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 @pytest.mark.long
 def test_nothing_is_clipped_at_200_percent() -> None:
-    seen = fits("3200, 2000", QT_SCALE_FACTOR="2")
+    done = run_python(FITS, QT_SCALE_FACTOR="2")
+    assert done.returncode == 0, done.stderr
+    seen = json.loads(done.stdout.splitlines()[-1])
     assert seen["ratio"] == 2.0
     assert not seen["clipped"]
 
@@ -232,14 +202,11 @@ def test_the_window_fits_into_1280_by_800(drive: Drive, name: str) -> None:
     driver.window.resize(1280, 800)
     driver.window.show_rates()
     driver.settle()
-    assert (driver.window.width(), driver.window.height()) == (1280, 800)
+    assert driver.size == (1280, 800)
     for panel in driver.window.panels.values():
         shown = panel.isVisible()
         panel.show()
         QApplication.processEvents()
-        assert (driver.window.width(), driver.window.height()) == (1280, 800), panel
+        assert driver.size == (1280, 800), panel
         panel.setVisible(shown)
-    for label in driver.window.findChildren(QLabel):
-        if label.isVisible() and not label.wordWrap() and "<" not in label.text():
-            advance = label.fontMetrics().horizontalAdvance(label.text())
-            assert advance <= label.width(), label.text()
+    assert not clipped(driver.window)

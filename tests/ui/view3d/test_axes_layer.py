@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-from window_driver import Driver, axes_corner, in_view, props, texts
+from window_driver import Drive, Driver, axes_corner, in_view, props, texts
 
 from bubbleviz_ui.view3d.colour_bar import LOWEST, TEXT, WIDTH
-
-Drive = Callable[..., Driver]
 
 
 def seen_of_axes(driver: Driver) -> np.ndarray:
     """Pixels (height, width) that the layer changes."""
     pictures = []
     for layers in ({"rim"}, {"rim", "axes"}):
-        driver.state.choose(layers=frozenset(layers))
-        driver.settle()
-        pictures.append(driver.window.view.pixels().astype(int))
+        driver.choose(layers=frozenset(layers))
+        pictures.append(driver.pixels().astype(int))
     return np.abs(pictures[1] - pictures[0]).max(axis=2) > 40
 
 
@@ -90,28 +85,12 @@ def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:
         assert min(across) >= -1 and max(across) <= 0.98 * window.view.width() - WIDTH + 1, size
 
 
-def test_calibration_is_not_crushed_in_a_small_window(drive: Drive) -> None:
-    driver = drive()
-    window = driver.window
-    window.resize(1024, 700)
-    panels = window.panels
-    window.shortcuts.actions["View › Calibration"].trigger()
-    driver.wait(lambda: not window.gamma0.visibleRegion().isEmpty())
-    assert panels["calibration"] in window.tabifiedDockWidgets(panels["layers"])
-    assert window.height() <= 700
-    for panel in (window.gamma0.stack, window.gamma0.next):
-        assert panel.visibleRegion().boundingRect().height() == panel.height()
-    assert window.gamma0.stack.height() > 150
-    assert window.dockWidgetArea(panels["calibration"]) == Qt.DockWidgetArea.RightDockWidgetArea
-
-
 def test_scales_end_at_round_numbers_in_every_unit(drive: Drive) -> None:
     driver = drive(frame=11)
     bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
     driver.state.choose(layers=frozenset({"membrane", "cloud"}))
     for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
-        driver.state.choose(**units)
-        driver.settle()
+        driver.choose(**units)
         ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
         assert len(ends) == 2
         assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends

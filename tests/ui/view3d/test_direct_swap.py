@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 
 import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
-from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QWidget
-from window_driver import Driver
+from window_driver import Drive, Driver, as_pixels
 
 from bubbleviz_ui.view3d.render_quality import FAST, SMOOTH, RenderQuality
 
-Drive = Callable[..., Driver]
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""
 NAMES = FAST.name, SMOOTH.name
@@ -33,9 +30,7 @@ def seen_of(widget: QWidget) -> np.ndarray:
     picture = QApplication.primaryScreen().grabWindow(
         0, at.x(), at.y(), size.width(), size.height()
     )
-    image = picture.toImage().convertToFormat(QImage.Format.Format_RGB888)
-    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
-    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
+    return as_pixels(picture.toImage())
 
 
 def share_that_differs(a: np.ndarray, b: np.ndarray) -> float:
@@ -54,7 +49,7 @@ def assert_shown(driver: Driver, before: np.ndarray) -> None:
         return np.array_equal(seen[-1], seen[-2]) and share_that_differs(seen[-1], before) > 1e-3
 
     driver.wait(rests)
-    assert share_that_differs(seen[-1], driver.window.view.pixels()) < 1e-3
+    assert share_that_differs(seen[-1], driver.pixels()) < 1e-3
 
 
 @QUALITIES
@@ -65,7 +60,7 @@ def test_every_frame_reaches_the_screen(drive: Drive, quality: RenderQuality) ->
     for frame in (10, 0, 14):
         before = on_screen(driver)
         driver.state.seek(frame)
-        driver.wait(lambda frame=frame: driver.window.controller.result.frame.index == frame)
+        driver.wait(lambda frame=frame: driver.result.frame.index == frame)
         assert_shown(driver, before)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +9,27 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from window_driver import Driver, drawn_points, hover, idle, in_view, near, texts
+from window_driver import (
+    CONTACT,
+    LEFT,
+    Drive,
+    Driver,
+    drawn_points,
+    hover,
+    idle,
+    in_view,
+    near,
+    texts,
+)
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
-from bubbleviz_ui.view3d.colour_maps import rgb
 from bubbleviz_ui.view3d.tools.still_picture import still
 from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
-
-Drive = Callable[..., Driver]
-LEFT = Qt.MouseButton.LeftButton
-CONTACT = 75
 
 
 def opened(driver: Driver) -> ViewTools:
     driver.window.resize(1280, 800)
-    driver.window.panels["tools"].show()
+    driver.show("tools")
     driver.window.panels["tools"].raise_()
     driver.state.choose(layers=frozenset({"membrane"}))
     QApplication.processEvents()
@@ -32,22 +37,13 @@ def opened(driver: Driver) -> ViewTools:
     return driver.window.tools
 
 
-def nodes(driver: Driver) -> np.ndarray:
-    estimate = driver.window.controller.result.estimate
-    return driver.pipeline.mesh.deformed(estimate.displacement_m)
-
-
-def of_colour(pixels: np.ndarray, colour: str) -> int:
-    return int(np.all(pixels == rgb(colour), axis=2).sum())
-
-
 def test_views_look_along_the_axes_and_as_the_camera(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     for name, direction in {"top": (0, 0, -1), "side": (-1, 0, 0), "front": (0, 1, 0)}.items():
-        driver.bot.mouseClick(tools.views[name], LEFT)
+        driver.click(tools.views[name])
         np.testing.assert_allclose(camera.direction, direction, atol=1e-9)
-    driver.bot.mouseClick(tools.views["camera"], LEFT)
+    driver.click(tools.views["camera"])
     driver.settle()
     view, depth_camera = driver.window.view, driver.pipeline.camera
     np.testing.assert_allclose(camera.position, depth_camera.center)
@@ -68,8 +64,8 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     tools = opened(driver)
     driver.window.scene.look("top")
     driver.settle()
-    driver.bot.mouseClick(tools.tools["distance"], LEFT)
-    ends = [node for node in nodes(driver) if node[2] > 0.045][:2]
+    driver.click(tools.tools["distance"])
+    ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
     where = [in_view(driver, end) for end in ends]
     for place in where:
         driver.bot.mouseClick(driver.window.view, LEFT, pos=place)
@@ -78,42 +74,47 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     assert tools.distance.length_m == pytest.approx(true, abs=5e-4)
     assert tools.reading[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
     driver.settle()
-    assert of_colour(driver.window.view.pixels(), GREEN) > 50
+    assert driver.count(GREEN)[0] > 50
     driver.state.choose(length_unit="m")
     assert tools.reading[0].text().endswith(" m")
     driver.bot.mouseClick(driver.window.view, LEFT, pos=where[0])
     assert tools.distance.length_m is None
-    driver.bot.mouseClick(tools.tools["rotate"], LEFT)
+    driver.click(tools.tools["rotate"])
     driver.settle()
-    assert of_colour(driver.window.view.pixels(), GREEN) == 0
+    assert driver.count(GREEN)[0] == 0
+
+
+def hottest(driver: Driver) -> np.ndarray:
+    """The node with the highest pressure."""
+    return driver.nodes()[int(np.argmax(driver.result.estimate.contact_pressure_pa))]
 
 
 def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
-    tools = opened(driver)
+    tools, view, middle = opened(driver), driver.window.view, driver.window.view.rect().center()
+    driver.click(tools.tools["probe"])
+    driver.drag(view, middle, middle + QPoint(40, 0))
+    assert tools.picked.place is None  # dragging is no click
     driver.window.scene.look("top")
     driver.settle()
-    driver.bot.mouseClick(tools.tools["probe"], LEFT)
-    pressure = driver.window.controller.result.estimate.contact_pressure_pa
-    node = nodes(driver)[int(np.argmax(pressure))]
-    driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
+    node = hottest(driver)
+    driver.click(view, in_view(driver, node))
     found = tools.picked.place
     assert found is not None and np.linalg.norm(found.node_m - node) < 0.01
     assert "kPa" in tools.reading[2].text() and f"node {found.node}" in tools.reading[0].text()
     driver.settle()
-    assert near(driver.window.view.pixels(), in_view(driver, found.node_m), NODE)
+    assert near(driver.pixels(), in_view(driver, found.node_m), NODE)
     before = tools.reading[2].text()
     driver.seek(2)
     assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
 
 
-def test_a_place_is_picked_without_the_panel_until_escape(drive: Drive) -> None:
+def test_places_and_distances_are_written_without_the_panel_until_escape(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
+    view = driver.window.view
     driver.window.panels["tools"].hide()
-    driver.window.shortcuts.actions["View › Probe a place"].trigger()
-    pressure = driver.window.controller.result.estimate.contact_pressure_pa
-    node = nodes(driver)[int(np.argmax(pressure))]
-    driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, node))
+    driver.act("View › Probe a place")
+    driver.click(view, in_view(driver, hottest(driver)))
     found = driver.window.tools.picked.place
 
     def written() -> list[str]:
@@ -122,48 +123,30 @@ def test_a_place_is_picked_without_the_panel_until_escape(drive: Drive) -> None:
     assert found is not None and f"p_c {1e-3 * found.pressure_pa:.2f} kPa" in written()[0]
     driver.state.choose(pressure_unit="Pa")
     assert f"p_c {found.pressure_pa:.0f} Pa" in written()[0]
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
-    driver.bot.keyClick(driver.window, Qt.Key.Key_Escape)
+    driver.key(Qt.Key.Key_Escape)
     assert driver.window.tools.picked.place is None and not written()
 
-
-def test_a_distance_is_written_at_its_line_without_the_panel(drive: Drive) -> None:
-    driver = drive(frame=3)
-    driver.window.panels["tools"].hide()
+    driver.seek(3)
     driver.window.scene.look("top")
     driver.settle()
-    driver.window.shortcuts.actions["View › Measure a distance"].trigger()
-    ends = [node for node in nodes(driver) if node[2] > 0.045][:2]
+    driver.act("View › Measure a distance")
+    ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
     true_m = float(np.linalg.norm(ends[1] - ends[0]))
 
-    def written(unit: str, true: float) -> bool:
+    def measured(unit: str, true: float) -> bool:
         """Whether the length stands in the view, beside that of the scale bar."""
         found = [text.split() for text in texts(driver)]
         lengths = [float(words[0]) for words in found if words[1:] == [unit]]
         return any(length == pytest.approx(true, rel=0.05) for length in lengths)
 
     for end in ends:
-        assert not written("mm", 1e3 * true_m)
-        driver.bot.mouseClick(driver.window.view, LEFT, pos=in_view(driver, end))
-    assert written("mm", 1e3 * true_m)
+        assert not measured("mm", 1e3 * true_m)
+        driver.click(view, in_view(driver, end))
+    assert measured("mm", 1e3 * true_m)
     driver.state.choose(length_unit="m")
-    assert written("m", true_m)
-    with driver.bot.waitActive(driver.window):
-        driver.window.activateWindow()
-    driver.bot.keyClick(driver.window, Qt.Key.Key_Escape)
-    assert not written("m", true_m)
-
-
-def test_dragging_is_no_click(drive: Drive) -> None:
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
-    driver.bot.mouseClick(tools.tools["probe"], LEFT)
-    view, middle = driver.window.view, driver.window.view.rect().center()
-    driver.bot.mousePress(view, LEFT, pos=middle)
-    driver.bot.mouseMove(view, middle + QPoint(40, 0))
-    driver.bot.mouseRelease(view, LEFT, pos=middle + QPoint(40, 0))
-    assert tools.picked.place is None
+    assert measured("m", true_m)
+    driver.key(Qt.Key.Key_Escape)
+    assert not measured("m", true_m)
 
 
 def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
@@ -184,8 +167,8 @@ def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
     assert driver.state.choices.section_axis == "x"
     driver.settle()
     assert not drawn(left) and drawn(right)
-    assert of_colour(view.pixels(), ORANGE) > 50
-    driver.bot.mouseClick(tools.flipped, LEFT, pos=QPoint(10, tools.flipped.height() // 2))
+    assert driver.count(ORANGE)[0] > 50
+    driver.click(tools.flipped)
     driver.settle()
     assert drawn(left) and not drawn(right)
     tools.section_at.setValue(tools.section_at.maximum())
@@ -194,7 +177,7 @@ def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
     assert drawn(left) and drawn(right)
     tools.section.setCurrentIndex(0)
     driver.settle()
-    assert of_colour(view.pixels(), ORANGE) == 0
+    assert driver.count(ORANGE)[0] == 0
 
 
 def test_what_is_cut_away_is_not_pointed_at(drive: Drive) -> None:
@@ -205,10 +188,9 @@ def test_what_is_cut_away_is_not_pointed_at(drive: Drive) -> None:
     tools.section.setCurrentIndex(tools.section.findText("cut ⊥ x"))
     view = driver.window.view
     for layers in ({"membrane"}, {"cloud"}, {"membrane", "cloud"}):
-        driver.state.choose(layers=frozenset(layers))
-        driver.settle()
-        cloud = driver.window.controller.result.cloud_m
-        points = nodes(driver) if cloud is None else cloud
+        driver.choose(layers=frozenset(layers))
+        cloud = driver.result.cloud_m
+        points = driver.nodes() if cloud is None else cloud
         there = [point for point in points[::7] if abs(point[0]) > 0.01 and point[2] > 0.02]
         for point in there[:: len(there) // 6]:
             hover(view, in_view(driver, point))
@@ -221,7 +203,7 @@ def test_what_is_cut_away_is_not_pointed_at(drive: Drive) -> None:
 def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     tools = opened(driver)
-    estimate, mesh = driver.window.controller.result.estimate, driver.pipeline.mesh
+    estimate, mesh = driver.result.estimate, driver.pipeline.mesh
     solved = driver.pipeline.counts["estimate"]
     tools.exaggeration.setValue(3.0)
     driver.settle()
@@ -235,14 +217,16 @@ def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive)
     np.testing.assert_allclose(picked, true, atol=2e-3)
     assert abs(drawn[k] - true).max() > 6e-3
     assert driver.pipeline.counts["estimate"] == solved
-    assert not near(driver.window.view.pixels(), place, NODE)
+    assert not near(driver.pixels(), place, NODE)
     driver.state.choose_panel("images", True)  # which shows the place, too
     driver.window.hover.at_point(true)
     driver.settle()
-    assert near(driver.window.view.pixels(), place, NODE)
+    assert near(driver.pixels(), place, NODE)
 
 
-def test_colour_maps_change_the_colours_and_not_the_range(drive: Drive) -> None:
+def test_vectors_are_as_long_as_the_pressure_is_high_and_maps_change_the_colours(
+    drive: Drive,
+) -> None:
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     assert len(driver.warm_pixels()) > 100
@@ -250,35 +234,25 @@ def test_colour_maps_change_the_colours_and_not_the_range(drive: Drive) -> None:
     driver.bot.keyClicks(tools.colour_map, "viridis")
     driver.settle()
     assert driver.state.choices.colour_map == "viridis" and len(driver.warm_pixels()) == 0
-
-
-def test_vectors_are_as_long_as_the_pressure_is_high(drive: Drive) -> None:
-    driver = drive(frame=CONTACT)
-    opened(driver)
-    driver.bot.mouseClick(
-        driver.window.layers.boxes["vectors"],
-        LEFT,
-        pos=QPoint(10, driver.window.layers.boxes["vectors"].height() // 2),
-    )
-    driver.state.choose(layers=frozenset({"vectors"}))
-    driver.settle()
+    driver.click(driver.window.layers.boxes["vectors"])
+    driver.choose(layers=frozenset({"vectors"}))
     points = drawn_points(driver.window.scene.layers["vectors"])
     length = np.linalg.norm(points[0::2] - points[1::2], axis=1)
-    pressure = driver.window.controller.result.estimate.contact_pressure_pa
+    pressure = driver.result.estimate.contact_pressure_pa
     assert np.corrcoef(length, pressure)[0, 1] > 0.999 and length[pressure == 0.0].max() < 1e-9
-    assert of_colour(driver.window.view.pixels(), ORANGE) > 20
+    assert driver.count(ORANGE)[0] > 20
 
 
 def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
     driver = drive(frame=CONTACT)
     tools = opened(driver)
-    before = driver.window.view.pixels()
+    before = driver.pixels()
     tools.width_box.setValue(1800)
     tools.height_box.setValue(700)
     tools.save_picture(tmp_path / "view.png")
     image = QImage(str(tmp_path / "view.png"))
     assert (image.width(), image.height()) == (1800, 700)
-    driver.bot.mouseClick(driver.window.notice.dismiss, Qt.MouseButton.LeftButton)
+    driver.click(driver.window.notice.dismiss)
     height, width = before.shape[:2]
     same = still(driver.window.view, width, height)
     assert np.abs(same.astype(int) - before).mean() < 1.0
@@ -286,9 +260,9 @@ def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
     red, green, blue = (large[:, :1500, k].astype(int) for k in range(3))
     assert np.count_nonzero((red > 130) & (red > 2 * blue) & (red > green + 30)) > 200
     driver.settle()
-    np.testing.assert_array_equal(driver.window.view.pixels(), before)
+    np.testing.assert_array_equal(driver.pixels(), before)
     tools.save_picture(tmp_path / "missing" / "view.png")
-    assert "cannot be written" in driver.window.message.label.text()
+    assert "cannot be written" in driver.said
 
 
 def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
@@ -299,7 +273,7 @@ def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
     driver.wait(lambda: bool(driver.window.controller.inspection.images))
     driver.settle()
     before, size = still(view, 640, 400), view.size()
-    hover(view, in_view(driver, nodes(driver)[int(np.argmax(nodes(driver)[:, 2]))]))
+    hover(view, in_view(driver, driver.nodes()[int(np.argmax(driver.nodes()[:, 2]))]))
     numbers = lambda: [text for text in texts(driver) if "node" in text]  # noqa: E731
     driver.wait(lambda: bool(numbers()))
     assert view.size() == size
@@ -314,9 +288,9 @@ def test_the_turntable_turns_until_it_is_told(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     start = np.array(camera.position)
-    driver.bot.mouseClick(tools.turn, LEFT)
+    driver.click(tools.turn)
     driver.wait(lambda: np.linalg.norm(np.array(camera.position) - start) > 0.01)
-    driver.bot.mouseClick(tools.turn, LEFT)
+    driver.click(tools.turn)
     height = camera.position[2]
     assert height == pytest.approx(start[2], abs=1e-6) and not tools.turntable.turning
     stopped = tuple(camera.position)

@@ -1,23 +1,100 @@
-"""`python -m benchmarks.window start` and `seek` measure a real window, and judge no times."""
+"""`python -m benchmarks.window` in small: it measures a real window, and judges no times."""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import threading
 from io import BytesIO
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
+from PySide6.QtCore import QTimer
+from pytestqt.qtbot import QtBot
 from small_press import HEIGHTS, write_press
+from window_driver import PATIENCE_MS, run_python
 
 from benchmarks.window.__main__ import bench as main
+from benchmarks.window.block_watch import BLOCKED_S, BlockWatch
+from benchmarks.window.process_usage import process_seconds, thread_seconds
 from bubbleviz.frames import recording_writer
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 REPOSITORY = Path(__file__).parents[3]
+SHORT_S, FULL_S = 1.5, 6.0
+ENOUGH_S = 0.05
+MONKEY = """
+import json
+from fakes import small_sensor
+from benchmarks.window.monkey import monkey_run
+report = monkey_run(small_sensor(), None, {seconds}, seed={seed}, memory=False)
+print(json.dumps([report.actions, report.problems]))
+"""
+
+
+def monkey(seconds: float, seed: int, before: str = "") -> tuple[int, list[str]]:
+    done = run_python(before + MONKEY.format(seconds=seconds, seed=seed))
+    assert done.returncode == 0, done.stderr
+    actions, problems = json.loads(done.stdout.splitlines()[-1])
+    return actions, problems
+
+
+def test_a_monkey_breaks_nothing() -> None:
+    """A short run; the long one is `python -m benchmarks.window monkey`."""
+    actions, problems = monkey(FULL_S if "TEST_ALL" in os.environ else SHORT_S, seed=7)
+    assert not problems, problems[0]
+    assert actions > 0
+
+
+@pytest.mark.long
+def test_a_monkey_finds_an_exception_in_a_slot() -> None:
+    broken = (
+        "from bubbleviz_ui.model.session_state import SessionState\n"
+        "SessionState.choose_panel = lambda *a, **k: 1 / 0\n"
+    )
+    _, problems = monkey(2.0, seed=1, before=broken)
+    assert any("ZeroDivisionError" in problem for problem in problems)
+
+
+def test_the_calls_of_a_blocked_thread_are_told(qtbot: QtBot) -> None:
+    watch, timer = BlockWatch(), QTimer()
+
+    def keep_the_window_waiting() -> None:
+        # a machine that is busy may block it before, and for longer
+        threading.Event().wait(max(5.0 * BLOCKED_S, 1.5 * watch.longest_s))
+
+    timer.timeout.connect(keep_the_window_waiting)
+    with watch.watching():
+        timer.start(int(5e3 * BLOCKED_S))
+        qtbot.waitUntil(lambda: "keep_the_window_waiting" in watch.stack, timeout=PATIENCE_MS)
+        timer.stop()
+    assert watch.longest_s > 2.0 * BLOCKED_S
+
+
+def test_who_computes_is_told_by_name() -> None:
+    done, go_on = threading.Event(), threading.Event()
+
+    def compute() -> None:
+        while process_seconds(os.getpid()) < before + ENOUGH_S:
+            pass
+        done.set()
+        go_on.wait()
+
+    before = process_seconds(os.getpid())
+    threads = [threading.Thread(target=compute, name="busy")]
+    threads.append(threading.Thread(target=go_on.wait, name="idle"))
+    for thread in threads:
+        thread.start()
+    assert done.wait(60.0)
+    used = thread_seconds()
+    go_on.set()
+    for thread in threads:
+        thread.join()
+    assert used["busy"] > 0.5 * ENOUGH_S > used["idle"]
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +149,7 @@ def test_a_frame_that_cannot_be_read_ends_the_seeks(
     press: tuple[Path, Path], tmp_path: Path
 ) -> None:
     recording, sensor = press
-    spoilt = tmp_path / "spoilt.mcap"
-    data = bytearray(recording.read_bytes())
+    spoilt, data = tmp_path / "spoilt.mcap", bytearray(recording.read_bytes())
     summary = make_reader(BytesIO(data)).get_summary()
     assert summary is not None
     chunk = summary.chunk_indexes[12]  # of frame 12, one of the first

@@ -1,0 +1,359 @@
+"""Threads, memory and signals behind the window: in order, in the right thread, and let go."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from threading import Event
+
+import numpy as np
+import pytest
+from fakes import DentSource
+from PySide6.QtCore import QCoreApplication, QEventLoop, QTimer
+from PySide6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+from window_driver import PATIENCE_MS, run_python
+
+from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.errors import InputError
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.progress import Progress
+from bubbleviz.result import Estimate, FineContact
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.interrupt import EXIT_CODE, Interrupt
+from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.kept_estimates import KeptEstimates
+from bubbleviz_ui.engine.memory_release import MemoryRelease
+from bubbleviz_ui.engine.request_slots import RequestSlots
+from bubbleviz_ui.engine.requests import (
+    Answer,
+    Failed,
+    FrameRequest,
+    NewestRequest,
+    Opened,
+    OpenRequest,
+    PatchRequest,
+    Request,
+    SettleRequest,
+    Solved,
+)
+from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import SourceFacts
+
+Wait = Callable[[Callable[[], object]], None]
+
+
+@pytest.fixture
+def wait(qtbot: QtBot) -> Wait:
+    return lambda done: qtbot.waitUntil(done, timeout=PATIENCE_MS)
+
+
+# -- jobs ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def jobs(qtbot: QtBot) -> Iterator[Jobs]:
+    made = Jobs("jobs of a test")
+    yield made
+    made.cancel()
+    made.close(60.0)
+
+
+def test_jobs_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(
+    wait: Wait, jobs: Jobs
+) -> None:
+    ended, here = list[Done](), threading.current_thread()
+    threads = set[threading.Thread]()
+
+    def refuse(_: Progress) -> None:
+        threads.add(threading.current_thread())
+        raise InputError("x.toml: not there")
+
+    def break_down(_: Progress) -> None:
+        raise ZeroDivisionError("by nothing")
+
+    def then(done: Done) -> None:
+        assert threading.current_thread() is here
+        ended.append(done)
+
+    for job in (refuse, break_down, lambda _: 3, lambda _: 4):
+        jobs.run(job, then)
+    wait(lambda: len(ended) == 4)
+    assert here not in threads and not jobs.busy
+    assert ended[0] == Done(message="x.toml: not there")
+    assert ended[1].message == "ZeroDivisionError: by nothing" and "refuse" not in ended[1].details
+    assert "break_down" in ended[1].details
+    assert ended[2:] == [Done(3), Done(4)]
+
+
+def test_progress_is_told_and_ends_a_job_that_is_replaced(wait: Wait, jobs: Jobs) -> None:
+    told, ended = list[tuple[str, float]](), list[Done]()
+    jobs.progressed.connect(lambda step, done: told.append((step, done)))
+
+    def endless(progress: Progress) -> None:
+        while True:
+            progress("on and on", 0.5)
+
+    jobs.run(endless, ended.append)
+    wait(lambda: bool(told))
+    assert told[0] == ("on and on", 0.5)
+    jobs.replace(lambda _: "new", ended.append)
+    wait(lambda: bool(ended))
+    assert ended == [Done("new")]
+
+
+def test_an_answer_that_comes_too_late_is_let_go(jobs: Jobs) -> None:
+    began, go = Event(), Event()
+    ended, unwanted = list[Done](), list[str]()
+
+    def slow(_: Progress) -> str:
+        began.set()
+        assert go.wait(240.0)
+        return "a source that is open"
+
+    jobs.run(slow, ended.append, unwanted.append)
+    assert began.wait(240.0)
+    jobs.cancel()
+    go.set()
+    jobs.close()
+    assert unwanted == ["a source that is open"] and not ended
+
+
+def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot: QtBot) -> None:
+    jobs, done = Jobs("wanted"), list[int]()
+    for number in range(20):
+        jobs.run(lambda _, number=number: done.append(number))
+    jobs.close()
+    assert done == list(range(20))
+    jobs, go_on, ended = Jobs("held"), Event(), Event()
+    jobs.run(lambda _: (go_on.wait(), ended.set()))
+    jobs.close(0.0)
+    assert not ended.is_set()
+    go_on.set()
+    assert ended.wait(240.0)  # it is not lost
+
+
+def test_a_job_that_outlasts_closing_does_not_change_the_exit_code() -> None:
+    """SciPy's factorisations of a thread that is left behind would (scipy#25404)."""
+    words = """
+import threading
+from PySide6.QtCore import QCoreApplication
+from scipy.sparse import eye_array
+from scipy.sparse.linalg import splu
+from bubbleviz_ui.engine.jobs import Jobs
+application, jobs, made = QCoreApplication([]), Jobs("slow"), threading.Event()
+def job(progress):
+    kept = splu(eye_array(9, format="csc"))
+    made.set()
+    threading.Event().wait(0.5)  # longer than closing waits
+    print(kept.shape)
+jobs.run(job)
+made.wait()
+jobs.cancel()
+jobs.close(0.01)
+"""
+    process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")
+
+
+def test_jobs_that_end_after_their_window_do_no_harm(qtbot: QtBot) -> None:
+    """Their threads are the last to know of them, while their ends are told in the GUI thread."""
+    for _ in range(2_000):
+        jobs, go_on = Jobs("held"), Event()
+        jobs.run(lambda _, go_on=go_on: go_on.wait())
+        jobs.close(0.0)
+        del jobs
+        go_on.set()
+        for _ in range(5):
+            QCoreApplication.processEvents()
+
+
+# -- the solver's thread ------------------------------------------------------------------------
+
+
+class Held(Server):
+    """Serves nothing until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun, self.go, self.ended = Event(), Event(), Event()
+        self.served: list[Request] = []
+
+    def serve(self, request: Request) -> Answer | None:
+        self.begun.set()
+        self.go.wait(240.0)
+        self.served.append(request)
+        return Failed(request, "held", "")
+
+    def close(self) -> None:
+        super().close()
+        self.ended.set()
+
+
+def test_frames_asked_for_meanwhile_are_dropped(wait: Wait) -> None:
+    server, answers = Held(), list[Answer]()
+    worker = Worker(server)
+    worker.answered.connect(answers.append)
+    worker.ask(FrameRequest(1, Demand(frozenset()), 1))
+    assert server.begun.wait(240.0)
+    for number in range(2, 6):
+        worker.ask(FrameRequest(1, Demand(frozenset()), number))
+    server.go.set()
+    wait(lambda: len(answers) == 2)
+    assert [r.index for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
+    assert worker.dropped == 3
+    worker.close()
+
+
+def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(sensor: Sensor) -> None:
+    server = Held()
+    worker = Worker(server)
+    worker.ask(OpenRequest(1, "dent", DentSource, lambda: sensor, 0, Demand(frozenset())))
+    assert server.begun.wait(240.0)
+    worker.close(timeout_s=0.0)
+    assert not server.ended.is_set()
+    server.go.set()
+    worker.wait(240.0)
+    assert server.ended.is_set()
+
+
+def test_one_request_a_kind_waits_and_none_for_what_is_not_due(sensor: Sensor) -> None:
+    """A drag of κ is answered although the next live frame is not to be taken yet."""
+    slots, server, demand = RequestSlots(), Server(), Demand(frozenset({"cloud"}))
+    opening = OpenRequest(1, "dent", DentSource, lambda: sensor, 99, demand)
+    opened = server.serve(opening)
+    assert isinstance(opened, Opened) and opened.frame == opened.facts.frames - 1
+    first, last = (FrameRequest(1, demand, index) for index in (1, 3))
+    assert slots.put(first) is None
+    assert slots.put(last) == first
+    slots.put(opening)
+    assert (slots.take(), slots.take()) == (opening, last)
+    later = NewestRequest(1, demand, time.perf_counter() + 1e6)
+    now, patch = replace(later, from_s=0.0), PatchRequest(1, demand, opened.result)
+    slots.put(later)
+    slots.put(SettleRequest(1, demand, 2))
+    taken: list[Request | None] = []
+    taker = threading.Thread(target=lambda: taken.extend(slots.take() for _ in range(3)))
+    taker.start()
+    slots.put(patch)
+    slots.put(now)
+    taker.join(240.0)
+    assert taken == [patch, now, SettleRequest(1, demand, 2)]
+    # what is asked of a source that is not open any more is not served
+    assert isinstance(server.serve(last), Solved)
+    server.serve(replace(opening, session=2))
+    assert server.serve(last) is None
+    server.close()
+
+
+# -- memory -------------------------------------------------------------------------------------
+
+
+def test_garbage_of_another_thread_goes_in_the_gui_thread(wait: Wait) -> None:
+    wanted, gone_in = 5_000, list[int]()
+
+    class Ring:
+        def __init__(self) -> None:
+            self.itself = self
+
+        def __del__(self) -> None:
+            gone_in.append(threading.get_ident())
+
+    thread = threading.Thread(target=lambda: [Ring() for _ in range(wanted)])
+    thread.start()
+    thread.join()
+    assert not gone_in
+    wait(lambda: len(gone_in) == wanted)
+    assert set(gone_in) == {threading.get_ident()}
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc is asked to")
+def test_what_nobody_uses_goes_back_to_the_system() -> None:
+    done = run_python("""
+import numpy as np
+from benchmarks.window.process_usage import resident_mib
+from bubbleviz_ui.engine.memory_release import release_memory
+before = resident_mib()
+pieces = [np.ones(100 << 10, np.uint8) for _ in range(1500)]  # too small for memory of their own
+last = pieces[-1]  # keeps the heap from shrinking
+del pieces
+held = resident_mib()
+release_memory()
+print(held - before, resident_mib() - before)
+""")
+    held, kept = map(float, done.stdout.split())
+    assert held > 100.0
+    assert kept < 30.0
+
+
+def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot: QtBot, wait: Wait) -> None:
+    state, given, rest_ms = SessionState(), Event(), 20
+    state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=True)
+    giving = MemoryRelease(state, given.set, rest_ms)
+    timer = QTimer(interval=rest_ms)  # as often as the other looks, which began before
+    timer.start()
+    for _ in range(3):
+        qtbot.waitSignal(timer.timeout, timeout=PATIENCE_MS).wait()
+    assert not given.is_set()
+    state.set_playing(False)
+    wait(given.is_set)
+    giving.close()
+
+
+def test_of_kept_estimates_the_oldest_is_let_go_first_and_a_finer_mesh_counts() -> None:
+    nothing = np.zeros(1000)
+    estimate = Estimate("no_contact", nothing, nothing.copy(), 0.0, 0.0, 0.0)
+    size = 2 * nothing.nbytes
+    kept = KeptEstimates(3 * size)
+    for frame in (0, 1, 2, 0, 3):  # frame 0 is computed again
+        kept.keep(frame, Numbers(area_m2=frame), estimate)
+    assert kept.get(1) is None
+    assert [kept.get(frame)[0].area_m2 for frame in (0, 2, 3)] == [0, 2, 3]
+
+    mesh, kept = mesh_cap(spherical_cap(0.045, 0.02), 1000), KeptEstimates(5 * size)
+    zero = np.zeros(len(mesh.nodes))
+    fine = FineContact(mesh, np.zeros((len(zero), 2), int), zero, mesh.nodes, 1e-3)
+    for frame in range(3):
+        kept.keep(frame, Numbers(), replace(estimate, fine=fine))
+    _ = mesh.rings  # found later, and kept by the mesh
+    kept.keep(3, Numbers(), estimate)
+    assert [frame for frame in range(4) if kept.get(frame)] == [3]
+
+
+# -- ^C -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def interrupt(qapp: QApplication) -> Iterator[Interrupt]:
+    made = Interrupt()
+    made.end(qapp)
+    yield made
+    made.close()
+
+
+def test_an_interrupt_ends_the_loop_that_runs_and_no_other(
+    qapp: QApplication, interrupt: Interrupt
+) -> None:
+    QTimer.singleShot(0, lambda: signal.raise_signal(signal.SIGTERM))
+    assert qapp.exec() == EXIT_CODE
+    assert interrupt.came
+
+
+def test_the_loop_of_the_next_window_goes_on(qapp: QApplication, interrupt: Interrupt) -> None:
+    """It came while a window was opened, which handles events without a loop of Qt's."""
+    signal.raise_signal(signal.SIGINT)
+    qapp.processEvents()
+    assert interrupt.came
+    interrupt.close()
+    loop, done = QEventLoop(), list[str]()
+    QTimer.singleShot(0, lambda: (done.append("its work"), loop.quit()))
+    assert loop.exec() == 0
+    assert done == ["its work"]
