@@ -247,6 +247,12 @@ def test_one_request_a_kind_waits_and_none_for_what_is_not_due(sensor: Sensor) -
     slots.put(now)
     taker.join(240.0)
     assert taken == [patch, now, SettleRequest(1, demand, 2)]
+    left, settling = RequestSlots(), SettleRequest(1, demand, 2)
+    left.put(settling)
+    left.put(last)  # another frame: what was left is not settled any more
+    assert left.take() == last
+    left.close()
+    assert left.take() is None
     # what is asked of a source that is not open any more is not served
     assert isinstance(server.serve(last), Solved)
     server.serve(replace(opening, session=2))

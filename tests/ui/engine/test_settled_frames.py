@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fakes import DentSource
+from PySide6.QtCore import QObject, Signal
+from pytestqt.qtbot import QtBot
 from window_driver import CONTACT, Drive, Driver
 
-from bubbleviz_ui.engine.requests import Answer, Solved
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.requests import Answer, OpenRequest, Request, Solved
+from bubbleviz_ui.engine.sensor_client import SensorClient
+from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.model.session_state import SessionState
 
 
 def settled_by_itself(driver: Driver) -> None:
@@ -92,3 +102,69 @@ def test_a_frame_is_settled_with_what_was_chosen_since(drive: Drive) -> None:
         settled_by_itself(driver)
         assert controller.inspection.kappa_curve is not None
         driver.window.panels["threshold"].hide()
+
+
+class Waiting(QObject):
+    """A solver that answers in the order it is told to."""
+
+    answered = Signal(object)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.server, self.requests = Server(), list[Request]()
+
+    def ask(self, request: Request) -> None:
+        self.requests.append(request)
+
+    def answer(self, request: Request) -> None:
+        self.answered.emit(self.server.serve(request))
+
+    def close(self) -> None:
+        self.server.close()
+
+
+PLAIN = Demand(frozenset({"estimate", "patch"}))
+LOOKING = replace(PLAIN, looks=frozenset({"kappa_curve"}))
+
+
+@pytest.fixture
+def state() -> SessionState:
+    return SessionState()
+
+
+@pytest.fixture
+def client(qtbot: QtBot, sensor: Sensor, state: SessionState) -> Iterator[SensorClient]:
+    """What asks for frames of a source that is open at frame 3."""
+    solver = Waiting()
+    made = SensorClient(state, solver)
+    solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, PLAIN))
+    yield made
+    made.close()
+
+
+def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client: SensorClient) -> None:
+    solver = client.worker
+    client.ask_settled()
+    client.ask_frame(3, LOOKING)
+    for request in reversed(solver.requests):
+        solver.answer(request)
+    assert client.inspection.kappa_curve is not None and not client.settled
+    client.ask_settled()
+    solver.answer(solver.requests[-1])
+    assert client.inspection.kappa_curve is not None and client.settled
+
+
+def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(
+    client: SensorClient, state: SessionState
+) -> None:
+    """Looks are left out of most frames while playing, but not because of one that never came."""
+    solver = client.worker
+    state.open(client.facts, 3, playing=True, history=client.history)
+    client.ask_newest(LOOKING)
+    client.ask_frame(3, LOOKING)
+    newest, frame = solver.requests
+    assert newest.demand.looks and not frame.demand.looks
+    solver.answer(newest)  # there is none: the source does not grow
+    client.ask_frame(3, LOOKING)
+    solver.answer(solver.requests[-1])
+    assert client.inspection.kappa_curve is not None

@@ -18,7 +18,7 @@ from bubbleviz.calibration.pressure_zero import PressureZero
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved
+from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved, Waited
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
@@ -45,6 +45,23 @@ def in_use() -> int:
 
 def none_left() -> bool:
     return not active_children() and not in_use()
+
+
+def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor: Sensor) -> None:
+    newest = NewestRequest(1, Demand(frozenset({"cloud"})))
+    server, stream = Server(), open_stream("synthetic:?rate=100&frames=2", sensor)
+    frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
+    with stream:
+        while not frames.came(60.0):
+            pass
+        frames.begin(frames.first_ns)
+    server.serve(OpenRequest(1, "press", LiveOpener(frames), lambda: sensor, 0, newest.demand))
+    while isinstance(server.serve(newest), Solved):  # what had arrived before it ended
+        pass
+    server.wait_no_longer()
+    for paused in (False, True):
+        assert server.serve(newest) == Waited(newest, paused=paused)
+    server.close()
 
 
 def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
