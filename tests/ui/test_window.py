@@ -259,8 +259,7 @@ def test_errors_of_opening_do_not_outlive_what_is_opened(
 
 def test_a_frame_that_cannot_be_read_is_a_message_and_stops_playback(drive: Drive) -> None:
     driver = drive(lambda sensor: DentSource(sensor, broken_from=3), playing=True)
-    driver.wait(driver.window.message.isVisible)
-    assert "damaged" in driver.said
+    driver.told("damaged")
     assert not driver.state.playing
     driver.seek(2)
 

@@ -30,6 +30,7 @@ from pytestqt.qtbot import QtBot
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
+from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.patch.patch_finder import mean_pressure
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Result
@@ -72,6 +73,11 @@ class Driver:
         result = self.window.controller.result
         assert result is not None
         return result
+
+    @property
+    def inspection(self) -> Inspection:
+        """The closer look at it."""
+        return self.window.controller.inspection
 
     @property
     def said(self) -> str:

@@ -45,7 +45,7 @@ def opened(drive: Drive, sensor: Sensor, path: Path) -> Driver:
     """A window on a recording with the Threshold panel open."""
     driver = drive(recording(path), sensor, frame=2)
     driver.show("threshold")
-    driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
+    driver.wait(lambda: driver.inspection.kappa_curve is not None)
     return driver
 
 
@@ -63,7 +63,7 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     driver.drop(files / "what_is_true.npz")
     driver.wait(lambda: says_iou(driver))
     assert driver.state.frame == 2
-    curve = driver.window.controller.inspection.kappa_curve
+    curve = driver.inspection.kappa_curve
     assert curve.iou.max() > 0.7  # of a coarse mesh
     driver.show("compare")
     values = driver.window.compare.a.values

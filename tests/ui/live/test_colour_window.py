@@ -52,7 +52,7 @@ def test_colour_is_sent_while_it_is_looked_at(open_bench: Open) -> None:
     live.messages_come(40)
     assert colours(heard) == 0
     show_images(live, "colour")
-    image = lambda: live.window.controller.inspection.colour  # noqa: E731
+    image = lambda: live.inspection.colour  # noqa: E731
     live.wait(lambda: image() is not None and image().rgb is not None)
     assert image().rgb.shape == (60, 80, 3) and colours(heard) > 0
     live.window.panels["images"].hide()

@@ -191,6 +191,7 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
             window.pose.search.isChecked(), window.pose.track.isChecked(),
             window.pose.stage.currentText(), window.threshold.least.value(),
             window.compare.a.nodes.value(), window.compare.b.solver.currentText(),
+            window.shear.flow.currentText(), window.shear.bounded.isChecked(),
             [action.isChecked() for action in window.plots.boxes.values()],
             [action.isChecked() for action in window.images.boxes.values()],
         ]  # fmt: skip

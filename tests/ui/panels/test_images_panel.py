@@ -35,7 +35,7 @@ def opened(driver: Driver, *images: str) -> ImagesPanel:
     driver.show("images")
     driver.wait(lambda: bool(driver.window.images.cells))
     of_depth = set(images) - {"patch", "colour", "flow"}
-    driver.wait(lambda: set(driver.window.controller.inspection.images) >= of_depth)
+    driver.wait(lambda: set(driver.inspection.images) >= of_depth)
     QApplication.processEvents()
     driver.settle()
     return driver.window.images
@@ -198,7 +198,7 @@ def test_while_playing_not_every_frame_is_looked_at_closer(
 def test_images_show_the_press_and_leave_out_what_is_missing(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.images.boxes)
-    images, result = driver.window.controller.inspection.images, driver.result
+    images, result = driver.inspection.images, driver.result
     inside = result.patch.pixel_mask
     assert inside is not None and images["change"][inside].max() < -2e-3
     assert abs(np.nanmedian(images["change"][~inside])) < 1e-3

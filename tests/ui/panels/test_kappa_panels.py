@@ -23,7 +23,7 @@ from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
 
 def threshold(driver: Driver) -> ThresholdPanel:
     alone(driver, "threshold")
-    driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
+    driver.wait(lambda: driver.inspection.kappa_curve is not None)
     QApplication.processEvents()
     driver.settle()
     return driver.window.threshold
@@ -50,7 +50,7 @@ def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
     driver = drive(frame=CONTACT)
     panel, counts = threshold(driver), driver.pipeline.counts
     line, box = panel.histogram.line, panel.histogram.frame.box
-    bars = driver.window.controller.inspection.kappa_curve.histogram_m2
+    bars = driver.inspection.kappa_curve.histogram_m2
     np.testing.assert_allclose(panel.histogram.bars.opts["height"], 1e6 * bars)
     driver.window.panels["kappa"].raise_()
     driver.click(driver.window.kappa.automatic)
@@ -84,7 +84,7 @@ def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive: Drive) 
     """The automatic threshold has no κ, and the curve says what κ would make of the frame."""
     driver = drive(frame=CONTACT)
     panel, kappa = threshold(driver), driver.window.kappa
-    inspection, patch = lambda: driver.window.controller.inspection, driver.result.patch
+    inspection, patch = lambda: driver.inspection, driver.result.patch
     assert driver.state.choices.kappa is None
     assert not kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text() == "automatic"
     assert not panel.curve.line.isVisible() and not panel.histogram.line.isVisible()
@@ -121,13 +121,13 @@ def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive: Drive) 
 def test_in_a_simulation_the_curve_has_the_iou(drive: Drive, press: FrameSource) -> None:
     driver = drive(frame=CONTACT)
     threshold(driver)
-    curve = driver.window.controller.inspection.kappa_curve
+    curve = driver.inspection.kappa_curve
     driver.state.choose(kappa=float(curve.kappa[30]), images=frozenset({"patch"}))
     driver.show("images")
     patch = lambda: driver.result.patch  # noqa: E731
     driver.wait(lambda: patch().pixel_mask is not None and driver.thresholded())
     driver.settle()
-    truth, curve = truth_of(press, CONTACT), driver.window.controller.inspection.kappa_curve
+    truth, curve = truth_of(press, CONTACT), driver.inspection.kappa_curve
     assert curve.iou[30] == pytest.approx(iou(patch().pixel_mask, truth.patch_mask), abs=0.02)
     assert "IoU ≤" in driver.window.threshold.curve.frame.text
 

@@ -252,7 +252,7 @@ def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive:
         assert width <= at.width() + 8, plot.frame.text
         assert plot.box.height() > 40
     assert driver.size == (1280, 800)
-    driver.wait(lambda: driver.window.controller.inspection.kappa_curve is not None)
+    driver.wait(lambda: driver.inspection.kappa_curve is not None)
     finder = PatchFinder(driver.pipeline.mesh, 1.0, 1e-3)
     x, y = panel.kappa.curve.getOriginalDataset()
     for k in (0, 20, 40):

@@ -38,7 +38,7 @@ def drag(driver: Driver, first: int, last: int, y: int) -> None:
 def test_click_and_drag_seek(drive: Drive) -> None:
     driver = drive(DentSource)
     timeline = driver.window.playback.timeline
-    driver.bot.mouseClick(timeline, LEFT, pos=at(timeline, 7))
+    driver.click(timeline, at(timeline, 7))
     assert driver.state.frame == 7
     drag(driver, 7, 2, BELOW)
     assert driver.state.frame == 2
@@ -224,7 +224,7 @@ def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
     driver.key(Qt.Key.Key_N)
     assert not driver.state.frozen and driver.state.frame == driver.state.now
     assert " (simulated) " in title()
-    driver.bot.mouseClick(panel.timeline, LEFT, pos=at(panel.timeline, 40))
+    driver.click(panel.timeline, at(panel.timeline, 40))
     assert driver.state.frozen and driver.state.frame == 40  # looking back freezes, too
     driver.state.set_playing(False)
 

@@ -43,7 +43,7 @@ def opened(drive: Drive, sensor: Sensor, **changed: Any) -> tuple[Driver, Speckl
 def shown(driver: Driver) -> None:
     driver.show("shear")
     driver.wait(lambda: "shear" in driver.state.choices.panels)
-    driver.wait(lambda: bool(driver.window.controller.inspection.reference))
+    driver.wait(lambda: bool(driver.inspection.reference))
 
 
 def test_traction_is_asked_for_by_what_shows_it() -> None:

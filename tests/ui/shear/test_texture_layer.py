@@ -71,7 +71,7 @@ def test_a_frame_without_a_colour_image_says_so(drive: Drive, sensor: Sensor) ->
     driver, _ = opened(drive, sensor, 0)
     driver.state.choose(layers=frozenset({"texture"}), images=frozenset({"colour"}))
     driver.show("images")
-    driver.wait(lambda: driver.window.controller.inspection.colour is not None)
+    driver.wait(lambda: driver.inspection.colour is not None)
     driver.settle()
     cell = driver.window.images.cells["colour"]
     assert "no colour image at this time" in texts(driver)
@@ -86,7 +86,7 @@ def test_the_image_is_shown_as_it_is(drive: Drive, sensor: Sensor) -> None:
     driver, _ = opened(drive, sensor)
     driver.state.choose(images=frozenset({"colour", "depth"}))
     driver.show("images")
-    driver.wait(lambda: driver.window.controller.inspection.colour is not None)
+    driver.wait(lambda: driver.inspection.colour is not None)
     QApplication.processEvents()
     driver.settle()
     cell = driver.window.images.cells["colour"]

@@ -11,7 +11,6 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
 from window_driver import (
     CONTACT,
-    LEFT,
     Drive,
     Driver,
     drawn_points,
@@ -68,7 +67,7 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
     where = [in_view(driver, end) for end in ends]
     for place in where:
-        driver.bot.mouseClick(driver.window.view, LEFT, pos=place)
+        driver.click(driver.window.view, place)
     assert len(tools.distance.points_m) == 2
     true = float(np.linalg.norm(ends[1] - ends[0]))
     assert tools.distance.length_m == pytest.approx(true, abs=5e-4)
@@ -77,7 +76,7 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     assert driver.count(GREEN)[0] > 50
     driver.state.choose(length_unit="m")
     assert tools.reading[0].text().endswith(" m")
-    driver.bot.mouseClick(driver.window.view, LEFT, pos=where[0])
+    driver.click(driver.window.view, where[0])
     assert tools.distance.length_m is None
     driver.click(tools.tools["rotate"])
     driver.settle()
@@ -270,7 +269,7 @@ def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
     opened(driver)
     driver.state.choose_panel("images", True)  # the place is marked, too
     view = driver.window.view
-    driver.wait(lambda: bool(driver.window.controller.inspection.images))
+    driver.wait(lambda: bool(driver.inspection.images))
     driver.settle()
     before, size = still(view, 640, 400), view.size()
     hover(view, in_view(driver, driver.nodes()[int(np.argmax(driver.nodes()[:, 2]))]))
@@ -280,7 +279,7 @@ def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
     np.testing.assert_array_equal(still(view, 640, 400), before)
     assert numbers()
     driver.window.tools.use_tool("probe")
-    driver.bot.mouseClick(view, LEFT, pos=view.rect().center())
+    driver.click(view, view.rect().center())
     assert np.any(still(view, 640, 400) != before)  # what was asked for by a click stays
 
 
