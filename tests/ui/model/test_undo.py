@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,9 +13,8 @@ from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider
 from window_driver import Drive, Driver, idle
 
+from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -241,7 +241,7 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.window.use_scene(load_scene("calibrate"))
     driver.settle()
     for name in ("cylinder", "frustum"):
-        (tmp_path / f"{name}.ply").write_bytes(ply_bytes(load_object(name)))
+        shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
         driver.window.open_file(tmp_path / f"{name}.ply")
         driver.wait(lambda name=name: driver.window.pose.session.obj is not None
                     and driver.window.pose.session.obj.name == name)  # fmt: skip
