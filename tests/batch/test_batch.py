@@ -18,13 +18,16 @@ import pytest
 from click.testing import CliRunner
 from small_press import write_press
 
-from bubbleviz.batch.batch_job import Job, Settings, run_job
-from bubbleviz.batch.batch_summary import BatchSummary
-from bubbleviz.batch.find_recordings import find_recordings
-from bubbleviz.batch.local_processes import run_in_processes
-from bubbleviz.batch.summary_row import Row
+import bubbleviz as bv
+from bubbleviz.api.batching import (
+    BatchSummary,
+    Job,
+    Row,
+    find_recordings,
+    run_in_processes,
+    run_job,
+)
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.errors import InputError
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
@@ -118,7 +121,7 @@ def test_a_recording_that_ends_early_says_so(
     record = [*COMMAND[:-1], "record", "--source", f"replay:{recordings / 'a.mcap'}", "--out", cut]
     subprocess.run(record, check=True, capture_output=True)
     cut.write_bytes(cut.read_bytes()[:-40])
-    row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), Settings(str(sensor))))
+    row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), str(sensor), {}))
     assert row.outcome == "done"
     assert "ends early" in row.note
     told = BatchSummary("t", [row]).to_text()
@@ -128,9 +131,9 @@ def test_a_recording_that_ends_early_says_so(
 def test_numbers_are_those_of_the_command_estimate(
     recordings: Path, sensor: Path, tmp_path: Path
 ) -> None:
-    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), Settings(str(sensor)))
+    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), str(sensor), {})
     row = run_job(job)
-    summary = estimate_recording(recordings / "a.mcap", sensor, tmp_path / "alone.npz")
+    run = bv.estimate(bv.open(recordings / "a.mcap"), sensor, out=tmp_path / "alone.npz")
     with np.load(tmp_path / "a" / "result.npz") as one, np.load(tmp_path / "alone.npz") as two:
         for key in ("force_n", "contact_pressure_pa", "patch_mask", "status"):
             np.testing.assert_array_equal(one[key], two[key])
@@ -138,41 +141,43 @@ def test_numbers_are_those_of_the_command_estimate(
         touching = two["patch_area_m2"] > 0.0
         residual = two["residual_rms_m"]
     assert (row.outcome, row.frames, row.contact_frames) == ("done", 5, touching.sum())
-    assert row.max_force_n == pytest.approx(summary.max_force_n, rel=1e-12)
+    assert row.max_force_n == pytest.approx(run.facts()["max_force_n"], rel=1e-12)
     assert row.max_force_n == pytest.approx(size.max())
     assert row.mean_contact_force_n == pytest.approx(size[touching].mean())
-    assert row.median_residual_rms_m == summary.median_residual_rms_m
+    assert row.median_residual_rms_m == run.facts()["median_residual_rms_m"]
     assert (row.worst_frame, row.worst_residual_rms_m) == (np.argmax(residual), residual.max())
 
 
-def test_the_frame_to_look_at_is_one_not_to_be_trusted(tmp_path: Path) -> None:
-    path = tmp_path / "result.npz"
-    np.savez(
-        path,
-        frame=[10, 20, 30, 40],
-        status=["ok", "no_data", "implausible", "no_contact"],
-        force_n=[[0, 3, 4], [np.nan] * 3, [np.nan] * 3, [0, 0, 0]],
-        measured_force_n=[4.0, 9.0, 9.0, 0.1],
-        patch_area_m2=[1e-4, np.nan, np.nan, 0],
-        residual_rms_m=[9e-3, np.nan, np.nan, 1e-4],
-        total_ms=[100, 2, 3, 4],
-        kappa=[np.nan] * 4,
-    )
-    row = Row.of_result("r", "s", path)
+def test_the_frame_to_look_at_is_one_not_to_be_trusted() -> None:
+    nan = float("nan")
+    values = {
+        "frame": [10, 20, 30, 40],
+        "status": ["ok", "no_data", "implausible", "no_contact"],
+        "force_n": [[0, 3, 4], [nan] * 3, [nan] * 3, [0, 0, 0]],
+        "measured_force_n": [4.0, 9.0, 9.0, 0.1],
+        "patch_area_m2": [1e-4, nan, nan, 0],
+        "residual_rms_m": [9e-3, nan, nan, 1e-4],
+        "total_ms": [100, 2, 3, 4],
+        "solve_ms": [1, 1, 1, 1],
+        "kkt_residual": [0, nan, nan, 0],
+    }
+    rows = [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]
+    row = Row.of("r", rows, {"sensor": "s", "warning": None, "kappa": None})
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
     assert (row.max_force_n, row.mean_contact_force_n, row.median_ms) == (5.0, 5.0, 3.0)
     assert row.mean_contact_measured_force_n == 4.0
-    again = Row.from_dict(json.loads(row.to_json()))
-    assert again.to_json() == row.to_json()
+    said = BatchSummary("t", [row]).to_json()
+    again = Row.from_dict(json.loads(said)["rows"][0])
+    assert BatchSummary("t", [again]).to_json() == said
 
 
 @pytest.mark.parametrize("change", ["settings", "sensor", "recording", "nothing", "summary"])
 def test_what_is_done_again(change: str, recordings: Path, sensor: Path, tmp_path: Path) -> None:
     own = Path(shutil.copy(sensor, tmp_path / "own.toml"))
-    job = Job("b", str(recordings / NAMES[1]), str(tmp_path / "b"), Settings(str(own)))
+    job = Job("b", str(recordings / NAMES[1]), str(tmp_path / "b"), str(own), {})
     assert run_job(job).outcome == "done"
     if change == "settings":
-        job = Job(job.name, job.recording, job.out, Settings(str(own), kappa=2.0))
+        job = Job(job.name, job.recording, job.out, str(own), {"kappa": 2.0})
     elif change == "sensor":
         own.write_text(own.read_text().replace("height_m = 0.05", "height_m = 0.0501"))
     elif change == "recording":
@@ -181,7 +186,7 @@ def test_what_is_done_again(change: str, recordings: Path, sensor: Path, tmp_pat
         (tmp_path / "b" / "summary.json").write_text("{")
     row = run_job(job)
     assert row.outcome == ("kept" if change == "nothing" else "done")
-    assert row.kappa == job.settings.kappa
+    assert row.kappa == job.options.get("kappa")
     assert run_job(job).outcome == "kept"
     assert {path.name for path in (tmp_path / "b").iterdir()} == FILES
 
@@ -192,7 +197,7 @@ def test_a_folder_that_is_not_a_result_is_not_replaced(
     out = tmp_path / "b"
     out.mkdir()
     (out / "thesis.tex").write_text("years of work")
-    row = run_job(Job("b", str(recordings / NAMES[1]), str(out), Settings(str(sensor))))
+    row = run_job(Job("b", str(recordings / NAMES[1]), str(out), str(sensor), {}))
     assert row.outcome == "bad_input"
     assert "exists already" in row.error
     assert (out / "thesis.tex").read_text() == "years of work"
@@ -264,9 +269,8 @@ def test_two_batches_do_not_write_into_one_folder(
 def test_a_process_that_dies_costs_its_own_recording_only(
     recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
 ) -> None:
-    settings = Settings(str(sensor))
     jobs = [
-        Job(path.name, str(path), str(tmp_path / path.name), settings)
+        Job(path.name, str(path), str(tmp_path / path.name), str(sensor), {})
         for path in (long_recording, *(recordings / name for name in NAMES))
     ]
     running = run_in_processes(jobs, 1)
@@ -351,7 +355,7 @@ def test_wrong_words(
 
 
 def test_auto_names_what_fits_no_preset(recordings: Path, tmp_path: Path) -> None:
-    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), Settings(None))
+    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), "auto", {})
     row = run_job(job)
     assert row.outcome == "bad_input"
     assert "no preset has a camera of 56×43 pixels" in row.error

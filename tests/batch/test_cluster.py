@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 
-from bubbleviz.batch import dask_cluster
-from bubbleviz.batch.batch_job import Job, Settings, run_job
-from bubbleviz.batch.dask_cluster import check_cluster
-from bubbleviz.commands.batch import run_batch
+from bubbleviz.api.batching import Job, batch, run_job
 from bubbleviz.errors import InputError
+from bubbleviz.processes import dask_cluster
+from bubbleviz.processes.dask_cluster import check_cluster
 
 
 @pytest.fixture(scope="module")
@@ -38,18 +37,19 @@ def test_results_are_those_of_this_process(
 ) -> None:
     assert address.startswith("tcp://127.0.0.1:")
     (recordings / "bad.mcap").write_bytes(b"no recording")
-    settings = Settings(str(sensor))
     out = tmp_path / "out"
-    far = run_batch(recordings, settings, out, scheduler=address)
+    far = batch(recordings, out, sensor, scheduler=address)
     assert [row.outcome for row in far.rows] == ["done", "done", "bad_input", "done"]
     for row in far.rows:
         if row.has_result:
             alone = tmp_path / "alone" / row.recording
-            run_job(Job(row.recording, str(recordings / row.recording), str(alone), settings))
+            run_job(
+                Job(row.recording, str(recordings / row.recording), str(alone), str(sensor), {})
+            )
             paths = out / row.recording / "result.npz", alone / "result.npz"
             with np.load(paths[0]) as one, np.load(paths[1]) as two:
                 np.testing.assert_array_equal(one["force_n"], two["force_n"])
-    again = run_batch(recordings, settings, out, scheduler=address, resume=True)
+    again = batch(recordings, out, sensor, scheduler=address, resume=True)
     assert [row.outcome for row in again.rows] == ["kept", "kept", "bad_input", "kept"]
     with pytest.raises(InputError, match="1 of 4 recordings have no result"):
         again.raise_failures()
@@ -66,7 +66,7 @@ def test_no_scheduler_there(recordings: Path, sensor: Path, tmp_path: Path) -> N
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(InputError, match="no Dask scheduler answers within 1 s; start one"):
-        run_batch(recordings, Settings(str(sensor)), tmp_path / "out", scheduler=address)
+        batch(recordings, tmp_path / "out", sensor, scheduler=address)
     assert not (tmp_path / "out").exists()
 
 

@@ -11,10 +11,10 @@ from click.testing import CliRunner
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+import bubbleviz as bv
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import estimate_recording
-from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.frames.recording import Recording
 from tests.colour.colour_bag import add_colour, add_compressed, add_pose, encoded, picture
 from tests.frames.bagmaker import PERIOD, START, BagMaker, fill
@@ -236,9 +236,8 @@ def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
         (tmp_path / "gas.csv").write_text(f"0,{recording[0].gas_pressure_pa}\n")
     beside = ("--rate", 30, "--intrinsics", sensor, "--pressure", tmp_path / "gas.csv")
     converted(tmp_path / "images", tmp_path / "out.mcap", *beside)
-    for name in ("press", "out"):
-        estimate_recording(tmp_path / f"{name}.mcap", sensor, tmp_path / f"{name}.npz")
-    before, after = (np.load(tmp_path / f"{name}.npz")["force_n"] for name in ("press", "out"))
+    names = ("press", "out")
+    before, after = (bv.estimate(bv.open(tmp_path / f"{k}.mcap"), sensor).force_n for k in names)
     assert np.linalg.norm(before) > 0.5
     np.testing.assert_allclose(after, before, rtol=1e-6)
 

@@ -19,8 +19,8 @@ import pytest
 from click.testing import CliRunner
 
 import bubbleviz
+from bubbleviz.api.frames import parse_frames
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import parse_frames
 from bubbleviz.files.result_writer import COLUMNS, ResultWriter, summary_row
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_press import write_press, write_small_sensor
 
-from bubbleviz.commands.estimate import estimate_recording
+import bubbleviz as bv
 
 
 @pytest.fixture(scope="session")
@@ -25,6 +25,6 @@ def press(tmp_path_factory: pytest.TempPathFactory, sensor: Path) -> Path:
 def estimated(press: Path, sensor: Path) -> dict[str, np.ndarray]:
     """RESULT.npz of the press."""
     out = press.with_name("result.npz")
-    estimate_recording(press, sensor, out)
+    bv.estimate(bv.open(press), sensor, out=out)
     with np.load(out) as file:
         return {key: file[key] for key in file.files}

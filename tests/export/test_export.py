@@ -20,13 +20,12 @@ import pyvista
 from click.testing import CliRunner, Result
 from PIL import Image
 
+import bubbleviz as bv
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import estimate_recording
-from bubbleviz.commands.export import export_recording
 from bubbleviz.errors import InputError
-from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.output.export_plan import ExportPlan
 from bubbleviz.progress import Cancelled
 
 Arrays = dict[str, np.ndarray]
@@ -86,8 +85,8 @@ def test_measured_force_is_beside_the_estimate(tmp_path: Path, press: Path, sens
     exported, archive, table = (tmp_path / name for name in ("table.csv", "r.npz", "r.csv"))
     done = export(recording, "--sensor", sensor, "--out", exported)
     assert done.exit_code == 0, done.output
-    summary = estimate_recording(recording, sensor, archive, table)
-    assert "6 N median in contact by the wrench" in summary.to_text()
+    run = bv.estimate(bv.open(recording), sensor, out=archive, csv=table)
+    assert "6 N median in contact by the wrench" in run.to_text()
     for path in (exported, table):
         measured = columns_of(rows_of(path), "measured_force_n")[:, 0]
         np.testing.assert_allclose(measured, pushes, atol=1e-9)
@@ -284,9 +283,8 @@ def test_nothing_is_left_of_a_cancelled_export(tmp_path: Path, press: Path, sens
             assert list(tmp_path.iterdir())  # there was something to leave
             raise Cancelled
 
-    plan = ExportPlan.of(tmp_path / "x", ["vtk", "table"])
     with pytest.raises(Cancelled):
-        export_recording(press, sensor, plan, progress=stop)
+        bv.export(bv.open(press), tmp_path / "x", sensor, what="vtk,table", progress=stop)
     assert not list(tmp_path.iterdir())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.api.frames import parse_frames
 from bubbleviz.errors import InputError
 
 bound = st.none() | st.integers(0, 40)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz.output.mp4_writer import open_mp4
 
 
 def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
@@ -87,7 +87,7 @@ import threading
 import numpy as np
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
-from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz.output.mp4_writer import open_mp4
 made, over = threading.Event(), threading.Event()
 def factor():
     kept = splu(eye_array(9, format="csc"))

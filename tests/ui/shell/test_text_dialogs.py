@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QApplication
 from small_press import write_press
 from window_driver import Driver
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
@@ -30,7 +30,7 @@ def test_information_is_that_of_the_command_and_names_the_sensor(
     driver.wait(lambda: bool(dialog.text.toPlainText()))
     driver.bot.mouseClick(dialog.copy, LEFT)
     first, rest = QApplication.clipboard().text().split("\n", 1)
-    assert sensor.name in first and rest == recording_info(path).to_text()
+    assert sensor.name in first and rest == info(path).to_text()
     dialog.close()
 
 

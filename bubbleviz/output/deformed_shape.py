@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.export.exporter import estimate_of, is_known
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.output.exporter import estimate_of, is_known
 from bubbleviz.result import Result
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.exporter import Exporter
-from bubbleviz.export.plot_files import write_plots
-from bubbleviz.export.ply_export import MembranePlyExporter, PatchPlyExporter
-from bubbleviz.export.png_export import DepthPngExporter, PressurePngExporter
-from bubbleviz.export.table_export import TableExporter, require_parquet, write_csv, write_parquet
-from bubbleviz.export.vtk_export import VtkExporter
 from bubbleviz.files.output_files import refuse_existing
+from bubbleviz.output.exporter import Exporter
+from bubbleviz.output.plot_files import write_plots
+from bubbleviz.output.ply_export import MembranePlyExporter, PatchPlyExporter
+from bubbleviz.output.png_export import DepthPngExporter, PressurePngExporter
+from bubbleviz.output.table_export import TableExporter, require_parquet, write_csv, write_parquet
+from bubbleviz.output.vtk_export import VtkExporter
 from bubbleviz.pipeline import Pipeline
 
 _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
@@ -47,13 +47,16 @@ class ExportPlan:
         Of `KINDS`.
     is_folder : bool
     poses : dict
-        Pose columns for the table by frame index, see `bubbleviz.export.pose_columns`.
+        Pose columns for the table by frame index, see `bubbleviz.output.pose_columns`.
+    overwrite : bool
+        Replace what is at `out`.
     """
 
     out: Path
     kinds: tuple[str, ...]
     is_folder: bool
     poses: dict[int, dict[str, Any]] = field(default_factory=dict)
+    overwrite: bool = False
 
     @classmethod
     def of(
@@ -61,6 +64,8 @@ class ExportPlan:
         out: str | Path,
         what: Sequence[str] = (),
         poses: dict[int, dict[str, Any]] | None = None,
+        *,
+        overwrite: bool = False,
     ) -> ExportPlan:
         """Plan for an output path; a suffix of one file says what it holds.
 
@@ -70,8 +75,8 @@ class ExportPlan:
             Unknown kinds, kinds that the suffix cannot hold, or `out` cannot be made.
         """
         out, kinds = Path(out), _kinds(what)
-        refuse_existing(out)
-        plan = cls(out, kinds, True, poses or {})
+        refuse_existing(out, overwrite=overwrite)
+        plan = cls(out, kinds, True, poses or {}, overwrite)
         if out.suffix.lower() in _FILES:
             kind = _FILES[out.suffix.lower()][0]
             if kinds not in ((), (kind,)):
@@ -79,7 +84,7 @@ class ExportPlan:
                     f"{out}: a {out.suffix} file holds {kind}, not {', '.join(kinds)}; give a "
                     "name without suffix for a folder"
                 )
-            plan = cls(out, (kind,), False, poses or {})
+            plan = replace(plan, kinds=(kind,), is_folder=False)
         elif out.suffix.lower() == ".mp4":
             raise InputError(f"{out}: a video of the view is written by the window; open it there")
         elif out.suffix.lower() in _SERIES_SUFFIXES:

@@ -9,9 +9,9 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.export.exporter import estimate_of, is_known
-from bubbleviz.export.nodal_image import nodal_at
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.output.exporter import estimate_of, is_known
+from bubbleviz.output.nodal_image import nodal_at
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.export.deformed_shape import Shape
-from bubbleviz.export.exporter import estimate_of, is_known
-from bubbleviz.export.nodal_image import nodal_at
 from bubbleviz.files.ply_writer import write_ply
 from bubbleviz.frames.frame import Frame
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.output.deformed_shape import Shape
+from bubbleviz.output.exporter import estimate_of, is_known
+from bubbleviz.output.nodal_image import nodal_at
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bubbleviz.export.deformed_shape import Shape
-from bubbleviz.export.vtp_writer import write_pvd, write_series, write_vtp
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.output.deformed_shape import Shape
+from bubbleviz.output.vtp_writer import write_pvd, write_series, write_vtp
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 
