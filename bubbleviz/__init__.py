@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from bubbleviz.api.exporting import convert, export
     from bubbleviz.api.frames import info, open
     from bubbleviz.api.identifying import identify
+    from bubbleviz.api.recording import publish, record
     from bubbleviz.api.simulating import simulate
-    from bubbleviz.api.streaming import publish, record, watch
+    from bubbleviz.api.watching import watch
     from bubbleviz.errors import InputError
     from bubbleviz.sensor import load_sensor, save_sensor
 
@@ -38,13 +39,13 @@ _PLACES = {
     "info": "api.frames",
     "load_sensor": "sensor",
     "open": "api.frames",
-    "publish": "api.streaming",
-    "record": "api.streaming",
+    "publish": "api.recording",
+    "record": "api.recording",
     "register": "api.estimating",
     "save_sensor": "sensor",
     "simulate": "api.simulating",
     "track": "api.estimating",
-    "watch": "api.streaming",
+    "watch": "api.watching",
 }
 __all__ = [
     "InputError",

@@ -51,53 +51,25 @@ other."""
 
 @dataclass(frozen=True)
 class Row:
-    """One recording in the summary table; NaN and -1 for what is not known.
+    """One recording in the summary table; NaN and -1 for what is not known."""
 
-    Attributes
-    ----------
-    recording : str
-        Path below the batch's folder.
-    outcome : Outcome
-    frames, contact_frames, untrusted_frames : int
-        All; with a contact patch; with a status other than `ok` and `no_contact`.
-    max_force_n, mean_contact_force_n : float
-        |force| over the frames about which something is known, and over those with a patch.
-    mean_contact_measured_force_n : float
-        |force| of the recording's wrench over the latter, its contact-free bias taken away.
-    median_residual_rms_m : float
-    median_ms : float
-        Depth image in → patch out, first frame left out.
-    worst_frame : int
-        The first frame that is not to be trusted or, when all are, that of the largest residual.
-    worst_status : str
-    worst_residual_rms_m : float
-    sensor : str
-    error : str
-        One sentence; empty when there is a result.
-    note : str
-        What is missing of the recording, such as its end, or does not fit the sensor file; empty
-        when nothing is.
-    kappa : float or None
-        None where the rule of the patch is automatic.
-    """
-
-    recording: str
+    recording: str  # path below the batch's folder
     outcome: Outcome
     frames: int = 0
-    contact_frames: int = 0
-    untrusted_frames: int = 0
-    max_force_n: float = _NAN
-    mean_contact_force_n: float = _NAN
-    mean_contact_measured_force_n: float = _NAN
+    contact_frames: int = 0  # with a contact patch
+    untrusted_frames: int = 0  # neither `ok` nor `no_contact`
+    max_force_n: float = _NAN  # over the frames about which something is known
+    mean_contact_force_n: float = _NAN  # over those of them with a patch
+    mean_contact_measured_force_n: float = _NAN  # by the wrench, less its contact-free bias
     median_residual_rms_m: float = _NAN
-    median_ms: float = _NAN
-    worst_frame: int = -1
+    median_ms: float = _NAN  # depth image in → patch out, first frame left out
+    worst_frame: int = -1  # the first not to be trusted, else that of the largest residual
     worst_status: str = ""
     worst_residual_rms_m: float = _NAN
     sensor: str = ""
-    error: str = ""
-    note: str = ""
-    kappa: float | None = None
+    error: str = ""  # one sentence; empty when there is a result
+    note: str = ""  # what is missing of the recording, or does not fit the sensor file
+    kappa: float | None = None  # None where the rule of the patch is automatic
 
     @property
     def has_result(self) -> bool:
@@ -166,18 +138,10 @@ class Row:
 
 @dataclass(frozen=True)
 class BatchSummary(Summary):
-    """Summary of a batch.
+    """Summary of a batch."""
 
-    Attributes
-    ----------
-    table : str
-        Path of the CSV file.
-    rows : list of Row
-        In the order of the recordings' paths.
-    """
-
-    table: str
-    rows: list[Row]
+    table: str  # path of the CSV file
+    rows: list[Row]  # in the order of the recordings' paths
 
     def to_json(self) -> str:
         """JSON object with the attributes as keys, SI units but for ms; null for NaN."""
@@ -218,30 +182,14 @@ class BatchSummary(Summary):
 
 @dataclass(frozen=True)
 class Job:
-    """A recording to estimate.
+    """A recording to estimate."""
 
-    Attributes
-    ----------
-    name : str
-        Path of the recording below the batch's folder.
-    recording : str
-        Where it is.
-    out : str
-        Folder of its result.
-    sensor : str
-        File or preset; `auto` for the preset that fits.
-    options : dict
-        Of `estimate`, and `frames` of `open`.
-    keep : bool
-        Whether a result of the same recording and settings counts.
-    """
-
-    name: str
-    recording: str
-    out: str
-    sensor: str
-    options: dict[str, Any]
-    keep: bool = True
+    name: str  # path below the batch's folder
+    recording: str  # where it is
+    out: str  # folder of its result
+    sensor: str  # file, preset or `auto`
+    options: dict[str, Any]  # of `estimate`, and `frames` of `open`
+    keep: bool = True  # a result of the same recording and settings counts
 
 
 def batch(

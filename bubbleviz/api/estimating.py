@@ -156,7 +156,7 @@ def estimate(
     """
     options = patch_options(kappa)
     if not isinstance(frames, Frame | Sequence):
-        from bubbleviz.api.connecting import Watcher  # opens networks and cameras
+        from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
         own = with_colour_delay(frames.sensor_or(sensor), colour_delay_s)
         how: dict[str, Any] = {
@@ -296,7 +296,7 @@ def track(
     start = parse_pose(init) if isinstance(init, str) else init
     obj = load_object(object, unit)
     if not isinstance(frames, Sequence):
-        from bubbleviz.api.connecting import Watcher  # opens networks and cameras
+        from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
         own = frames.sensor_or(sensor)
         how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}

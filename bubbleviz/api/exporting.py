@@ -37,26 +37,14 @@ from bubbleviz.wording import count_of
 
 @dataclass(frozen=True)
 class ExportSummary(Summary):
-    """Summary of an export.
-
-    Attributes
-    ----------
-    out : str
-    kinds : tuple of str
-    frames, files : int
-        How many were read, and written.
-    stages : dict
-        How often each stage of the pipeline ran; a stage that no kind needs is not there.
-    warning : str or None
-        What is missing of the recording.
-    """
+    """Summary of an export."""
 
     out: str
     kinds: tuple[str, ...]
     frames: int
     files: int
-    stages: Mapping[str, int]
-    warning: str | None = None
+    stages: Mapping[str, int]  # how often each stage ran; one that no kind needs is not there
+    warning: str | None = None  # what is missing of the recording
 
     def to_text(self) -> str:
         """Text for the terminal."""
@@ -126,21 +114,8 @@ def export_frames(
 ) -> ExportSummary:
     """Run the stages that the plan's kinds need on some frames, and write the files.
 
-    Parameters
-    ----------
-    frames : Frames
-    pipeline : Pipeline
-        For this export alone: it warm-starts from frame to frame.
-    options : FrameOptions
-    plan : ExportPlan
-    progress : Progress
-
-    Raises
-    ------
-    InputError
-        `plan.out` exists or cannot be written, or a frame cannot be read; nothing is left then.
-    Cancelled
-        By `progress`; nothing is left then.
+    The pipeline is for this export alone: it warm-starts from frame to frame. Nothing is left
+    behind where an InputError or `Cancelled` ends it.
     """
     with whole_file(plan.out, overwrite=plan.overwrite) as temporary:
         if plan.is_folder:
@@ -159,16 +134,7 @@ def export_frames(
 
 @dataclass(frozen=True)
 class ConvertSummary(Summary):
-    """Summary of a conversion.
-
-    Attributes
-    ----------
-    out : str
-    frames : int
-    duration_s : float
-    width, height : int
-    has_intrinsics, has_gas_pressure, has_wrench, has_colour : bool
-    """
+    """Summary of a conversion."""
 
     out: str
     frames: int

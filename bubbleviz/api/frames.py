@@ -169,16 +169,9 @@ def open(
 
 
 def parse_frames(text: str | None, count: int, name: str, option: str = "--frames") -> range:
-    """Frames of `A:B` or `A:B:STEP` with B left out, as Python slices; all when None.
+    """Frames of `A:B` or `A:B:STEP` with B left out, of so many; all when None.
 
-    Parameters
-    ----------
-    text : str or None
-        A, B or both may be empty: the first, and the last, frame.
-    count : int
-        Number of frames there are.
-    name, option : str
-        Recording and option to name in an error.
+    A, B or both may be empty: the first, and the last, frame. Errors name recording and option.
     """
     if text is None:
         return range(count)
@@ -201,38 +194,19 @@ def parse_frames(text: str | None, count: int, name: str, option: str = "--frame
 
 @dataclass(frozen=True)
 class ColourInfo:
-    """Facts of the colour images of a recording.
-
-    Attributes
-    ----------
-    topic, encoding : str
-    images : int
-    rate_hz : float or None
-        One over the median period; None for fewer than two images.
-    width, height : int
-        Pixels.
-    intrinsics : Intrinsics or None
-    T_D_C : list of list of float
-        Pose of the colour camera in the depth camera, (4, 4).
-    remark : str
-        What of its camera was not recorded and is taken for granted.
-    lag : TemporalLag or None
-        Delay of the images that is seen; None where it was not asked for or is not seen.
-    no_lag : str
-        Why it is not seen; empty where it is, or was not asked for.
-    """
+    """Facts of the colour images of a recording."""
 
     topic: str
     encoding: str
     images: int
-    rate_hz: float | None
+    rate_hz: float | None  # one over the median period; None for fewer than two
     width: int
     height: int
     intrinsics: Intrinsics | None
-    T_D_C: list[list[float]]
-    remark: str
-    lag: TemporalLag | None = None
-    no_lag: str = ""
+    T_D_C: list[list[float]]  # pose of the colour camera in the depth camera, (4, 4)
+    remark: str  # what of its camera was not recorded and is taken for granted
+    lag: TemporalLag | None = None  # delay of the images, where it was asked for and is seen
+    no_lag: str = ""  # why it is not seen, where it was asked for
 
     @classmethod
     def of(cls, recording: Recording, *, lag: bool) -> ColourInfo | None:
@@ -276,55 +250,25 @@ class ColourInfo:
 
 @dataclass(frozen=True)
 class RecordingInfo(Summary):
-    """Facts of a recording.
-
-    Attributes
-    ----------
-    path : str
-    topics : tuple of Topic
-    depth_topic, encoding : str
-        Topic and encoding of the depth images.
-    frames : int
-        Number of depth images.
-    duration_s : float
-        Time from the first to the last frame, s.
-    rate_hz : float or None
-        One over the median frame period; None for fewer than two frames.
-    size_bytes : int
-        Size of the files.
-    width, height : int
-        Image size, pixels.
-    gaps : int
-        Number of missing frames.
-    gap_positions : tuple of Gap
-        Where they are missing.
-    intrinsics : Intrinsics or None
-    gas_pressure_pa : (float, float) or None
-        Lowest and highest recorded gas pressure, absolute, Pa.
-    wrench : bool
-        Whether a wrench was recorded.
-    colour : ColourInfo or None
-    note : str
-        What is missing of the recording, in words; empty when it is whole.
-    """
+    """Facts of a recording."""
 
     path: str
     topics: tuple[Topic, ...]
-    depth_topic: str
+    depth_topic: str  # of the depth images, as `encoding` and `frames`
     encoding: str
     frames: int
-    duration_s: float
-    rate_hz: float | None
+    duration_s: float  # from the first to the last frame
+    rate_hz: float | None  # one over the median period; None for fewer than two frames
     size_bytes: int
     width: int
     height: int
-    gaps: int
-    gap_positions: tuple[Gap, ...]
+    gaps: int  # missing frames
+    gap_positions: tuple[Gap, ...]  # where they are missing
     intrinsics: Intrinsics | None
-    gas_pressure_pa: tuple[float, float] | None
+    gas_pressure_pa: tuple[float, float] | None  # lowest and highest, absolute
     wrench: bool
     colour: ColourInfo | None
-    note: str = ""
+    note: str = ""  # what is missing of the recording, in words; empty when it is whole
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

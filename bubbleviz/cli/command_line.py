@@ -12,8 +12,8 @@ from typing import Any, NoReturn
 import click
 
 import bubbleviz
+from bubbleviz.cli import verb_commands
 from bubbleviz.cli.study_commands import study
-from bubbleviz.cli.verb_commands import COMMANDS
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.wording import how_to_install
 
@@ -130,5 +130,6 @@ def main(context: click.Context, fresh: bool) -> Any:
     return context.invoke(window, fresh=fresh)
 
 
-for command in (*COMMANDS, study):
-    main.add_command(command)
+for command in (*vars(verb_commands).values(), study):
+    if isinstance(command, click.Command):
+        main.add_command(command)

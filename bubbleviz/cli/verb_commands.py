@@ -5,6 +5,7 @@ An option has the name of the function's parameter, without the unit where that 
 
 from __future__ import annotations
 
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,8 @@ from bubbleviz.cli.shared_options import (
     zero_gas_option,
 )
 
+option = click.option
+_number = partial(click.option, type=float, default=0.0)
 _recording = click.argument("recording", metavar="REC", type=PATH)
 _simulated = click.option(
     "--sensor", default="auto", help="Sensor that synthetic: simulates; auto: the built-in one."
@@ -41,7 +44,7 @@ _simulated = click.option(
 
 @click.command()
 @_recording
-@click.option("--lag", is_flag=True, help="Tell the delay of the colour images that is seen.")
+@option("--lag", is_flag=True, help="Tell the delay of the colour images that is seen.")
 @json_option
 def info(recording: Path, lag: bool, as_json: bool) -> None:
     """Show topics, frames, rate, duration, size and gaps of a recording."""
@@ -49,43 +52,33 @@ def info(recording: Path, lag: bool, as_json: bool) -> None:
 
 
 @click.command()
-@click.option(
-    "--sensor", required=True, help="Sensor file or preset; no images tell which to simulate."
-)
-@click.option("--object", required=True, help="Object mesh or preset.")
-@click.option("--pose", help='T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
-@click.option("--path", "path_file", type=PATH, help="CSV of poses instead.")
-@click.option("--frames", type=click.IntRange(1), default=1, help="Frames at --pose.")
-@click.option(
+@option("--sensor", required=True, help="Sensor file or preset; no images tell which to simulate.")
+@option("--object", required=True, help="Object mesh or preset.")
+@option("--pose", help='T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
+@option("--path", "path_file", type=PATH, help="CSV of poses instead.")
+@option("--frames", type=click.IntRange(1), default=1, help="Frames at --pose.")
+@option(
     "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames a second."
 )
-@click.option("--noise-sigma", "noise_sigma_m", type=float, default=0.0, help="σ of range, m.")
-@click.option("--noise-relative", type=float, default=0.0, help="σ of range over range.")
-@click.option(
-    "--noise-correlation",
-    "noise_correlation_px",
-    type=float,
-    default=0.0,
-    help="1/e distance of noise, pixels.",
-)
-@click.option("--holes", type=float, default=0.0, help="Fraction of pixels without a return.")
-@click.option("--outliers", type=float, default=0.0, help="Fraction of pixels far off.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
-@click.option(
+@_number("--noise-sigma", "noise_sigma_m", help="σ of range, m.")
+@_number("--noise-relative", help="σ of range over range.")
+@_number("--noise-correlation", "noise_correlation_px", help="1/e distance of noise, pixels.")
+@_number("--holes", help="Fraction of pixels without a return.")
+@_number("--outliers", help="Fraction of pixels far off.")
+@option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
+@option(
     "--model",
     type=click.Choice(["rubber", "linear"]),
     help="The exact membrane (default where the sensor has a prestretch), or the linear one.",
 )
-@click.option("--friction", metavar="MU", type=float, default=0.0, help="Coulomb's coefficient.")
-@click.option("--drag-m", metavar="M", type=float, default=0.0, help="Then along x of B, m.")
-@click.option(
-    "--twist-rad", metavar="RAD", type=float, default=0.0, help="Then about its z axis, rad."
-)
-@former("--drag", "drag_mm", type=float, default=0.0)
-@former("--twist", "twist_deg", type=float, default=0.0)
-@click.option("--texture", is_flag=True, help="Print a speckle on the membrane: colour images.")
+@_number("--friction", metavar="MU", help="Coulomb's coefficient.")
+@_number("--drag-m", metavar="M", help="Then along x of B, m.")
+@_number("--twist-rad", metavar="RAD", help="Then about its z axis, rad.")
+@_number("--drag", "drag_mm", hidden=True)
+@_number("--twist", "twist_deg", hidden=True)
+@option("--texture", is_flag=True, help="Print a speckle on the membrane: colour images.")
 @out_option("REC.mcap.")
-@click.option("--truth", type=PATH, help="TRUTH.npz.")
+@option("--truth", type=PATH, help="TRUTH.npz.")
 def simulate(
     sensor: str,
     object: str,
@@ -118,7 +111,7 @@ def simulate(
 @solver_option
 @frames_option
 @out_option("RESULT.npz.")
-@click.option("--csv", type=PATH, help="RESULT.csv.")
+@option("--csv", type=PATH, help="RESULT.csv.")
 @zero_gas_option
 @former("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
@@ -139,14 +132,14 @@ def estimate(
 @click.command()
 @_recording
 @sensor_option
-@click.option("--object", required=True, help="Object mesh or preset.")
-@click.option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
-@click.option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
+@option("--object", required=True, help="Object mesh or preset.")
+@option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
+@option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
 @solver_option
 @friction_option
 @zero_gas_option
 @frames_option
-@click.option(
+@option(
     "--object-patch", is_flag=True, help="The contact patch by the object's surface, too: its area."
 )
 @out_option("POSES.csv.")
@@ -165,14 +158,14 @@ def pose(
 @_recording
 @sensor_option
 @out_option("TABLE.csv, TABLE.parquet, PLOTS.png (or .svg, .pdf), or a new folder for --what.")
-@click.option(
+@option(
     "--what",
     default="",
     help="Into a folder, with commas: table, parquet, plots, vtk (ParaView), ply, patch (points "
     "with pressure), depth, pressure (pictures; png for both).",
 )
 @frames_option
-@click.option("--poses", type=PATH, help="POSES.csv to join to the table.")
+@option("--poses", type=PATH, help="POSES.csv to join to the table.")
 @kappa_option
 @solver_option
 @friction_option
@@ -193,27 +186,27 @@ def export(
 @click.command()
 @click.argument("source", metavar="IN", type=PATH)
 @click.argument("out", metavar="OUT.mcap", type=PATH)
-@click.option(
+@option(
     "--intrinsics",
     type=PATH,
     help="TOML or JSON with width, height, fx, fy, cx, cy, distortion_model and distortion, or a "
     "sensor file; by default intrinsics.toml or .json in the folder.",
 )
-@click.option("--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), help="Images a second.")
-@click.option(
+@option("--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), help="Images a second.")
+@option(
     "--times",
     type=PATH,
     help="CSV with a time in s for each image; by default times.csv in the folder, or the names.",
 )
-@click.option("--gas-pressure", type=PATH, help="CSV of time in s and absolute gas pressure in Pa.")
+@option("--gas-pressure", type=PATH, help="CSV of time in s and absolute gas pressure in Pa.")
 @former("--pressure", "gas_pressure", type=PATH)
-@click.option("--wrench", type=PATH, help="CSV of time in s, forces x y z in N, torques in N·m.")
-@click.option(
+@option("--wrench", type=PATH, help="CSV of time in s, forces x y z in N, torques in N·m.")
+@option(
     "--metres-per-unit",
     type=click.FloatRange(0.0, min_open=True),
     help="Of the images' values; 0.001 for whole numbers, 1 for others by default.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace what exists.")
+@option("--overwrite", is_flag=True, help="Replace what exists.")
 @json_option
 def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
     """Make a recording of a folder of depth images, a ROS 1 .bag or a rosbag2 .db3.
@@ -228,39 +221,39 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
 
 @click.command()
 @_recording
-@click.option(
+@option(
     "--sensor", required=True, help="Sensor file or preset to start from; images do not tell it."
 )
-@click.option("--contact-free", metavar="A:B", help="Frames A to B−1; found where not given.")
+@option("--contact-free", metavar="A:B", help="Frames A to B−1; found where not given.")
 @out_option("SENSOR.toml.")
-@click.option("--report", "report_folder", type=PATH, help="New folder for HTML and JSON.")
-@click.option(
+@option("--report", "report_folder", type=PATH, help="New folder for HTML and JSON.")
+@option(
     "--surface",
     type=click.Choice(["sphere", "ellipsoid", "free-form"]),
     help="In place of the data's choice.",
 )
-@click.option("--nodes", type=click.IntRange(30, 20_000), default=1000, help="Of the mesh.")
-@click.option(
+@option("--nodes", type=click.IntRange(30, 20_000), default=1000, help="Of the mesh.")
+@option(
     "--level",
     "levels",
     multiple=True,
     type=PATH,
     help="Recording of the untouched sensor at another inflation level; several rectify better.",
 )
-@click.option(
+@option(
     "--vented",
     type=PATH,
     help="Recording of the open chamber: its gas pressure is the atmospheric one.",
 )
-@click.option(
+@option(
     "--held-press/--no-held-press",
     default=True,
     help="Let a held press in REC tell λ and gauge pressure where no level does (default).",
 )
 @former("--press/--no-press", "held_press", default=True)
-@click.option("--object", help="Known object in REC to validate by: mesh file or preset.")
-@click.option("--pose", help='Its T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
-@click.option("--pressed", metavar="A:B", help="Frames A to B−1 in which it is held still.")
+@option("--object", help="Known object in REC to validate by: mesh file or preset.")
+@option("--pose", help='Its T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
+@option("--pressed", metavar="A:B", help="Frames A to B−1 in which it is held still.")
 @json_option
 def identify(
     recording: Path, sensor: str, report_folder: Path | None, as_json: bool, **options: Any
@@ -279,9 +272,9 @@ def identify(
 @click.argument("folder", metavar="FOLDER", type=PATH)
 @sensor_option
 @out_option("New folder.")
-@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes; one a processor if left.")
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.5:8786.")
-@click.option("--resume", is_flag=True, help="Go on in OUT; keep what is up to date.")
+@option("--jobs", type=click.IntRange(1, 1024), help="Processes; one a processor if left.")
+@option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.5:8786.")
+@option("--resume", is_flag=True, help="Go on in OUT; keep what is up to date.")
 @kappa_option
 @solver_option
 @friction_option
@@ -323,7 +316,7 @@ def record(source: str, out: Path, as_json: bool, **options: Any) -> None:
 @out_option("Record messages and results.", required=False)
 @duration_option
 @solver_option
-@click.option("--object", help="Object to track: a mesh or a preset.")
+@option("--object", help="Object to track: a mesh or a preset.")
 @zero_gas_option
 @former("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
@@ -342,10 +335,10 @@ def watch(source: str, sensor: str, as_json: bool, **options: Any) -> None:
 @click.command()
 @source_option
 @publish_options
-@click.option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
-@click.option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
+@option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
+@option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
 @duration_option
-@click.option("--wait", is_flag=True, help="Start when somebody subscribes.")
+@option("--wait", is_flag=True, help="Start when somebody subscribes.")
 @_simulated
 @json_option
 def publish(source: str, as_json: bool, **options: Any) -> None:
@@ -359,18 +352,3 @@ def publish(source: str, as_json: bool, **options: Any) -> None:
 def _check_shear(options: dict[str, Any]) -> None:
     if options["colour_delay_s"] is not None and not options["shear"]:
         raise click.UsageError("--colour-delay is of the images that --shear takes; give it, too")
-
-
-COMMANDS = (
-    batch,
-    convert,
-    estimate,
-    export,
-    identify,
-    info,
-    pose,
-    publish,
-    record,
-    simulate,
-    watch,
-)

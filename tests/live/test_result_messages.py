@@ -13,7 +13,7 @@ from wire import CLOUD, STORE, WRENCH
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
-from bubbleviz.api.connecting import PRODUCTS, Watcher
+from bubbleviz.api.watching import PRODUCTS, Watcher
 from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame

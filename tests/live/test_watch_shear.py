@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
-from bubbleviz.api.connecting import Watcher
+from bubbleviz.api.watching import Watcher
 from bubbleviz.calibration.rest.contact_free import LAG
 from bubbleviz.cli.command_line import main
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
