@@ -5,8 +5,6 @@ from __future__ import annotations
 import socket
 import sys
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ from bubbleviz.processes.dask_cluster import check_cluster
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
+def address():
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
@@ -32,9 +30,7 @@ def address() -> Iterator[str]:
 
 
 @pytest.mark.long
-def test_results_are_those_of_this_process(
-    address: str, recordings: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_results_are_those_of_this_process(address, recordings, sensor, tmp_path):
     assert address.startswith("tcp://127.0.0.1:")
     (recordings / "bad.mcap").write_bytes(b"no recording")
     out = tmp_path / "out"
@@ -56,12 +52,12 @@ def test_results_are_those_of_this_process(
 
 
 @pytest.fixture
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+def _impatient(monkeypatch):
     monkeypatch.setattr(dask_cluster, "TIMEOUT_S", 1.0)
 
 
 @pytest.mark.usefixtures("_impatient")
-def test_no_scheduler_there(recordings: Path, sensor: Path, tmp_path: Path) -> None:
+def test_no_scheduler_there(recordings, sensor, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
@@ -70,7 +66,7 @@ def test_no_scheduler_there(recordings: Path, sensor: Path, tmp_path: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
-def test_a_server_that_is_no_scheduler() -> None:
+def test_a_server_that_is_no_scheduler():
     with socket.create_server(("127.0.0.1", 0)) as server:
         threading.Thread(target=_talk, args=(server,), daemon=True).start()
         with pytest.raises(InputError, match="no Dask scheduler answers"):
@@ -78,18 +74,18 @@ def test_a_server_that_is_no_scheduler() -> None:
 
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1", "foo://x:1"])
-def test_no_address(address: str) -> None:
+def test_no_address(address):
     with pytest.raises(InputError, match=f"--scheduler {address}: no Dask scheduler answers"):
         check_cluster(address)
 
 
-def test_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)  # what a missing module looks like
     with pytest.raises(InputError, match=r"pip install .*\[cluster\]"):
         check_cluster("tcp://127.0.0.1:8786")
 
 
-def _talk(server: socket.socket) -> None:
+def _talk(server):
     """Something else listens there, such as a web server."""
     while True:
         try:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
@@ -16,20 +13,20 @@ from bubbleviz.cli.command_line import main
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sensor(tmp_path_factory):
     return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
 
 
 @pytest.fixture(scope="module")
-def press(sensor: Path) -> Path:
+def press(sensor):
     return write_press(sensor.with_name("press.mcap"), sensor, (0.060, 0.043))
 
 
-def run(*words: object) -> Result:
+def run(*words):
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
-def command(name: str) -> click.Command:
+def command(name):
     found = main.get_command(click.Context(main), name)
     assert found is not None
     return found
@@ -47,10 +44,8 @@ def command(name: str) -> click.Command:
         ("convert", "a b", "--pressure p", "--gas-pressure p"),
     ],
 )
-def test_a_former_name_does_the_same_and_is_not_shown(
-    name: str, needed: str, former: str, present: str
-) -> None:
-    def params(option: str) -> dict[str, Any]:
+def test_a_former_name_does_the_same_and_is_not_shown(name, needed, former, present):
+    def params(option):
         return command(name).make_context(name, [*needed.split(), *option.split()]).params
 
     assert params(former) == params(present)
@@ -59,11 +54,11 @@ def test_a_former_name_does_the_same_and_is_not_shown(
     assert present.split()[0] in shown and f"{former.split()[0]} " not in shown
 
 
-def test_the_command_pose_has_the_name_of_the_function_too() -> None:
+def test_the_command_pose_has_the_name_of_the_function_too():
     assert command("track") is command("pose")
 
 
-def test_millimetres_and_degrees_are_taken_as_before(sensor: Path, tmp_path: Path) -> None:
+def test_millimetres_and_degrees_are_taken_as_before(sensor, tmp_path):
     words = ("simulate", "--sensor", sensor, "--object", "sphere", "--pose", "0 0 0.045 0 0 0 1",
              "--frames", 10)  # fmt: skip
     paths = []
@@ -95,9 +90,7 @@ def test_millimetres_and_degrees_are_taken_as_before(sensor: Path, tmp_path: Pat
         ("batch FOLDER --sensor S --jobs 1", "results"),
     ],
 )
-def test_what_exists_is_replaced_only_when_that_is_asked_for(
-    words: str, out: str, press: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_what_exists_is_replaced_only_when_that_is_asked_for(words, out, press, sensor, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.mcap").write_bytes(press.read_bytes())
     given = {"REC": press, "S": sensor, "CSV": tmp_path / "more.csv", "FOLDER": tmp_path / "in"}
@@ -113,7 +106,7 @@ def test_what_exists_is_replaced_only_when_that_is_asked_for(
     assert sorted(path.name for path in tmp_path.rglob("*")) == names
 
 
-def test_a_failure_leaves_what_would_have_been_replaced(sensor: Path, tmp_path: Path) -> None:
+def test_a_failure_leaves_what_would_have_been_replaced(sensor, tmp_path):
     for name in ("rec.mcap", "new.npz", "mine.toml"):
         (tmp_path / name).write_text("precious")
     for words in (
@@ -125,9 +118,7 @@ def test_a_failure_leaves_what_would_have_been_replaced(sensor: Path, tmp_path: 
     assert {path.read_text() for path in tmp_path.iterdir()} == {"precious"}
 
 
-def test_a_folder_with_the_files_of_others_is_not_replaced(
-    press: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_a_folder_with_the_files_of_others_is_not_replaced(press, sensor, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     done = run("export", press, "--sensor", sensor, "--what", "ply", "--out", tmp_path,
                "--overwrite")  # fmt: skip
@@ -135,7 +126,7 @@ def test_a_folder_with_the_files_of_others_is_not_replaced(
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_python_writes_over_what_is_there_too(press: Path, sensor: Path, tmp_path: Path) -> None:
+def test_python_writes_over_what_is_there_too(press, sensor, tmp_path):
     rest = bv.simulate(sensor, "cylinder", "0 0 0.08 0 0 0 1", frames=20, noise_relative=0.002)
     out, report = tmp_path / "mine.toml", tmp_path / "report"
     how = {"nodes": 200, "contact_free": "0:20", "report": report}
@@ -157,9 +148,7 @@ def test_python_writes_over_what_is_there_too(press: Path, sensor: Path, tmp_pat
         np.testing.assert_array_equal(file["force_n"], run_of.force_n)
 
 
-def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(
-    press: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path):
     run_of = bv.estimate(bv.open(press), sensor, out=tmp_path / "r.npz")
     kept = bv.estimate(bv.open(press), sensor)
     np.testing.assert_array_equal(run_of.force_n, kept.force_n)
