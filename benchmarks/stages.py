@@ -25,7 +25,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.membrane.symmetric_lu import symmetric_lu
-from bubbleviz.output.vtk_export import VtkExporter
+from bubbleviz.output.series import VtkSeries
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import load_object
@@ -167,7 +167,7 @@ class _Stages:
         expected = np.zeros(observer.blocks)
         ranges = observer.pixel_residuals(free.depth_m)
         line = RangeLine(1.0 + 0.1 * ranges, ranges, ranges - 0.01, ranges + 0.01, 2)
-        exporter = VtkExporter(self._folder, "frame", self._model.mesh)
+        exporter = VtkSeries(self._folder, "frame", self._model)
         tracker = exact.pipeline.tracker
         assert tracker is not None
         return {

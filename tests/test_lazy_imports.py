@@ -81,7 +81,7 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need() -> Non
     )
     unneeded = (
         "bubbleviz.api.exporting",
-        "bubbleviz.output.vtk_export",
+        "bubbleviz.output.series",
         "bubbleviz_ui.importing.import_dialog",
         "bubbleviz_ui.shell.text_dialogs",
         "matplotlib.figure",

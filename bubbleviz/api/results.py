@@ -29,7 +29,7 @@ from bubbleviz.files.result_writer import (
     summary_row,
 )
 from bubbleviz.files.tables import write_rows
-from bubbleviz.output.deformed_shape import Shape
+from bubbleviz.output.exporter import Shape
 from bubbleviz.output.plot_files import DPI, SIZE_IN, draw_plots
 from bubbleviz.output.pose_columns import pose_columns
 from bubbleviz.output.table_export import Table, more_columns, table_of

@@ -11,10 +11,8 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.output.exporter import Exporter
 from bubbleviz.output.plot_files import write_plots
-from bubbleviz.output.ply_export import MembranePlyExporter, PatchPlyExporter
-from bubbleviz.output.png_export import DepthPngExporter, PressurePngExporter
+from bubbleviz.output.series import SERIES
 from bubbleviz.output.table_export import TableExporter, require_parquet, write_csv, write_parquet
-from bubbleviz.output.vtk_export import VtkExporter
 from bubbleviz.pipeline import Pipeline
 
 _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
@@ -29,9 +27,8 @@ _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
 _IN_A_FOLDER = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
 """Suffix of the file of such a kind in a folder with others."""
 
-_SERIES = ("vtk", "ply", "patch", "depth", "pressure")
 _SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
-KINDS = ("table", "parquet", "plots", *_SERIES)
+KINDS = ("table", "parquet", "plots", *SERIES)
 _SEVERAL = {"png": ("depth", "pressure")}
 
 
@@ -116,27 +113,12 @@ class ExportPlan:
             if kind in _IN_A_FOLDER:
                 made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}", pipeline))
             else:
-                made.append(_series(kind, at, name, pipeline))
+                made.append(SERIES[kind](at, name, pipeline.model))
         return made
 
     def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
         write, sensor = _FILES[path.suffix.lower()][1], pipeline.model.sensor.name
         return TableExporter(path, write, sensor, self.poses or None)
-
-
-def _series(kind: str, folder: Path, name: str, pipeline: Pipeline) -> Exporter:
-    mesh = pipeline.mesh
-    if kind == "vtk":
-        return VtkExporter(folder, name, mesh)
-    if kind == "ply":
-        return MembranePlyExporter(folder, name, mesh)
-    if kind == "depth":
-        return DepthPngExporter(folder, name, pipeline.camera, mesh)
-    model = pipeline.model
-    if kind == "patch":
-        return PatchPlyExporter(folder, name, model.view)
-    gauge_pressure_pa = model.sensor.pneumatics.gauge_pressure_pa
-    return PressurePngExporter(folder, name, model.view, gauge_pressure_pa)
 
 
 def _kinds(what: Sequence[str]) -> tuple[str, ...]:
