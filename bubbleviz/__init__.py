@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bubbleviz.api.batching import batch
     from bubbleviz.api.connecting import connect
+    from bubbleviz.api.converting import convert
     from bubbleviz.api.estimating import estimate, register, track
-    from bubbleviz.api.exporting import convert, export
+    from bubbleviz.api.exporting import export
     from bubbleviz.api.frames import info, open
     from bubbleviz.api.identifying import identify
     from bubbleviz.api.recording import publish, record
@@ -32,7 +33,7 @@ _PLACES = {
     "InputError": "errors",
     "batch": "api.batching",
     "connect": "api.connecting",
-    "convert": "api.exporting",
+    "convert": "api.converting",
     "estimate": "api.estimating",
     "export": "api.exporting",
     "identify": "api.identifying",

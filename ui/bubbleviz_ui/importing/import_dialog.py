@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.api.exporting import ConvertSummary, convert
+from bubbleviz.api.converting import ConvertSummary, convert
 from bubbleviz.files.output_files import free_name
 from bubbleviz.frames.image_folder import is_image_folder
 from bubbleviz.progress import Progress
