@@ -158,6 +158,7 @@ def estimate(
     if not isinstance(frames, Frame | Sequence):
         from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
+        _refuse_files(out, csv)
         own = with_colour_delay(frames.sensor_or(sensor), colour_delay_s)
         how: dict[str, Any] = {
             "solver": solver,
@@ -166,6 +167,8 @@ def estimate(
             "shear": shear,
         }
         return Watcher.on(frames.live, frames.uri, own, options, **how).results(timeout_s)
+    if csv is not None and out is None:
+        raise InputError(f"{csv}: is written beside RESULT.npz; give out, too")
     _check_outputs(out, csv, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
@@ -292,16 +295,17 @@ def track(
     InputError
         Something given does not exist or does not fit together, or no frame has a pose.
     """
-    _check_outputs(out, overwrite=overwrite)
     start = parse_pose(init) if isinstance(init, str) else init
     obj = load_object(object, unit)
     if not isinstance(frames, Sequence):
         from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
+        _refuse_files(out)
         own = frames.sensor_or(sensor)
         how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
         watcher = Watcher.on(frames.live, frames.uri, own, obj=obj, start=start, **how)
         return watcher.results(timeout_s)
+    _check_outputs(out, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
@@ -388,6 +392,11 @@ def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
         refuse_existing(path, overwrite=overwrite)
     if len({path.absolute() for path in given}) < len(given):
         raise InputError(f"{given[0]}: given for both --out and --csv; choose two names")
+
+
+def _refuse_files(*paths: str | Path | None) -> None:
+    for path in filter(None, paths):
+        raise InputError(f"{path}: results of a stream are written by watch(source, out=…)")
 
 
 def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 import numpy as np
 import pytest
@@ -155,3 +157,12 @@ def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, senso
     assert len(run_of) == 2 and "wrote" in run_of.to_text() and "wrote" not in kept.to_text()
     with pytest.raises(bv.InputError, match=r"r\.npz: has the frames; load it"):
         run_of[0]
+
+
+def test_files_that_would_not_be_written_are_refused(press, sensor, tmp_path):
+    with pytest.raises(bv.InputError, match=r"r\.csv: .* give out, too"):
+        bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
+    with bv.connect(f"replay:{press}", sensor) as stream:
+        for verb in (bv.estimate, partial(bv.track, object="sphere")):
+            with pytest.raises(bv.InputError, match="of a stream are written by watch"):
+                verb(stream, out=tmp_path / "r.npz")
