@@ -13,8 +13,7 @@ import numpy as np
 
 from bubbleviz.pose.object_model import ObjectModel
 
-SAMPLES = 20_000
-"""Points of the object's surface that the libraries register to."""
+SAMPLES = 20_000  # points of the object's surface that the libraries register to
 
 _ITERATIONS = 60  # at most; chosen
 

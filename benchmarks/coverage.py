@@ -42,8 +42,7 @@ RUBBERS: dict[str, Callable[[], InflatedRubber]] = {
 }
 """Sheets that were flat, and domes moulded as such; λ of 1.11 to 1.24 at γ0."""
 
-QUANTITIES = ("tension_n_per_m", "prestretch", "gauge_pressure_pa")
-"""γ0, λ and G."""
+QUANTITIES = ("tension_n_per_m", "prestretch", "gauge_pressure_pa")  # γ0, λ and G
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
@@ -23,7 +24,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import EDGE_OBJECTS, SMOOTH_OBJECTS, presses
+from bubbleviz.simulation.presses import SMOOTH_OBJECTS, presses
 from bubbleviz.simulation.rubber_truth import TRUTH_NODES
 from bubbleviz.simulation.truth_bank import Sighting, TruthBank, noise_name
 from bubbleviz.study import accuracy
@@ -42,6 +43,8 @@ from bubbleviz.study.harness import (
     summaries,
 )
 
+EDGE_OBJECTS = tuple(map(str, sorted(Path(__file__).with_name("objects").glob("*.ply"))))
+"""Made to judge the edge; no constant was chosen on them."""
 SETUPS = (accuracy.RUBBER, accuracy.Setup("rubber-base"))
 """With the finer mesh at the contact, and without."""
 THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)  # from below noise to above any press
@@ -99,7 +102,9 @@ def edge_study(sensor: Sensor, grid: EdgeGrid) -> Study:
     own = accuracy.Grid(("sensor",), truth_nodes=grid.truth_nodes, seed=grid.seed)
     membrane = accuracy.specimen("sensor", sensor, own)
     bank = TruthBank(membrane.presses, grid.seed, limit_s=grid.limit_s)
-    cases = [Case(name, partial(_rows, grid, membrane, bank, name)) for name in grid.objects]
+    cases = [
+        Case(Path(name).stem, partial(_rows, grid, membrane, bank, name)) for name in grid.objects
+    ]
     return Study("edge", EdgeRow, cases, report_of, unit="object")
 
 
@@ -127,7 +132,7 @@ def _row(
     place, shape = (edge_bound(estimator, sighting, degree) for degree in (PLACE, SHAPE))
     row = EdgeRow(
         objects="study's own" if press.object_name in EDGE_OBJECTS else "others",
-        object_name=press.object_name,
+        object_name=Path(press.object_name).stem,
         depth_m=press.depth_m,
         noise=noise_name(noise),
         setup="",

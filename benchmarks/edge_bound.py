@@ -24,8 +24,7 @@ from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.simulation.truth_bank import Sighting
 from bubbleviz.study.accuracy import at_nodes
 
-PLACE, SHAPE = 1, 3
-"""Degrees of the fields."""
+PLACE, SHAPE = 1, 3  # degrees of the fields
 _STEP_M = 1e-5  # of the derivative by the loads' places: far below an edge of the mesh
 
 
@@ -37,16 +36,12 @@ class EdgeBound:
     iou: float
 
 
-def edge_bound(estimator: RubberEstimator, sighting: Sighting, degree: int) -> EdgeBound:
-    """Bound for one press under the noise that the estimator was told.
-
-    Parameters
-    ----------
-    estimator : RubberEstimator
-    sighting : Sighting
-    degree : int
-        Of the fields, `PLACE` or `SHAPE`.
-    """
+def edge_bound(
+    estimator: RubberEstimator,
+    sighting: Sighting,
+    degree: int,  # of the fields, `PLACE` or `SHAPE`
+) -> EdgeBound:
+    """Bound for one press under the noise that the estimator was told."""
     truth, own, mesh = sighting.truth, sighting.mesh, estimator.mesh
     touching = truth.contact_pressure_pa > 0.0
     places = own.nodes[touching]

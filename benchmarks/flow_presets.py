@@ -25,8 +25,7 @@ from bubbleviz.study.harness import Case, Column, Report, Study, Table
 from tests.oracles.flow_sighting import FlowSighting, sighting
 from tests.oracles.stuck_press import ShearTruth, pressed, shear_sensor
 
-_AT_REST = 8
-"""Images without contact that each preset learns from."""
+_AT_REST = 8  # images without contact that each preset learns from
 
 
 @dataclass(frozen=True)

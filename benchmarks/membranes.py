@@ -20,7 +20,7 @@ from bubbleviz.simulation.inflated_rubber import InflatedRubber
 from bubbleviz.simulation.rubber_truth import RubberPresses
 from bubbleviz.simulation.sensor_variants import with_noise
 from bubbleviz.study import accuracy
-from tests.oracles.round_sheet import round_sheet
+from tests.oracles.round_sheet import resting, round_sheet, rubber_on
 
 GAUGE_PA = 4_000.0
 RIM_M, OVAL_M = (0.045, 0.045), (0.0557, 0.0396)
@@ -56,7 +56,7 @@ def specimen(name: str, _sensor: Sensor, grid: accuracy.Grid) -> accuracy.Specim
     shape, _, how = kind.partition(", ")
     rubber = _RUBBER[shape](float(stretch))
     camera = DepthCamera.of(rubber.sensor().camera)
-    presses = RubberPresses(camera, rubber.rest, rubber.rubber, rubber.pneumatics)
+    presses = RubberPresses(camera, rubber.rest, partial(rubber_on, rubber), rubber.pneumatics)
     if how == "identified":
         told = cache(partial(_identified, rubber, grid.seed))
         return accuracy.Specimen(name, presses, told, "identified")
@@ -81,7 +81,7 @@ def _known(rubber: InflatedRubber) -> SensorModel:
     membrane = drawn.membrane.model_copy(update={"prestretch": rubber.prestretch})
     known = {"membrane": membrane, "pneumatics": rubber.pneumatics}
     sensor = drawn.model_copy(update=known)
-    return SensorModel(sensor, DepthCamera.of(sensor.camera), rubber.resting(_NODES))
+    return SensorModel(sensor, DepthCamera.of(sensor.camera), resting(rubber, _NODES))
 
 
 def _identified(rubber: InflatedRubber, seed: int, noise: DepthNoise) -> SensorModel:

@@ -44,8 +44,7 @@ _SHEAR: frozenset[Product] = frozenset({"patch", "slip"})
 DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
 _SLIPPED_M = 1e-4
 """Way over the object that a slip is told from; chosen: noise of the texture hides less."""
-HEADING = np.array([0.894, 0.447, 0.0])
-"""Way of the drags, off the mesh's axes; chosen."""
+HEADING = np.array([0.894, 0.447, 0.0])  # way of the drags, off the mesh's axes; chosen
 
 
 @dataclass(frozen=True)

@@ -26,16 +26,12 @@ from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, s
 _STICKING, _SLIPPING = 8, 6
 """Frames in which all sticks, of which the first is what the others are compared with, and those in
 which the ring slips."""
-_STEP_M, _SLIP_M = 1e-4, 2.5e-4
-"""Of the object in a frame of either kind."""
-_RING = 0.55
-"""Of the contact's radius, from which on it slips."""
+_STEP_M, _SLIP_M = 1e-4, 2.5e-4  # of the object in a frame of either kind
+_RING = 0.55  # of the contact's radius, from which on it slips
 _FLOW_PX = 0.03
-EXACT = f"{_FLOW_PX:g} px"
-"""`SlipTrial.flow` of exact flow with noise."""
+EXACT = f"{_FLOW_PX:g} px"  # `SlipTrial.flow` of exact flow with noise
 _PRESETS: tuple[FlowPreset, ...] = ("fast", "balanced")
-_AT_REST = 8
-"""Images without contact that a preset learns from."""
+_AT_REST = 8  # images without contact that a preset learns from
 
 
 @dataclass(frozen=True)

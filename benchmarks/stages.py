@@ -40,10 +40,8 @@ from bubbleviz.study.speed import ROUND
 
 _POSES = (0, 25, 35, 45, 51, 54, 57, 60)
 """Of the moving press: one above the membrane, and the way down."""
-_WARM = 4
-"""The last of them are measured."""
-_SOURCE_NODES = 1_500
-"""Of the membrane that is pressed, whatever the estimator has."""
+_WARM = 4  # the last of them are measured
+_SOURCE_NODES = 1_500  # of the membrane that is pressed, whatever the estimator has
 _SOLVES = 5
 """Solves with the factors of the tangent that a step of the exact membrane cannot do without:
 motion to equilibrium before and after, the pull of the ranges before and after, the bulge."""

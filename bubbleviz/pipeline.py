@@ -45,13 +45,25 @@ _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
 Product = Literal[
     "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch",
     "flow", "traction", "slip", "texture",
+    "depth_image", "change_image", "residual_image", "noise_image", "used_image", "colour_image",
+    "flow_image", "kappa_curve", "components",
 ]  # fmt: skip
+
+LOOKS: dict[Product, tuple[Product, ...]] = {
+    **dict.fromkeys(("depth_image", "change_image", "noise_image", "used_image"), ()),
+    "residual_image": ("estimate",),
+    "colour_image": (),
+    "flow_image": ("estimate", "flow"),  # an estimate tells frames without contact
+    "kappa_curve": ("estimate",),
+    "components": ("estimate", "patch"),
+}
+"""Closer looks for the panels, and the products that each is made of."""
 
 SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
 """What depth and optical flow tell together."""
 OF_OBJECT: frozenset[Product] = frozenset({"pose", "object_patch"})
 """What is made where there is an object to look for."""
-OF_COLOUR: frozenset[Product] = frozenset({"flow", "traction", "slip", "texture"})
+OF_COLOUR: frozenset[Product] = frozenset({"flow", "traction", "slip", "texture", "colour_image"})
 """Products that the colour image of a frame is decoded for."""
 
 FlowOf = Callable[[Frame], "FlowField | None"]
@@ -171,7 +183,34 @@ class Pipeline:
                     result = replace(result, flow=flow.result().flow)
                 elif name in needed and self._makes(name, options):
                     result = run(name, result)
-        return replace(result, times_ms=times)
+        return self.look(replace(result, times_ms=times), products, options)
+
+    def look(
+        self,
+        result: Result,
+        products: frozenset[Product],
+        options: FrameOptions | None = None,
+        truth: np.ndarray | None = None,
+    ) -> Result:
+        """The result with those of `products` that are `LOOKS`, made of what it has.
+
+        Parameters
+        ----------
+        result : Result
+        products : frozenset of Product
+        options : FrameOptions, optional
+            Of its patch.
+        truth : (H, W) bool array, optional
+            True pixels of the patch, in a simulation.
+        """
+        looks = products & LOOKS.keys()
+        if not looks:
+            return result
+        from bubbleviz.diagnostics.inspector import inspection  # the panels alone need it
+
+        self.counts.update(f"look {name.removesuffix('_image')}" for name in looks)
+        kappa = None if options is None else options.kappa
+        return replace(result, inspection=inspection(self, result, looks, kappa, truth))
 
     def _makes(self, name: Product, options: FrameOptions) -> bool:
         """Whether there is what a product is made by, and it is wanted."""
@@ -461,8 +500,8 @@ _STAGES: dict[Product, _Stage] = {
 
 def stages(products: frozenset[Product]) -> frozenset[Product]:
     """The products that are made on the way to these, and these."""
-    required = (stages(frozenset(_STAGES[name].requires)) for name in products)
-    return products.union(*required)
+    needs = (LOOKS[name] if name in LOOKS else _STAGES[name].requires for name in products)
+    return products.union(*(stages(frozenset(some)) for some in needs))
 
 
 def _evenly(chosen: np.ndarray, most: int) -> np.ndarray:

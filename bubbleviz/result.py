@@ -12,6 +12,7 @@ from bubbleviz.frames.frame import Frame
 
 if TYPE_CHECKING:
     from bubbleviz.colour.optical_flow import FlowField
+    from bubbleviz.diagnostics.inspector import Inspection
     from bubbleviz.membrane.mesh import MembraneMesh
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
@@ -472,6 +473,8 @@ class Result:
         None also where too little of the patch sticks to tell.
     texture : Texture or None
         None also where the estimate is not to be trusted.
+    inspection : Inspection or None
+        Images, curves and parts for the panels.
     times_ms : dict
         Wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
         `flow` runs beside the others, and is not to be added to them.
@@ -489,6 +492,7 @@ class Result:
     traction: Traction | None = None
     slip: Slip | None = None
     texture: Texture | None = None
+    inspection: Inspection | None = None
     times_ms: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -41,10 +41,7 @@ def load_object(
 
     An object that is loaded already comes back as it is.
 
-    Raises
-    ------
-    InputError
-        See `object_mesh`.
+    Raises InputError: see `object_mesh`.
     """
     if isinstance(name, RigidObject):
         return name
@@ -60,21 +57,14 @@ def load_object(
 
 
 def object_mesh(
-    path: str | Path, unit: Literal["m", "mm"] | None = None
+    path: str | Path,  # PLY, OBJ, STL or VTK
+    # unit of the file; by default millimetres where the name ends in `_mm`, else metres
+    unit: Literal["m", "mm"] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) in m and triangles (m, 3) of an object's file.
 
-    Parameters
-    ----------
-    path : path
-        PLY, OBJ, STL or VTK.
-    unit : {"m", "mm"}, optional
-        Unit of the file; by default millimetres where the name ends in `_mm`, else metres.
-
-    Raises
-    ------
-    InputError
-        Unreadable, or above 1 m or below 0.5 mm in size: a unit mistaken for another.
+    Raises InputError: unreadable, or above 1 m or below 0.5 mm in size: a unit mistaken for
+    another.
     """
     path = Path(path)
     vertices, triangles = read_triangles(path)

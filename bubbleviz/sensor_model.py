@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,49 +19,29 @@ from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, referenc
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.sensor import Sensor
 
-_MAX_BLOCK = 32
-"""Largest side of a block in pixels: beyond it averaging saves no more time."""
+_MAX_BLOCK = 32  # largest side of a block in pixels: beyond it averaging saves no more time
 
 
 @dataclass(frozen=True)
 class SensorModel:
-    """What estimating, simulating and calibrating need of one sensor.
-
-    Attributes
-    ----------
-    sensor : Sensor
-    camera : DepthCamera
-        In the bubble frame B.
-    mesh : MembraneMesh
-        Reference surface.
-    pixels : PixelModel or None
-        Calibration of each pixel, where there is one.
-    """
+    """What estimating, simulating and calibrating need of one sensor."""
 
     sensor: Sensor
-    camera: DepthCamera
-    mesh: MembraneMesh
-    pixels: PixelModel | None = None
+    camera: DepthCamera  # in the bubble frame B
+    mesh: MembraneMesh  # reference surface
+    pixels: PixelModel | None = None  # calibration of each pixel, where there is one
 
     @classmethod
     def of(
-        cls, sensor: Sensor, intrinsics: Intrinsics | None = None, nodes: int | None = None
+        cls,
+        sensor: Sensor,
+        intrinsics: Intrinsics | None = None,  # of the recording; they win over the sensor file's
+        nodes: int | None = None,  # size of the mesh of an analytic dome in place of the file's
     ) -> SensorModel:
         """Build what a sensor file describes.
 
-        Parameters
-        ----------
-        sensor : Sensor
-        intrinsics : Intrinsics, optional
-            Of the recording; they win over the sensor file's.
-        nodes : int, optional
-            Size of the mesh of an analytic dome in place of the file's.
-
-        Raises
-        ------
-        InputError
-            The recording's intrinsics are for another image size than the sensor's camera, or
-            mesh or pixels cannot be read.
+        Raises InputError: the recording's intrinsics are for another image size than the sensor's
+        camera, or mesh or pixels cannot be read.
         """
         own, pixels = sensor.camera, None
         shape = own.height, own.width
@@ -95,15 +75,13 @@ class SensorModel:
         """The membrane as the camera sees it."""
         return MembraneView(self.camera, self.mesh)
 
-    def observer(self, block: int | None = None) -> RangeObserver:
-        """What range images say of the membrane, by blocks of pixels.
-
-        Parameters
-        ----------
-        block : int, optional
-            Side in pixels; half a mesh edge seen from the camera where not given, so that averaging
-            loses nothing.
-        """
+    def observer(
+        self,
+        # side in pixels; half a mesh edge seen from the camera where not given, so that averaging
+        # loses nothing
+        block: int | None = None,
+    ) -> RangeObserver:
+        """What range images say of the membrane, by blocks of pixels."""
         noise = self.sensor.camera.noise_relative
         return RangeObserver(
             self.camera, self.mesh, noise, self.pixels, block or self._block(), self.view.at_rest
@@ -114,11 +92,6 @@ class SensorModel:
         depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
         size = int(0.5 * self.mesh.edge_length * min(own.fx, own.fy) / depth)
         return min(max(1, size), _MAX_BLOCK)
-
-    def with_tension(self, tension_n_per_m: float) -> SensorModel:
-        """The same sensor under another γ0, N/m."""
-        pneumatics = self.sensor.pneumatics.model_copy(update={"tension_n_per_m": tension_n_per_m})
-        return replace(self, sensor=self.sensor.model_copy(update={"pneumatics": pneumatics}))
 
     def range_image(self, depth_m: np.ndarray) -> np.ndarray:
         """Range (H, W) of a z-depth image, m: calibrated, NaN in pixels not to be used."""

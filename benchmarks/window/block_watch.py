@@ -11,8 +11,7 @@ from contextlib import contextmanager
 
 from PySide6.QtCore import QTimer
 
-BLOCKED_S = 0.1
-"""Without events for so long, the thread's stack is looked at."""
+BLOCKED_S = 0.1  # without events for so long, the thread's stack is looked at
 BEAT_MS = 10
 CALLS_TOLD = 12
 

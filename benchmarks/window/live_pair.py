@@ -27,8 +27,7 @@ from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession
 
 WARM_UP_S = 3.0
-SHARE_SHOWN = 0.002
-"""Threads with less of a core than this are not told."""
+SHARE_SHOWN = 0.002  # threads with less of a core than this are not told
 
 
 @dataclass(frozen=True)

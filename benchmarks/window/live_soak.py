@@ -32,8 +32,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz.simulation.sensor_variants import resized
 
-WARM_UP_S = 20.0
-"""Until then memory may grow: one round of the press, every buffer filled once."""
+WARM_UP_S = 20.0  # until then memory may grow: one round of the press, every buffer filled once
 _START_S = 60.0  # s until the first frame, at most
 
 

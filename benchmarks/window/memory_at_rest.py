@@ -18,24 +18,19 @@ from bubbleviz_ui.shell.dock import Dock
 if TYPE_CHECKING:
     from bubbleviz_ui.window_session import WindowSession
 
-GLANCE_S = 0.5
-"""How long each panel is looked at."""
-CALIBRATION_S = 30.0
-"""How long a calibration is waited for; refused ones end sooner."""
+GLANCE_S = 0.5  # how long each panel is looked at
+CALIBRATION_S = 30.0  # how long a calibration is waited for; refused ones end sooner
 REST_S = 1.5  # s without input before memory is read
 OBJECT = "hex_nut"
 
 
 class Rest:
-    """Puts everything in a window away, and opens all of it once.
+    """Puts everything in a window away, and opens all of it once."""
 
-    Parameters
-    ----------
-    session : WindowSession
-        What it shows now is what it shows at rest.
-    """
-
-    def __init__(self, session: WindowSession) -> None:
+    def __init__(
+        self,
+        session: WindowSession,  # what it shows now is what it shows at rest
+    ) -> None:
         self._session = session
         self._choices, self._panels = session.state.choices, session.window.open_panels.names
 

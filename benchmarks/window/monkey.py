@@ -36,12 +36,10 @@ from benchmarks.window.replay_rate import beats
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.window_session import WindowSession
 
-REST_EVERY_S = 60.0
-"""How often everything is put away and memory looked at."""
+REST_EVERY_S = 60.0  # how often everything is put away and memory looked at
 MOST_GROWTH_MIB = 100.0  # of resident memory; chosen
 POP_UP_MS = 100  # until a menu that was opened is closed
-PATIENCE_S = 150.0
-"""After so long without an end, all threads are written out and the process ends."""
+PATIENCE_S = 150.0  # after so long without an end, all threads are written out and the process ends
 FORBIDDEN = (
     *("Quit", "Open", "Save", "Screenshot", "screenshot"),
     *("Export", "Import", "Record", "Turntable"),

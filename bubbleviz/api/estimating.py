@@ -111,8 +111,8 @@ def estimate(
     kappa : float, optional
         Patch threshold over the mean contact pressure (V-C), in place of the physical one.
     solver : str, optional
-        `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear`, `osqp`
-        and `clarabel`: constant tension; `fast`: linear on a coarse mesh.
+        `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear` and
+        `paper` (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
     friction : float, optional
         Coefficient of friction to expect of contacts with the exact membrane, 1 by default; 0 for
         contacts without friction. With `shear` it also bounds the traction along the membrane over

@@ -169,8 +169,7 @@ def identify(
     Parameters
     ----------
     frames : Frames
-        Of a recording that begins without contact. A press later in it, with gas pressure, gives
-        the chamber's volume.
+        Of a recording that begins without contact.
     sensor : str, path or Sensor
         What to start from: name, camera pose, gauge pressure, chamber volume.
     contact_free : sequence of int or str, optional

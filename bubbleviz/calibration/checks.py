@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 from scipy import ndimage
 
@@ -10,12 +13,24 @@ from bubbleviz.calibration.surface.cap_fit import Ellipsoid
 from bubbleviz.calibration.surface.segmentation import away_from_edges
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.membrane.mesh import MembraneMesh
 
 _LEAST_SEEN = 0.5  # of the dome's area; chosen: the rest is the fit's continuation
 _SIGNIFICANT = 6.0  # standard deviations of a tile
 _LEAST_PIXELS = 20  # in a dent that counts; chosen: smaller ones are false returns
 _DEEP = 1e-2  # of the dome's radius: what is shallower is the dome's own shape
+
+
+@contextmanager
+def errors_name(source: FrameSource) -> Iterator[None]:
+    """Put the name of a source before errors of steps that do not know it."""
+    try:
+        yield
+    except InputError as error:
+        if source.name in str(error):
+            raise
+        raise InputError(f"{source.name}: {error}") from error
 
 
 def seen_share(mesh: MembraneMesh, camera: DepthCamera, membrane: np.ndarray) -> float:

@@ -2,7 +2,7 @@
 
 Each step is a call of its own, with frozen results: `find_contact_free`, `collect`,
 `rest_gauge_pressure`, `check_still`, `fit_surfaces`, `check_dome`, `estimate_tension`,
-`select_pixels`, `measure_chamber`, `assemble`. A window runs them one by one, and any of them
+`select_pixels`, `assemble`. A window runs them one by one, and any of them
 again with another choice; `identify` runs them all. A `Progress` sees how far each is, and stops
 it by raising `Cancelled`.
 """
@@ -15,18 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from bubbleviz.calibration.checks import check_no_dent, check_seen, seen_share
+from bubbleviz.calibration.checks import check_no_dent, check_seen, errors_name, seen_share
 from bubbleviz.calibration.rest.contact_free import find_contact_free
 from bubbleviz.calibration.rest.depth_statistics import MIN_FRAMES, DepthStatistics
 from bubbleviz.calibration.rest.dome_motion import check_still
 from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
 from bubbleviz.calibration.rest.press_frames import held_frames, settled
 from bubbleviz.calibration.rest.rest_frames import Samples, collect
-from bubbleviz.calibration.rubber.force_sensitivity import (
-    ForceSensitivity,
-    force_sensitivity,
-    mean_frame,
-)
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate, estimate_rubber
 from bubbleviz.calibration.rubber.vented import Vented
 from bubbleviz.calibration.surface.free_form import FreeForm
@@ -37,11 +32,6 @@ from bubbleviz.calibration.surface.reference_surface import (
     cap_over_rim,
     fit_surfaces,
     mesh_ellipsoid,
-)
-from bubbleviz.calibration.tension.chamber_volume import (
-    ChamberEstimate,
-    MembraneTracker,
-    estimate_chamber,
 )
 from bubbleviz.calibration.tension.tension_estimate import TensionEstimate, estimate_tension
 from bubbleviz.camera.depth_camera import DepthCamera
@@ -60,7 +50,6 @@ from bubbleviz.sensor import (
 )
 from bubbleviz.sensor_model import SensorModel
 
-_PRESSED_FRAMES = 10  # for the chamber
 _SEEN_NODES = 2_000  # of a mesh to tell what the camera sees; chosen: some 2 mm
 
 
@@ -79,16 +68,12 @@ class Identification:
     surfaces : Surfaces
     pixels : PixelStatistics
     tension : TensionEstimate
-    chamber : ChamberEstimate or None
-        None where the source has no press with gas pressure.
     seen : float
         Share of the dome's area that the camera sees.
     wander_m : float
         How far the dome moves over the frames beyond noise, m.
     rubber : RubberEstimate or None
         Where inflation levels, a press or the open chamber told of gauge pressure and rubber.
-    sensitivity : ForceSensitivity or None
-        Where λ is known and the source has a press that is held.
     """
 
     sensor: Sensor
@@ -97,11 +82,9 @@ class Identification:
     surfaces: Surfaces
     pixels: PixelStatistics
     tension: TensionEstimate
-    chamber: ChamberEstimate | None
     seen: float
     wander_m: float
     rubber: RubberEstimate | None = None
-    sensitivity: ForceSensitivity | None = None
 
     @property
     def mesh(self) -> MembraneMesh:
@@ -163,8 +146,7 @@ def identify(
     Parameters
     ----------
     source : FrameSource
-        Recording that starts without contact. A press later in it, with gas pressure, gives the
-        chamber's volume.
+        Recording that starts without contact.
     sensor : Sensor
         Name, camera pose (its rim plane and axes are kept), gauge pressure, chamber volume; what
         the recording tells better (intrinsics, gas pressure) is taken from there.
@@ -183,35 +165,19 @@ def identify(
         camera or in another unit, no gauge pressure, no dome, half of it unseen, a moving
         camera, contact all along.
     """
-    try:
-        return _identify(source, sensor, contact_free, nodes, surface, progress)
-    except InputError as error:  # of a step that does not know the recording
-        if source.name in str(error):
-            raise
-        raise InputError(f"{source.name}: {error}") from error
-
-
-def _identify(
-    source: FrameSource,
-    sensor: Sensor,
-    contact_free: Sequence[int] | None,
-    nodes: int,
-    surface: Name | None,
-    progress: Progress,
-) -> Identification:
-    chosen = contact_free
-    if chosen is None:
-        chosen = find_contact_free(source, progress).frames
-    samples = collect(source, sensor, chosen, progress)
-    gauge = rest_gauge_pressure(samples, sensor)
-    wander = check_still(samples)
-    surfaces = fit_surfaces(samples, nodes, surface, progress)
-    seen = check_dome(samples, surfaces)
-    tension = estimate_tension(samples, surfaces, gauge, progress=progress)
-    pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
-    chamber = measure_chamber(source, samples, surfaces, pixels, tension, progress)
+    with errors_name(source):
+        chosen = contact_free
+        if chosen is None:
+            chosen = find_contact_free(source, progress).frames
+        samples = collect(source, sensor, chosen, progress)
+        gauge = rest_gauge_pressure(samples, sensor)
+        wander = check_still(samples)
+        surfaces = fit_surfaces(samples, nodes, surface, progress)
+        seen = check_dome(samples, surfaces)
+        tension = estimate_tension(samples, surfaces, gauge, progress)
+        pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
     progress("done", 1.0)
-    return assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
+    return assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
 
 
 def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:
@@ -273,35 +239,6 @@ def check_dome(samples: Samples, surfaces: Surfaces) -> float:
     return seen
 
 
-def measure_chamber(
-    source: FrameSource,
-    samples: Samples,
-    surfaces: Surfaces,
-    pixels: PixelStatistics,
-    tension: TensionEstimate,
-    progress: Progress = quiet,
-) -> ChamberEstimate | None:
-    """Chamber from later frames in which the gas pressure holds near its largest.
-
-    None where there is no gas pressure, or no press that moves it ten times its noise.
-    """
-    held = held_frames(source, samples, progress)
-    if samples.gas_pressure_pa is None or not held:
-        return None
-    picked = [
-        held[k] for k in np.unique(np.linspace(0, len(held) - 1, _PRESSED_FRAMES).astype(int))
-    ]
-    rest = float(np.median(samples.gas_pressure_pa))
-    tracker = MembraneTracker(
-        surfaces.mesh,
-        surfaces.camera,
-        pixels,
-        tension.tension.value,
-        surfaces.free_form.smoothing,
-    )
-    return estimate_chamber(tracker, [source[k] for k in picked], rest, progress)
-
-
 def collect_press(
     source: FrameSource, found: Identification, progress: Progress = quiet
 ) -> Samples | None:
@@ -316,18 +253,12 @@ def assemble(
     surfaces: Surfaces,
     pixels: PixelStatistics,
     tension: TensionEstimate,
-    chamber: ChamberEstimate | None,
     seen: float,
     wander_m: float,
 ) -> Identification:
     """Put what the steps found into a sensor."""
-    measured = chamber.chamber_volume_m3(surfaces.mesh.cap_volume()) if chamber else None
-    volume = sensor.pneumatics.chamber_volume_m3 if measured is None else measured
     pneumatics = sensor.pneumatics.model_copy(
-        update={
-            **_pressures(samples, tension, rest_gauge_sigma(samples, sensor)),
-            "chamber_volume_m3": float(f"{volume:.3g}"),
-        }
+        update=_pressures(samples, tension, rest_gauge_sigma(samples, sensor))
     )
     update = {
         "membrane": _membrane_section(surfaces, sensor.membrane.prestretch),
@@ -342,7 +273,6 @@ def assemble(
         surfaces=surfaces,
         pixels=pixels,
         tension=tension,
-        chamber=chamber,
         seen=seen,
         wander_m=wander_m,
     )
@@ -380,7 +310,7 @@ def with_rubber(
         Of the untouched sensor at other pressures.
     vented : Vented, optional
     held : Samples, optional
-        Of a press, which is asked where there are no levels; shows what moves the force.
+        Of a press, which is asked where there are no levels.
 
     Raises
     ------
@@ -403,9 +333,7 @@ def with_rubber(
         membrane = membrane.model_copy(update=stretch)
     pneumatics = sensor.pneumatics.model_copy(update=section)
     update = {"membrane": membrane, "pneumatics": pneumatics}
-    out = replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
-    sensitivity = None if held is None else force_sensitivity(out.model, mean_frame(held))
-    return replace(out, sensitivity=sensitivity)
+    return replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

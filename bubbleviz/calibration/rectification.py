@@ -86,49 +86,36 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Rectification:
-    """Rectified range = offset_m + slope × measured range, within what was measured.
+class Lines:
+    """Change of true range per change of measured range in each pixel, within what was measured.
 
     Attributes
     ----------
-    offset_m, slope : (H, W) array
-        NaN where nothing is known.
+    slope, slope_sigma : (H, W) array
+        With its standard error; NaN where nothing is known.
     nearest_m, farthest_m : (H, W) array
-        Measured ranges between which the line holds, m; from one level alone there is no line
-        and so no limit: −inf and inf.
-    slope_sigma : (H, W) array
-        Standard error of the slope; 0 for one level.
-    levels : int
+        Measured ranges between which the line holds, m.
     """
 
-    offset_m: np.ndarray
     slope: np.ndarray
+    slope_sigma: np.ndarray
     nearest_m: np.ndarray
     farthest_m: np.ndarray
-    slope_sigma: np.ndarray
-    levels: int
 
 
-def fit_rectification(levels: Sequence[Level]) -> Rectification:
-    """Fit every pixel's line through the levels, each weighted by its noise.
+def fit_lines(levels: Sequence[Level]) -> Lines:
+    """Fit every pixel's line through two or more levels, each weighted by its noise.
 
     Raises
     ------
     InputError
-        No level, images of different sizes, or levels too alike to tell a slope.
+        Images of different sizes, or levels too alike to tell a slope.
     """
-    if not levels:
-        raise InputError("rectification: no inflation level; give at least one recording")
     if len({level.measured_m.shape for level in levels}) > 1:
         raise InputError("rectification: images differ in size; give recordings of one camera")
     measured = np.stack([level.measured_m for level in levels])
     modelled = np.stack([level.modelled_m for level in levels])
     noise = np.stack([level.noise_m for level in levels])
-    if len(levels) == 1:
-        everywhere = np.full(measured.shape[1:], np.inf)
-        offset = (modelled - measured)[0]
-        slope = np.where(np.isfinite(offset), 1.0, np.nan)
-        return Rectification(offset, slope, -everywhere, everywhere, np.zeros(offset.shape), 1)
     nearest, farthest = measured.min(axis=0), measured.max(axis=0)
     _check_apart(farthest - nearest, noise.max(axis=0))
     frames = np.array([level.frames for level in levels])[:, None, None]
@@ -140,12 +127,10 @@ def fit_rectification(levels: Sequence[Level]) -> Rectification:
         slope = np.sum(weights * (measured - x) * (modelled - y), axis=0) / lever
         sigma = 1.0 / np.sqrt(lever * precision.sum(axis=0))
         margin = _TOLERANCE * noise.max(axis=0)
-    return Rectification(
-        y - slope * x, slope, nearest - margin, farthest + margin, sigma, len(levels)
-    )
+    return Lines(slope, sigma, nearest - margin, farthest + margin)
 
 
-def _steady_slope(fitted: Rectification) -> np.ndarray:
+def _steady_slope(fitted: Lines) -> np.ndarray:
     """Slopes (H, W) shrunk towards 1 according to their standard error; NaN where unknown.
 
     Towards the rim the levels differ by little. The mean of the posterior, with the slopes'
@@ -169,11 +154,11 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
     Raises
     ------
     InputError
-        As `fit_rectification`.
+        As `fit_lines`.
     """
     if not levels:
         return found
-    fitted = fit_rectification([Level.of(found), *levels])
+    fitted = fit_lines([Level.of(found), *levels])
     pixels, slope = found.pixels, _steady_slope(fitted)
     known = np.isfinite(slope)
     mask = pixels.mask & known
@@ -183,7 +168,7 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
         rest_m=np.where(mask, found.statistics.range_m, 0.0),
         nearest_m=np.where(mask, fitted.nearest_m, 0.0),
         farthest_m=np.where(mask, fitted.farthest_m, 0.0),
-        levels=fitted.levels,
+        levels=len(levels) + 1,
     )
     return replace(
         found,

@@ -10,11 +10,6 @@ from typing import Any
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.reports.identification_report import summary, write_report
 from bubbleviz.calibration.sensor_writer import Origin, file_hash, output_files, write_sensor
-from bubbleviz.calibration.tension.wrench_tension import (
-    WrenchTension,
-    press_halves,
-    tension_by_wrench,
-)
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.frames.frame_source import FrameSource
@@ -70,7 +65,7 @@ def save(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         report=None if report is None else _from(out.parent, report / "report.html"),
     )
-    numbers = summary(found, origin, _by_wrench(source, found, progress), validation)
+    numbers = summary(found, origin, validation)
     progress("writing", 0.0)
     write_sensor(found, out, origin)
     if report is not None:
@@ -89,14 +84,3 @@ def _from(folder: Path, path: Path) -> str:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:  # on another drive
         return str(path)
-
-
-def _by_wrench(
-    source: FrameSource, found: Identification, progress: Progress
-) -> WrenchTension | None:
-    """The second estimate of γ0, where the recording has a press with a wrench."""
-    halves = press_halves(source, found.samples.frames)
-    if halves is None:
-        return None
-    free = found.samples.frames
-    return tension_by_wrench(source, found.model, free, *halves, progress=progress)

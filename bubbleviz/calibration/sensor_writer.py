@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.errors import InputError
@@ -158,7 +156,6 @@ def _comment(identification: Identification) -> str:
         f" {100 * tension.per_pascal:.2f} N/m larger.",
     ]
     lines += _rubber_lines(identification.rubber)
-    lines += _chamber_lines(identification)
     return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
@@ -175,27 +172,5 @@ def _rubber_lines(rubber: RubberEstimate | None) -> list[str]:
         lines.append(
             f"prestretch: {rubber.prestretch_rests_on}; 95 % within"
             f" {stretch.low:.3f}…{stretch.high:.3f}."
-        )
-    return lines
-
-
-def _chamber_lines(identification: Identification) -> list[str]:
-    chamber, cap = identification.chamber, identification.mesh.cap_volume()
-    if chamber is None:
-        return ["chamber_volume_m3: as given; no press with gas pressure to measure it by."]
-    lines = [
-        "chamber_volume_m3: by the gas law on the press that follows. The gas pressure rose by"
-        f" {np.median(chamber.pressure_change_pa):.0f} Pa",
-        f"while the volume under the membrane ({100 * chamber.seen:.0f} % of it seen) changed by"
-        f" {1e6 * np.median(chamber.volume_change_m3):.2f} cm³: {1e6 * chamber.gas_volume_m3:.0f}"
-        f" cm³ of gas in all,",
-        f"{1e6 * cap:.0f} cm³ of it under the cap. The change is a dent less a bulge nearly as"
-        " large, so that 0.1 mm of common",
-        f"error in the depth makes {1e2 * chamber.sensitivity_m2:.0f} cm³ of difference"
-        f" (spread over the frames {1e6 * chamber.spread_m3:.0f} cm³).",
-    ]
-    if chamber.chamber_volume_m3(cap) is None:
-        lines.append(
-            "That leaves nothing for the chamber: the value given before is kept, unmeasured."
         )
     return lines

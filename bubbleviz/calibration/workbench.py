@@ -15,13 +15,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from bubbleviz.calibration.checks import errors_name
 from bubbleviz.calibration.draft import Draft, Settings, Step
 from bubbleviz.calibration.identification import (
     Identification,
     assemble,
     check_dome,
     collect_press,
-    measure_chamber,
     rest_gauge_pressure,
     with_rubber,
 )
@@ -76,12 +76,8 @@ class Workbench:
         Cancelled
             By `progress`; what was finished before is remembered, nothing else has changed.
         """
-        try:
+        with errors_name(self.source):
             return self._work(settings, progress)
-        except InputError as error:  # of a step that does not know the source
-            if self.source.name in str(error):
-                raise
-            raise InputError(f"{self.source.name}: {error}") from error
 
     def _work(self, settings: Settings, progress: Progress) -> Draft:
         draft, done = Draft(settings), 0.0
@@ -149,18 +145,9 @@ class Workbench:
         tension = self._once(
             "tension",
             rests_on,
-            lambda: estimate_tension(
-                samples, surfaces, gauge, progress=part_of(progress, 0.0, 0.3)
-            ),
+            lambda: estimate_tension(samples, surfaces, gauge, part_of(progress, 0.0, 0.5)),
         )
-        chamber = self._once(
-            "chamber",
-            (*rests_on, settings.min_validity, settings.deviations),
-            lambda: measure_chamber(
-                self.source, samples, surfaces, pixels, tension, part_of(progress, 0.3, 0.5)
-            ),
-        )
-        found = assemble(sensor, samples, surfaces, pixels, tension, chamber, seen, wander)
+        found = assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
         onwards = part_of(progress, 0.5, 0.6)
         levels = [self._level(path, onwards) for path in settings.levels]
         found = rectify(found, levels)

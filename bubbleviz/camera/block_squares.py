@@ -12,19 +12,11 @@ SURELY = 1.6
 """Upper limit of a median over `_SQUARES` squares, which is known to a fifth, at two standard
 deviations."""
 
-MAD = 0.6745
-"""Median of |z| of a standard normal z."""
+MAD = 0.6745  # median of |z| of a standard normal z
 
 
 class BlockSquares:
     """Squares that some blocks lie in.
-
-    Parameters
-    ----------
-    blocks : (B,) int array
-        Numbers of the blocks, row by row over the image.
-    columns : int
-        Blocks in a row of the image.
 
     Attributes
     ----------
@@ -32,23 +24,24 @@ class BlockSquares:
         Number of the square of each.
     """
 
-    def __init__(self, blocks: np.ndarray, columns: int) -> None:
+    def __init__(
+        self,
+        blocks: np.ndarray,  # (B,) int, numbers of the blocks, row by row over the image
+        columns: int,  # blocks in a row of the image
+    ) -> None:
         self._side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
         row, column = np.divmod(blocks, columns)
         self.of_block = (row // self._side) * columns + column // self._side
 
-    def noise_left(self, block: np.ndarray, z: np.ndarray) -> float:
+    def noise_left(
+        self,
+        block: np.ndarray,  # (k,) int, positions in `blocks`
+        z: np.ndarray,  # (k,), errors in standard deviations; 0 where nothing was measured
+    ) -> float:
         """Size of errors over that of their noise; 1 where too few are seen to tell.
 
         By the median of their sums over squares, which white noise has at random. What the model
         gets wrong is alike from block to block, and so is correlated noise.
-
-        Parameters
-        ----------
-        block : (k,) int array
-            Positions in `blocks`.
-        z : (k,) array
-            Errors in standard deviations; 0 where nothing was measured.
         """
         square = self.of_block[block]
         sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)

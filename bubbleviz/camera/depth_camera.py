@@ -11,16 +11,13 @@ from bubbleviz.sensor import Camera
 
 
 class DepthCamera:
-    """Intrinsics with the camera's pose in the bubble frame B.
+    """Intrinsics with the camera's pose in the bubble frame B."""
 
-    Parameters
-    ----------
-    intrinsics : Intrinsics
-    T_B_C : (4, 4) array
-        Pose of the camera (optical convention) in B.
-    """
-
-    def __init__(self, intrinsics: Intrinsics, T_B_C: np.ndarray) -> None:
+    def __init__(
+        self,
+        intrinsics: Intrinsics,
+        T_B_C: np.ndarray,  # (4, 4), pose of the camera (optical convention) in B
+    ) -> None:
         self.intrinsics = intrinsics
         self.T_B_C = T_B_C
 

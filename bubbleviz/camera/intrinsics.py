@@ -7,37 +7,27 @@ from typing import Literal
 
 import numpy as np
 
-_SETTLED = 1e-5
-"""Error of image-plane coordinates that Newton's next step squares to rounding."""
+_SETTLED = 1e-5  # error of image-plane coordinates that Newton's next step squares to rounding
 
 DistortionModel = Literal["none", "plumb_bob", "inverse_brown_conrady"]
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Intrinsics of a depth camera, optical convention (+z along the view).
+    """Intrinsics of a depth camera, optical convention (+z along the view)."""
 
-    Attributes
-    ----------
-    width, height : int
-        Image size in pixels.
-    fx, fy, cx, cy : float
-        Focal lengths and principal point in pixels.
-    distortion_model : {"none", "plumb_bob", "inverse_brown_conrady"}
-        `plumb_bob` distorts on projection (ROS, OpenCV); `inverse_brown_conrady` distorts on
-        deprojection (RealSense).
-    distortion : tuple of float
-        k1, k2, p1, p2, k3; empty when there is none.
-    """
-
+    # width, height: image size in pixels
     width: int
     height: int
+    # fx, fy, cx, cy: focal lengths and principal point in pixels
     fx: float
     fy: float
     cx: float
     cy: float
+    # `plumb_bob` distorts on projection (ROS, OpenCV); `inverse_brown_conrady` distorts on
+    # deprojection (RealSense)
     distortion_model: DistortionModel = "none"
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[float, ...] = ()  # k1, k2, p1, p2, k3; empty when there is none
 
     def slopes(self) -> np.ndarray:
         """Ideal image-plane coordinates (x/z, y/z) of every pixel centre, shape (H, W, 2)."""

@@ -55,6 +55,11 @@ class MembraneView:
         image.ravel()[hits.ray] = hits.range_m
         return image
 
+    @cached_property
+    def rest_range(self) -> np.ndarray:
+        """Range (H, W) of the membrane at rest, m."""
+        return self.range_image(np.zeros(len(self.mesh.nodes)))
+
     def patch_pixels(self, estimate: Estimate, patch: Patch, level: float = 0.0) -> np.ndarray:
         """Pixels (H, W) that see where a patch exceeds a level."""
         mesh, estimate, levels = patch.finest(self.mesh, estimate)
@@ -91,17 +96,15 @@ class MembraneView:
         return mask
 
 
-def _fill(mask: np.ndarray, bounds: np.ndarray, first: np.ndarray, last: np.ndarray) -> None:
-    """Set the pixels of some convex areas, by the span of columns in each of their rows.
-
-    Parameters
-    ----------
-    mask : (H, W) bool array
-    bounds : (k, m, 3) array
-        An area is where all k products with (column, row, 1) are positive.
-    first, last : (m,) array
-        Its rows.
-    """
+def _fill(
+    mask: np.ndarray,  # (H, W) bool
+    # (k, m, 3), an area is where all k products with (column, row, 1) are positive
+    bounds: np.ndarray,
+    # first, last: (m,), its rows
+    first: np.ndarray,
+    last: np.ndarray,
+) -> None:
+    """Set the pixels of some convex areas, by the span of columns in each of their rows."""
     height, width = mask.shape
     first, last = first.clip(0, height).astype(int), last.clip(-1, height - 1).astype(int)
     count = np.maximum(last - first + 1, 0) * bounds.any(axis=(0, 2))

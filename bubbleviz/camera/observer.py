@@ -20,76 +20,47 @@ from bubbleviz.camera.used_pixels import UsedPixels
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 
-_HUBER = 1.345
-"""Residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise."""
+_HUBER = 1.345  # residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise
 
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
-_WALKED = 0.5
-"""Share of a mesh edge that nodes may have moved by since all rays were cast."""
+_WALKED = 0.5  # share of a mesh edge that nodes may have moved by since all rays were cast
 
-_LOOKS = 4
-"""Pixels looked at for outliers of those that are worth one independent sample."""
+_LOOKS = 4  # pixels looked at for outliers of those that are worth one independent sample
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What one frame says of the pixels in use, before a model is known.
+    """What one frame says of the pixels in use, before a model is known."""
 
-    Attributes
-    ----------
-    depth_m : (H, W) array
-        The z-depth image, m; NaN where there is no return.
-    noise : float
-        Factor by which this frame is noisier than expected, at least 1.
-    total, moment : (B,) array
-        Sums over the pixels of each block: of 1/σ² at that noise, 1/m², and of that times the
-        residual, 1/m.
-    """
-
-    depth_m: np.ndarray
-    noise: float
+    depth_m: np.ndarray  # (H, W), the z-depth image, m; NaN where there is no return
+    noise: float  # factor by which this frame is noisier than expected, at least 1
+    # total, moment: (B,), sums over the pixels of each block: of 1/σ² at that noise, 1/m², and of
+    # that times the residual, 1/m
     total: np.ndarray
     moment: np.ndarray
 
 
 @dataclass(frozen=True)
 class Observation:
-    """Range residuals of one frame against the reference configuration.
+    """Range residuals of one frame against the reference configuration."""
 
-    Attributes
-    ----------
-    residual_m : (B,) array
-        Weighted mean of measured minus reference range in each block, m; 0 where no pixel is valid.
-    weight : (B,) array
-        1/σ² of each block's mean, 1/m²; 0 where no pixel is valid.
-    trusted : float
-        Share of the weight that robust weighting left: 1 where noise explains every pixel.
-    """
-
+    # (B,), weighted mean of measured minus reference range in each block, m; 0 where no pixel is
+    # valid
     residual_m: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # (B,), 1/σ² of each block's mean, 1/m²; 0 where no pixel is valid
+    # share of the weight that robust weighting left: 1 where noise explains every pixel
     trusted: float
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Model of the block residuals around a displacement: y(u) ≈ offset_m + D u.
+    """Model of the block residuals around a displacement: y(u) ≈ offset_m + D u."""
 
-    Attributes
-    ----------
-    hits : Hits
-        Where the block rays meet the membrane, of those that meet it at rest.
-    offset_m : (k,) array
-        Constant part for each hit, m; 0 around u = 0.
-    nodes : (k, 3) int array
-        Corners of the triangle of each hit.
-    """
-
-    hits: Hits
-    offset_m: np.ndarray
-    nodes: np.ndarray
+    hits: Hits  # where the block rays meet the membrane, of those that meet it at rest
+    offset_m: np.ndarray  # (k,), constant part for each hit, m; 0 around u = 0
+    nodes: np.ndarray  # (k, 3) int, corners of the triangle of each hit
 
     def along_rays(self, displacement_m: np.ndarray) -> np.ndarray:
         """D u of Eq. 20, (k,)."""
@@ -106,78 +77,42 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class ShapeRanges:
-    """Model of the block residuals around a shape: y(x + δ) ≈ model_m + D δ.
+    """Model of the block residuals around a shape: y(x + δ) ≈ model_m + D δ."""
 
-    Attributes
-    ----------
-    block : (k,) int array
-        Blocks whose ray meets the membrane, here and at rest.
-    model_m : (B,) array
-        0 for the others.
-    jacobian : (k, 3n) sparse array
-        D of those blocks, three columns a node.
-    hits : Hits
-        Where those rays meet it.
-    cast_at_m : (n, 3) array
-        Shape at which all rays were cast.
-    """
-
-    block: np.ndarray
-    model_m: np.ndarray
-    jacobian: sparse.csr_array
-    hits: Hits
-    cast_at_m: np.ndarray
+    block: np.ndarray  # (k,) int, blocks whose ray meets the membrane, here and at rest
+    model_m: np.ndarray  # (B,), 0 for the others
+    jacobian: sparse.csr_array  # (k, 3n) sparse, D of those blocks, three columns a node
+    hits: Hits  # where those rays meet it
+    cast_at_m: np.ndarray  # (n, 3), shape at which all rays were cast
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Residual that a model leaves.
+    """Residual that a model leaves."""
 
-    Attributes
-    ----------
-    rms_m : float
-        Weighted root mean square of the block residuals, m.
-    deviations : float
-        Typical block residual in standard deviations.
-    clumping : float
-        Variance of the sums over squares of blocks over that of white residuals: 1 for white
-        noise, the number of blocks worth one sample where noise is correlated.
-    """
-
-    rms_m: float
-    deviations: float
+    rms_m: float  # weighted root mean square of the block residuals, m
+    deviations: float  # typical block residual in standard deviations
+    # variance of the sums over squares of blocks over that of white residuals: 1 for white noise,
+    # the number of blocks worth one sample where noise is correlated
     clumping: float
 
 
 class RangeObserver:
-    """Turns z-depth images of one camera into block residuals and models them.
-
-    Parameters
-    ----------
-    camera : DepthCamera
-    mesh : MembraneMesh
-    noise_relative : float
-        σ of range / range, where no calibration tells.
-    pixels : PixelModel, optional
-        Calibration of each pixel.
-    block : int
-        Side of a block in pixels.
-    seen : (H·W,) int array, optional
-        Triangle that each pixel sees at rest, as of `MembraneView`; found where not given.
-    """
+    """Turns z-depth images of one camera into block residuals and models them."""
 
     def __init__(
         self,
         camera: DepthCamera,
         mesh: MembraneMesh,
-        noise_relative: float,
-        pixels: PixelModel | None = None,
-        block: int = 1,
+        noise_relative: float,  # σ of range / range, where no calibration tells
+        pixels: PixelModel | None = None,  # calibration of each pixel
+        block: int = 1,  # side of a block in pixels
+        # (H·W,) int, triangle that each pixel sees at rest, as of `MembraneView`; found where not
+        # given
         seen: np.ndarray | None = None,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
-        self.columns = -(-camera.intrinsics.width // block)
-        """Blocks in a row of the image."""
+        self.columns = -(-camera.intrinsics.width // block)  # blocks in a row of the image
         self._facet_error_m = facet_error(mesh)
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
@@ -222,8 +157,7 @@ class RangeObserver:
         blocks, self._starts, self._count = np.unique(
             self._block_of(pixel), return_index=True, return_counts=True
         )
-        self.block_number = blocks
-        """Number of every block, row by row over the image, (B,)."""
+        self.block_number = blocks  # number of every block, row by row over the image, (B,)
         self._used = UsedPixels(
             number=pixel,
             block=np.repeat(np.arange(self.blocks), self._count),
@@ -275,17 +209,14 @@ class RangeObserver:
         """Measured minus reference range of the pixels in use, (k,), m; NaN: no return."""
         return self._used.residuals(depth_m)
 
-    def observe(self, depth_m: np.ndarray, expected_m: np.ndarray | None = None) -> Observation:
-        """Block residuals of a z-depth image.
-
-        Parameters
-        ----------
-        depth_m : (H, W) array
-            z-depth in m, NaN for no return.
-        expected_m : (B,) array, optional
-            Model of the block residuals; pixels far from it count less (Huber 1964), where there
-            are more of them than noise has.
-        """
+    def observe(
+        self,
+        depth_m: np.ndarray,  # (H, W), z-depth in m, NaN for no return
+        # (B,), model of the block residuals; pixels far from it count less (Huber 1964), where
+        # there are more of them than noise has
+        expected_m: np.ndarray | None = None,
+    ) -> Observation:
+        """Block residuals of a z-depth image."""
         return self.weigh(self.measure(depth_m), expected_m)
 
     def measure(self, depth_m: np.ndarray) -> Measured:
@@ -383,17 +314,14 @@ class RangeObserver:
         return replace(linear, offset_m=linear.offset_m - linear.along_rays(displacement_m))
 
     def relinearise(
-        self, linear: Linearisation, displacement_m: np.ndarray, triangles: np.ndarray
+        self,
+        linear: Linearisation,
+        displacement_m: np.ndarray,  # (n,)
+        triangles: np.ndarray,  # (m,) bool
     ) -> Linearisation:
         """The same model, around a displacement (n,) close by for the rays of some triangles.
 
         Each of these rays walks to its triangle, which takes a fraction of casting them all.
-
-        Parameters
-        ----------
-        linear : Linearisation
-        displacement_m : (n,) array
-        triangles : (m,) bool array
         """
         some = np.flatnonzero(triangles[linear.hits.triangle])
         nodes = self.mesh.deformed(displacement_m)
@@ -443,16 +371,13 @@ class RangeObserver:
         facets = self._facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))
         return max(facets, min(1.0, SURELY * found))
 
-    def around(self, nodes: np.ndarray, last: ShapeRanges | None = None) -> ShapeRanges:
-        """Model of the block residuals around a shape.
-
-        Parameters
-        ----------
-        nodes : (n, 3) array
-            In B, m.
-        last : ShapeRanges, optional
-            Of a shape before: close by, rays walk on from the triangles that they met there.
-        """
+    def around(
+        self,
+        nodes: np.ndarray,  # (n, 3), in B, m
+        # of a shape before: close by, rays walk on from the triangles that they met there
+        last: ShapeRanges | None = None,
+    ) -> ShapeRanges:
+        """Model of the block residuals around a shape."""
         if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
             cast_at, hits = last.cast_at_m, self._caster.recast(nodes, self.mesh.normals, last.hits)
         else:

@@ -14,25 +14,14 @@ from bubbleviz.errors import InputError
 
 @dataclass(frozen=True)
 class RangeLine:
-    """How the error of each pixel changes with range, by several inflation levels; all (H, W).
+    """How the error of each pixel changes with range, by several inflation levels; all (H, W)."""
 
-    Attributes
-    ----------
-    slope : float array
-        True change of range per measured one.
-    rest_m : float array
-        Measured range of the untouched sensor, where `bias_m` holds, m.
-    nearest_m, farthest_m : float array
-        Measured ranges between which the line holds, m.
-    levels : int
-        Inflation levels it was fitted to (scalar).
-    """
-
-    slope: np.ndarray
-    rest_m: np.ndarray
+    slope: np.ndarray  # true change of range per measured one
+    rest_m: np.ndarray  # measured range of the untouched sensor, where `bias_m` holds, m
+    # nearest_m, farthest_m: measured ranges between which the line holds, m
     nearest_m: np.ndarray
     farthest_m: np.ndarray
-    levels: int
+    levels: int  # inflation levels it was fitted to (scalar)
 
     def straighten(self, range_m: np.ndarray) -> np.ndarray:
         """Range (H, W) in m whose change from rest is true; the error at rest stays.
@@ -52,36 +41,20 @@ class RangeLine:
 
 @dataclass(frozen=True)
 class PixelModel:
-    """Mask, bias and noise of each pixel, all (H, W).
+    """Mask, bias and noise of each pixel, all (H, W)."""
 
-    Attributes
-    ----------
-    mask : bool array
-        Pixels to use.
-    bias_m : float array
-        Measured minus modelled range of the untouched sensor, m.
-    noise_m : float array
-        Standard deviation σ of the range, m.
-    correlated_pixels : float
-        Pixels that are worth one independent sample, because the camera filters (scalar).
-    line : RangeLine or None
-        None: the bias is the same at every range.
-    """
-
-    mask: np.ndarray
-    bias_m: np.ndarray
-    noise_m: np.ndarray
+    mask: np.ndarray  # bool, pixels to use
+    bias_m: np.ndarray  # measured minus modelled range of the untouched sensor, m
+    noise_m: np.ndarray  # standard deviation σ of the range, m
+    # pixels that are worth one independent sample, because the camera filters (scalar)
     correlated_pixels: float = 1.0
-    line: RangeLine | None = None
+    line: RangeLine | None = None  # None: the bias is the same at every range
 
     @classmethod
     def load(cls, path: Path, shape: tuple[int, int] | None = None) -> PixelModel:
         """Read a pixels file (NPZ) and check that it is for images of `shape`, where given.
 
-        Raises
-        ------
-        InputError
-            The file is unreadable, incomplete or of another image size.
+        Raises InputError: the file is unreadable, incomplete or of another image size.
         """
         try:
             with np.load(path) as data:

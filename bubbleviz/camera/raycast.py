@@ -14,46 +14,28 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.membrane.mesh import cross, faces_from, triangles_across
+from bubbleviz.membrane.mesh import area_vectors, faces_from, triangles_across
 
-_WALK = 4
-"""Triangles that a ray may walk over; it is cast again before more are needed."""
-_FAR_WALK = 64
-"""The same where it is not cast again: more than there are across a dent."""
+_WALK = 4  # triangles that a ray may walk over; it is cast again before more are needed
+_FAR_WALK = 64  # the same where it is not cast again: more than there are across a dent
 
-_COARSER = 8
-"""Rays for one that is walked before them, and from whose triangle they start."""
+_COARSER = 8  # rays for one that is walked before them, and from whose triangle they start
 
-_OUTSIDE = 1e-6
-"""Barycentric coordinate below which a ray has left its triangle."""
-_STRAIGHT = 1e-9
-"""Sine by which the seen rim may bend inward: rounding."""
+_OUTSIDE = 1e-6  # barycentric coordinate below which a ray has left its triangle
+_STRAIGHT = 1e-9  # sine by which the seen rim may bend inward: rounding
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Rays that meet the mesh.
+    """Rays that meet the mesh."""
 
-    Attributes
-    ----------
-    ray : (k,) int array
-        Index of each ray that hits, ascending.
-    triangle : (k,) int array
-        Triangle it hits.
-    barycentric : (k, 3) array
-        Coordinates of the hit on that triangle.
-    range_m : (k,) array
-        Distance from the origin along the unit ray, m.
-    sensitivity : (k, 3) array
-        ∂(range)/∂u of the triangle's three nodes for motion along their reference normals:
-        b_i (n_i·m)/(r̂·m) with the facet's unit normal m. Eq. 19 has b_i (r̂·n̂) instead, which is
-        the projection of the motion on the ray and not the derivative of the range.
-    """
-
-    ray: np.ndarray
-    triangle: np.ndarray
-    barycentric: np.ndarray
-    range_m: np.ndarray
+    ray: np.ndarray  # (k,) int, index of each ray that hits, ascending
+    triangle: np.ndarray  # (k,) int, triangle it hits
+    barycentric: np.ndarray  # (k, 3), coordinates of the hit on that triangle
+    range_m: np.ndarray  # (k,), distance from the origin along the unit ray, m
+    # (k, 3), ∂(range)/∂u of the triangle's three nodes for motion along their reference normals:
+    # b_i (n_i·m)/(r̂·m) with the facet's unit normal m. Eq. 19 has b_i (r̂·n̂) instead, which is
+    # the projection of the motion on the ray and not the derivative of the range.
     sensitivity: np.ndarray
 
     def of(self, some: np.ndarray) -> Hits:
@@ -69,21 +51,11 @@ class Hits:
 
 
 class _Facets(NamedTuple):
-    """Triangles seen from the rays' origin.
+    """Triangles seen from the rays' origin."""
 
-    Attributes
-    ----------
-    faces : (m, 3, 3) array
-        Cross products of the corners, opposite each corner.
-    facing : (m, 3) array
-        Node normals times the facet's vector.
-    offset : (m,) array
-        Distance of its plane times the length of that vector.
-    """
-
-    faces: np.ndarray
-    facing: np.ndarray
-    offset: np.ndarray
+    faces: np.ndarray  # (m, 3, 3), cross products of the corners, opposite each corner
+    facing: np.ndarray  # (m, 3), node normals times the facet's vector
+    offset: np.ndarray  # (m,), distance of its plane times the length of that vector
 
     @classmethod
     def of(cls, local: np.ndarray, normals: np.ndarray, triangles: np.ndarray) -> _Facets:
@@ -96,18 +68,14 @@ class _Facets(NamedTuple):
 
 
 class RayCaster:
-    """Casts one bundle of rays from one origin onto a mesh whose nodes may move.
+    """Casts one bundle of rays from one origin onto a mesh whose nodes may move."""
 
-    Parameters
-    ----------
-    origin : (3,) array
-        Camera centre c in B, m.
-    directions : (k, 3) array
-        Unit rays r̂ in B.
-    triangles : (m, 3) int array
-    """
-
-    def __init__(self, origin: np.ndarray, directions: np.ndarray, triangles: np.ndarray) -> None:
+    def __init__(
+        self,
+        origin: np.ndarray,  # (3,), camera centre c in B, m
+        directions: np.ndarray,  # (k, 3), unit rays r̂ in B
+        triangles: np.ndarray,  # (m, 3) int
+    ) -> None:
         self.origin = np.asarray(origin, float)
         self.directions = np.ascontiguousarray(directions, float)
         self.triangles = triangles
@@ -120,17 +88,13 @@ class RayCaster:
         rays[:, 3:] = self.directions
         return rays
 
-    def cast(self, nodes: np.ndarray, normals: np.ndarray, rays: np.ndarray | None = None) -> Hits:
-        """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`.
-
-        Parameters
-        ----------
-        nodes : (n, 3) array
-            Current node positions in B, m.
-        normals : (n, 3) array
-            Reference node normals, the directions in which nodes move.
-        rays : (j,) int array, optional
-        """
+    def cast(
+        self,
+        nodes: np.ndarray,  # (n, 3), current node positions in B, m
+        normals: np.ndarray,  # (n, 3), reference node normals, the directions in which nodes move
+        rays: np.ndarray | None = None,  # (j,) int
+    ) -> Hits:
+        """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`."""
         return self.met(nodes, normals, self.first(nodes, rays), rays)
 
     def met(
@@ -246,8 +210,7 @@ class RayCaster:
 
     def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:
         """m/(r̂·m) of the facets that are hit, (k, 3): range gained by their motion in B."""
-        a, b, c = (nodes[self.triangles[:, k]] for k in range(3))
-        facet = cross(b - a, c - a)[hits.triangle]
+        facet = area_vectors(nodes, self.triangles)[hits.triangle]
         along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
         return facet / along[:, None]
 

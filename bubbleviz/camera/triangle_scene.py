@@ -11,36 +11,19 @@ from bubbleviz.lazy_imports import import_without
 
 
 class RayHits(NamedTuple):
-    """First triangle that each ray meets.
+    """First triangle that each ray meets."""
 
-    Attributes
-    ----------
-    triangle : (k,) int array
-        Means nothing where nothing is met.
-    distance : (k,) array
-        Along the ray in lengths of its direction; inf where nothing is met.
-    """
-
-    triangle: np.ndarray
+    triangle: np.ndarray  # (k,) int, means nothing where nothing is met
+    # (k,), along the ray in lengths of its direction; inf where nothing is met
     distance: np.ndarray
 
 
 class ClosestPoints(NamedTuple):
-    """Closest point of the triangles to each of some points.
+    """Closest point of the triangles to each of some points."""
 
-    Attributes
-    ----------
-    point : (k, 3) array
-        m.
-    triangle : (k,) int array
-        The one it is on.
-    barycentric : (k, 3) array
-        Its coordinates there.
-    """
-
-    point: np.ndarray
-    triangle: np.ndarray
-    barycentric: np.ndarray
+    point: np.ndarray  # (k, 3), m
+    triangle: np.ndarray  # (k,) int, the one it is on
+    barycentric: np.ndarray  # (k, 3), its coordinates there
 
 
 class TriangleScene:

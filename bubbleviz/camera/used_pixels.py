@@ -11,30 +11,14 @@ from bubbleviz.camera.pixel_model import RangeLine
 
 @dataclass(frozen=True)
 class UsedPixels:
-    """Pixels in use, all (k,).
+    """Pixels in use, all (k,)."""
 
-    Attributes
-    ----------
-    number : int array
-        Flat indices in the image.
-    block : int array
-        Block that each is in.
-    scale : float32 array
-        Range per z-depth.
-    reference_m : float32 array
-        Range of the untouched membrane as this pixel measures it, m.
-    precision : float32 array
-        1/σ², 1/m².
-    line : RangeLine or None
-        How its error changes with range.
-    """
-
-    number: np.ndarray
-    block: np.ndarray
-    scale: np.ndarray
-    reference_m: np.ndarray
-    precision: np.ndarray
-    line: RangeLine | None
+    number: np.ndarray  # int, flat indices in the image
+    block: np.ndarray  # int, block that each is in
+    scale: np.ndarray  # float32, range per z-depth
+    reference_m: np.ndarray  # float32, range of the untouched membrane as this pixel measures it, m
+    precision: np.ndarray  # float32, 1/σ², 1/m²
+    line: RangeLine | None  # how its error changes with range
 
     def of(self, some: np.ndarray) -> UsedPixels:
         """Pixels number `some` (j,)."""

@@ -24,8 +24,8 @@ sensor_option = click.option(
 )
 solver_option = click.option(
     "--solver",
-    help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and the "
-    "paper's osqp and clarabel: constant tension; rubber-base, linear-base: without the finer "
+    help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and "
+    "paper, the paper's QP by OSQP: constant tension; rubber-base, linear-base: without the finer "
     "mesh at the contact; fast: linear on a coarse mesh.",
 )
 friction_option = click.option(

@@ -17,56 +17,35 @@ NOTHING = float("nan")
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of one frame, SI but for the times; NaN where not requested or unknown.
+    """Numbers of one frame, SI but for the times; NaN where not requested or unknown."""
 
-    Attributes
-    ----------
-    status : str
-        Of the estimate; empty without one.
-    gas_law_pa : float
-        p_v that the gas law (Eq. 6) gives for the estimated shape; 0 without contact, whose shape
-        is no measured one: a measured p_v of a drift, or of a touch too faint to be found, inflates
-        it, and its volume would say a p_v of the other sign and a dozen times as large.
-    gas_measured_pa : float
-        Measured gas pressure less the reference pressure P0.
-    residual_m, solve_ms, total_ms : float
-        As in `Estimate` and `Result.times_ms`.
-    force_n, area_m2 : float
-        Length of the force vector; area of the patch.
-    force_half_width_n : float
-        Half of the 95 % interval of the former.
-    wrench_n : (float, float, float)
-        Force of the recording's wrench, as recorded.
-    center_m : (float, float, float)
-        Centre of pressure in B.
-    shear_normal_n, shear_tangential_n : float
-        Force with friction, across and along the membrane; NaN where it is not known.
-    shear_tangential_half_n : float
-        Half of the 95 % interval of the latter.
-    slip_share : float
-        Of the patch.
-    latency_ms : float
-        Depth image received → products in the window; NaN for frames not shown live.
-    """
-
-    status: str = ""
+    status: str = ""  # of the estimate; empty without one
+    # p_v that the gas law (Eq. 6) gives for the estimated shape; 0 without contact, whose shape is
+    # no measured one: a measured p_v of a drift, or of a touch too faint to be found, inflates it,
+    # and its volume would say a p_v of the other sign and a dozen times as large.
     gas_law_pa: float = NOTHING
-    gas_measured_pa: float = NOTHING
+    gas_measured_pa: float = NOTHING  # measured gas pressure less the reference pressure P0
+    # residual_m, solve_ms, total_ms: as in `Estimate` and `Result.times_ms`
     residual_m: float = NOTHING
     solve_ms: float = NOTHING
     total_ms: float = NOTHING
+    # force_n, area_m2: length of the force vector; area of the patch
     force_n: float = NOTHING
-    force_half_width_n: float = NOTHING
+    force_half_width_n: float = NOTHING  # half of the 95 % interval of the former
+    # force of the recording's wrench, as recorded
     wrench_n: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
     area_m2: float = NOTHING
-    center_m: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
+    center_m: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)  # centre of pressure in B
     has_patch: bool = False
     has_shear: bool = False
+    # depth image received → products in the window; NaN for frames not shown live
     latency_ms: float = NOTHING
+    # shear_normal_n, shear_tangential_n: force with friction, across and along the membrane; NaN
+    # where it is not known
     shear_normal_n: float = NOTHING
     shear_tangential_n: float = NOTHING
-    shear_tangential_half_n: float = NOTHING
-    slip_share: float = NOTHING
+    shear_tangential_half_n: float = NOTHING  # half of the 95 % interval of the latter
+    slip_share: float = NOTHING  # of the patch
 
 
 def numbers_of(result: Result, gas: Gas) -> Numbers:

@@ -1,157 +1,104 @@
-"""Images, curves and parts of one frame for the panels, each computed only when requested."""
+"""Images, curves and parts of one frame for the panels."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bubbleviz.colour.seen_colour import SeenColour
-from bubbleviz.diagnostics.frame_images import FrameImages
 from bubbleviz.diagnostics.kappa_curve import KappaCurve, kappa_curve
 from bubbleviz.patch.components import Component, components
-from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.result import Result
 
-Look = Literal[
-    "depth", "change", "residual", "noise", "used", "colour", "flow", "kappa_curve", "components"
-]
-"""An image (H, W) or (H, W, 3) by its name, or the curve of areas over κ."""
+if TYPE_CHECKING:
+    from bubbleviz.pipeline import Pipeline, Product
+    from bubbleviz.result import Result
+    from bubbleviz.sensor_model import SensorModel
 
-OUTERMOST = 0.5
-"""Per cent of the pixels at either end that colours need not tell apart."""
-
-NEEDS: dict[Look, frozenset[Product]] = {
-    "depth": frozenset(),
-    "change": frozenset(),
-    "residual": frozenset({"estimate"}),
-    "noise": frozenset(),
-    "used": frozenset(),
-    "colour": frozenset(),
-    "flow": frozenset({"estimate", "flow"}),  # an estimate tells frames without contact
-    "kappa_curve": frozenset({"estimate"}),
-    "components": frozenset({"estimate", "patch"}),
-}
-"""Products of the pipeline that a look is made of."""
+OUTERMOST = 0.5  # per cent of the pixels at either end that colours need not tell apart
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """The requested diagnostics of a frame.
+    """The requested diagnostics of a frame."""
 
-    Attributes
-    ----------
-    images : dict
-        (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used`
-        bool; `flow`, length of the motion in the colour image in pixels, by blocks.
-    ends : dict
-        Between them lie all but the outermost values of each image.
-    colour : SeenColour or None
-    no_flow : str
-        Why there is no image of the flow, in a few words; empty where the reference says it.
-    reference : str
-        What shear is measured against, in words; empty where nobody asked for it.
-    kappa_curve : KappaCurve or None
-    components : tuple of Component
-        Parts of the patch, those too, that are left out for their size.
-    """
-
+    # (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used` bool;
+    # `flow`, length of the motion in the colour image in pixels, by blocks
     images: dict[str, np.ndarray] = field(default_factory=dict)
+    # between them lie all but the outermost values of each image
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     colour: SeenColour | None = None
+    # why there is no image of the flow, in a few words; empty where the reference says it
     no_flow: str = ""
-    reference: str = ""
+    reference: str = ""  # what shear is measured against, in words; empty where nobody asked for it
     kappa_curve: KappaCurve | None = None
+    # parts of the patch, those too, that are left out for their size
     components: tuple[Component, ...] = ()
 
 
-class Inspector:
-    """Looks closer at the results of a pipeline; counts its stages as `look <name>`.
+def inspection(
+    pipeline: Pipeline,
+    result: Result,
+    looks: frozenset[Product],
+    kappa: float | None = None,
+    truth: np.ndarray | None = None,
+) -> Inspection:
+    """Some of `pipeline.LOOKS` at a result; those that lack a product are left out.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
+    Parameters are those of `Pipeline.look`, and the κ of the result's patch.
     """
-
-    def __init__(self, pipeline: Pipeline) -> None:
-        self._pipeline = pipeline
-
-    def look(
-        self,
-        result: Result,
-        looks: frozenset[Look],
-        kappa: float | None = None,
-        truth: np.ndarray | None = None,
-    ) -> Inspection:
-        """Compute the requested diagnostics of a result; those that lack a product are left out.
-
-        Parameters
-        ----------
-        result : Result
-        looks : frozenset of Look
-        kappa : float, optional
-            Of the result's patch.
-        truth : (H, W) bool array, optional
-            True pixels of the patch, in a simulation.
-        """
-        images: dict[str, np.ndarray] = {}
-        curve, parts, colour = None, tuple[Component, ...](), None
-        for name in sorted(looks):
-            self._pipeline.counts[f"look {name}"] += 1
-            if name == "kappa_curve":
-                if result.estimate is not None:
-                    view = self._pipeline.model.view if truth is not None else None
-                    curve = kappa_curve(self._pipeline.mesh, result.estimate, truth, view)
-                continue
-            if name == "components":
-                parts = self._components(result, kappa)
-                continue
-            if name == "colour":
-                texture = result.texture  # has it decoded
-                colour = SeenColour.of(result.frame) if texture is None else texture.colour
-                continue
-            image = self._image(name, result)
+    images: dict[str, np.ndarray] = {}
+    curve, parts, colour, why = None, tuple[Component, ...](), None, ""
+    estimate = result.estimate
+    for look in sorted(looks):
+        if look == "kappa_curve":
+            if estimate is not None:
+                view = pipeline.model.view if truth is not None else None
+                curve = kappa_curve(pipeline.mesh, estimate, truth, view)
+        elif look == "components":
+            if estimate is not None:
+                whole = pipeline.whole_patch(estimate, kappa)
+                parts = components(pipeline.mesh, estimate, whole)
+        elif look == "colour_image":
+            texture = result.texture  # has it decoded
+            colour = SeenColour.of(result.frame) if texture is None else texture.colour
+        else:
+            name = look.removesuffix("_image")
+            image = _image(name, result, pipeline.model)
             if image is not None:
                 images[name] = image
-        ends = {name: _ends(image) for name, image in images.items()}
-        why = self._no_flow(result) if "flow" in looks - images.keys() else ""
-        return Inspection(images, ends, colour, why, kappa_curve=curve, components=parts)
+            elif name == "flow":
+                why = _no_flow(pipeline, result)
+    ends = {name: _ends(image) for name, image in images.items()}
+    return Inspection(images, ends, colour, why, kappa_curve=curve, components=parts)
 
-    def _no_flow(self, result: Result) -> str:
-        if result.flow is not None:
-            return result.flow.problem or "nothing of the texture is found again"
-        if result.frame.find_colour is None:
-            return result.frame.no_colour
-        return "" if self._pipeline.flow_of is None else "no colour image at this time"
 
-    def _components(self, result: Result, kappa: float | None) -> tuple[Component, ...]:
-        if result.estimate is None:
-            return ()
-        whole = self._pipeline.whole_patch(result.estimate, kappa)
-        return components(self._pipeline.mesh, result.estimate, whole)
+def _image(name: str, result: Result, model: SensorModel) -> np.ndarray | None:
+    """Image (H, W) of a name of `Inspection.images`, at full resolution."""
+    depth, estimate, flow = result.frame.depth_m, result.trusted_estimate, result.flow
+    if name == "depth":
+        return depth
+    if name == "flow":
+        return None if flow is None or not len(flow.pixel) else flow.lengths_px()
+    if name == "noise":
+        if model.pixels is None:
+            return model.sensor.camera.noise_relative * model.view.rest_range
+        return np.where(model.pixels.mask, model.pixels.noise_m, np.nan)
+    measured = model.range_image(depth)
+    if name == "change":
+        return measured - model.view.rest_range
+    if name == "used":
+        return np.isfinite(measured) & np.isfinite(model.view.rest_range)
+    return None if estimate is None else measured - model.view.range_image(estimate.motion_m)
 
-    def _image(self, name: Look, result: Result) -> np.ndarray | None:
-        depth, estimate = result.frame.depth_m, result.estimate
-        if name == "depth":
-            return depth
-        if name == "change":
-            return self._images.change(depth)
-        if name == "used":
-            return self._images.used(depth)
-        if name == "noise":
-            return self._images.noise
-        if name == "flow":
-            flow = result.flow
-            return None if flow is None or not len(flow.pixel) else flow.lengths_px()
-        if estimate is None or not estimate.trusted:
-            return None
-        return self._images.residual(depth, estimate.motion_m)
 
-    @cached_property
-    def _images(self) -> FrameImages:
-        return FrameImages(self._pipeline.model)
+def _no_flow(pipeline: Pipeline, result: Result) -> str:
+    if result.flow is not None:
+        return result.flow.problem or "nothing of the texture is found again"
+    if result.frame.find_colour is None:
+        return result.frame.no_colour
+    return "" if pipeline.flow_of is None else "no colour image at this time"
 
 
 def _ends(image: np.ndarray) -> tuple[float, float]:

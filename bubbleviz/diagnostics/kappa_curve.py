@@ -11,29 +11,18 @@ from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.patch.patch_finder import areas_above, mean_pressure
 from bubbleviz.result import Estimate
 
-KAPPAS = np.geomspace(0.1, 100.0, 61)
-"""Thresholds as multiples of the mean contact pressure (V-C)."""
+KAPPAS = np.geomspace(0.1, 100.0, 61)  # thresholds as multiples of the mean contact pressure (V-C)
 
 
 @dataclass(frozen=True)
 class KappaCurve:
-    """Patches of one frame at many thresholds.
+    """Patches of one frame at many thresholds."""
 
-    Attributes
-    ----------
-    kappa : (k,) array
-        Multiples of the mean contact pressure, rising.
-    area_m2 : (k,) array
-        Area of the patch on the reference surface.
-    histogram_m2 : (k − 1,) array
-        Area whose pressure lies between one threshold and the next.
-    iou : (k,) array or None
-        Intersection over union of the patch's pixels with the true ones; None without a truth.
-    """
-
-    kappa: np.ndarray
-    area_m2: np.ndarray
+    kappa: np.ndarray  # (k,), multiples of the mean contact pressure, rising
+    area_m2: np.ndarray  # (k,), area of the patch on the reference surface
+    # (k − 1,), area whose pressure lies between one threshold and the next
     histogram_m2: np.ndarray
+    # (k,), intersection over union of the patch's pixels with the true ones; None without a truth
     iou: np.ndarray | None = None
 
     def area_at(self, kappa: float) -> float:
@@ -44,20 +33,10 @@ class KappaCurve:
 def kappa_curve(
     mesh: MembraneMesh,
     estimate: Estimate,
-    truth: np.ndarray | None = None,
-    view: MembraneView | None = None,
+    truth: np.ndarray | None = None,  # (H, W) bool, true pixels of the patch
+    view: MembraneView | None = None,  # needed to compare with the truth
 ) -> KappaCurve:
-    """Curve of an estimate; of zeros without contact pressure.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-    estimate : Estimate
-    truth : (H, W) bool array, optional
-        True pixels of the patch.
-    view : MembraneView, optional
-        Needed to compare with the truth.
-    """
+    """Curve of an estimate; of zeros without contact pressure."""
     pressure = estimate.contact_pressure_pa
     levels = KAPPAS * mean_pressure(mesh, pressure)
     areas = np.zeros(len(KAPPAS))

@@ -10,58 +10,29 @@ from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 
-Pixel = tuple[int, int]
-"""Row and column."""
-CLOSE_PX = 4
-"""How far a pixel may be from the one whose residual stands for it; chosen."""
+Pixel = tuple[int, int]  # row and column
+CLOSE_PX = 4  # how far a pixel may be from the one whose residual stands for it; chosen
 
 
 @dataclass(frozen=True)
 class Probed:
-    """Values at a probed place.
+    """Values at a probed place."""
 
-    Attributes
-    ----------
-    pixel : (int, int) or None
-        Row and column; None for a place outside the image.
-    point_m : (3,) array
-        Measured point in B; NaN where the pixel has no return.
-    depth_m : float
-        z-depth; NaN where the pixel has no return.
-    node : int
-        Nearest node of the membrane.
-    node_m : (3,) array
-        Where it is now, in B.
-    node_pixel : (float, float)
-        Row and column at which the camera sees it.
-    displacement_m, pressure_pa : float
-        u and p_c of the node; NaN without an estimate.
-    unexplained_pa : float
-        Pressure at the node without evidence of contact, 0 where there is none.
-    residual_m : float
-        Measured less modelled range of the pixel; NaN where the result has none.
-    """
-
-    pixel: Pixel | None
-    point_m: np.ndarray
-    depth_m: float
-    node: int
-    node_m: np.ndarray
-    node_pixel: tuple[float, float]
+    pixel: Pixel | None  # row and column; None for a place outside the image
+    point_m: np.ndarray  # (3,), measured point in B; NaN where the pixel has no return
+    depth_m: float  # z-depth; NaN where the pixel has no return
+    node: int  # nearest node of the membrane
+    node_m: np.ndarray  # (3,), where it is now, in B
+    node_pixel: tuple[float, float]  # row and column at which the camera sees it
+    # displacement_m, pressure_pa: u and p_c of the node; NaN without an estimate
     displacement_m: float
     pressure_pa: float
-    unexplained_pa: float
-    residual_m: float
+    unexplained_pa: float  # pressure at the node without evidence of contact, 0 where there is none
+    residual_m: float  # measured less modelled range of the pixel; NaN where the result has none
 
 
 class Probe:
-    """Finds places in results of one camera and membrane.
-
-    Parameters
-    ----------
-    camera : DepthCamera
-    mesh : MembraneMesh
-    """
+    """Finds places in results of one camera and membrane."""
 
     def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
         self._camera, self._mesh = camera, mesh

@@ -9,22 +9,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the frames in which a quantity is known; in its unit, NaN where there are too few.
-
-    Attributes
-    ----------
-    mean, minimum, maximum : float
-    standard_deviation : float
-        Of a single frame, with n − 1 in the denominator.
-    frames : int
-        In which it is known.
-    """
+    """Of the frames in which a quantity is known; in its unit, NaN where there are too few."""
 
     mean: float
-    standard_deviation: float
+    standard_deviation: float  # of a single frame, with n − 1 in the denominator
     minimum: float
     maximum: float
-    frames: int
+    frames: int  # in which it is known
 
 
 def statistics(values: np.ndarray) -> Statistics:

@@ -8,11 +8,9 @@ import numpy as np
 
 from bubbleviz.result import HALF_95, Slip, Traction
 
-Measure = tuple[float, float]
-"""Value and half of its 95 % interval; NaN where it is not known."""
+Measure = tuple[float, float]  # value and half of its 95 % interval; NaN where it is not known
 UNKNOWN: Measure = (np.nan, np.nan)
-_TOLD = np.pi / 4.0
-"""A direction is told whose 95 % interval, rad, is within a quarter of a turn."""
+_TOLD = np.pi / 4.0  # a direction is told whose 95 % interval, rad, is within a quarter of a turn
 _REGION_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 """Radius that holds 95 % of a normal distribution in the plane, standard deviations."""
 _OUTLINE = 61
@@ -20,29 +18,20 @@ _OUTLINE = 61
 
 @dataclass(frozen=True)
 class ShearNumbers:
-    """Force of the object on the membrane, along and across the contact's mean normal.
+    """Force of the object on the membrane, along and across the contact's mean normal."""
 
-    Attributes
-    ----------
-    force_n, normal_n, tangential_n : Measure
-        Lengths, N; the mean normal is that of the normal forces, into the sensor.
-    direction_deg : Measure
-        Of the tangential force, seen along z of the bubble frame: from x towards y, degrees.
-    torque_nm : Measure
-        About the mean normal through the contact's centre, right-handed, N·m.
-    displacement_m : Measure
-        Largest displacement along the membrane of the nodes that are touched, m.
-    slip_share : Measure
-        Share of the patch that moved against the rest of it, 0 to 1.
-    """
-
+    # force_n, normal_n, tangential_n: lengths, N; the mean normal is that of the normal forces,
+    # into the sensor
     force_n: Measure = UNKNOWN
     normal_n: Measure = UNKNOWN
     tangential_n: Measure = UNKNOWN
+    # of the tangential force, seen along z of the bubble frame: from x towards y, degrees
     direction_deg: Measure = UNKNOWN
+    # about the mean normal through the contact's centre, right-handed, N·m
     torque_nm: Measure = UNKNOWN
+    # largest displacement along the membrane of the nodes that are touched, m
     displacement_m: Measure = UNKNOWN
-    slip_share: Measure = UNKNOWN
+    slip_share: Measure = UNKNOWN  # share of the patch that moved against the rest of it, 0 to 1
 
     @classmethod
     def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
@@ -75,18 +64,10 @@ class ShearNumbers:
 
 @dataclass(frozen=True)
 class ShearEllipse:
-    """Tangential force seen along z of the bubble frame.
+    """Tangential force seen along z of the bubble frame."""
 
-    Attributes
-    ----------
-    force_n : (2,) array
-        Along x and y, N.
-    outline_n : (k, 2) array
-        Closed line around its 95 % region, N.
-    """
-
-    force_n: np.ndarray
-    outline_n: np.ndarray
+    force_n: np.ndarray  # (2,), along x and y, N
+    outline_n: np.ndarray  # (k, 2), closed line around its 95 % region, N
 
     @classmethod
     def of(cls, traction: Traction) -> ShearEllipse | None:

@@ -12,28 +12,18 @@ from bubbleviz.result import HALF_95, Result
 
 @dataclass(frozen=True)
 class ShearSummary:
-    """Shear of many frames; numbers are None where there are none to trust.
+    """Shear of many frames; numbers are None where there are none to trust."""
 
-    Attributes
-    ----------
-    status : dict
-        Number of frames by status of the traction.
-    reference : str
-        What flow was measured against, or why there was nothing.
-    max_force_n, max_force_sigma_n : float or None
-        Highest |force| with friction, and its standard deviation, N.
-    torque_nm, torque_sigma_nm : float or None
-        In that frame, about the mean normal through the contact's centre, N·m.
-    slip_share, slip_share_sigma : float or None
-        In that frame, 0 to 1.
-    """
-
-    status: dict[str, int]
-    reference: str
+    status: dict[str, int]  # number of frames by status of the traction
+    reference: str  # what flow was measured against, or why there was nothing
+    # max_force_n, max_force_sigma_n: highest |force| with friction, and its standard deviation, N
     max_force_n: float | None = None
     max_force_sigma_n: float | None = None
+    # torque_nm, torque_sigma_nm: in that frame, about the mean normal through the contact's centre,
+    # N·m
     torque_nm: float | None = None
     torque_sigma_nm: float | None = None
+    # slip_share, slip_share_sigma: in that frame, 0 to 1
     slip_share: float | None = None
     slip_share_sigma: float | None = None
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.diagnostics.frame_numbers import numbers_of
 from bubbleviz.diagnostics.overlap import iou
@@ -23,49 +21,27 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
 @dataclass(frozen=True)
 class Measured:
-    """One setting on one frame; NaN where there is no number, or no truth to compare with.
+    """One setting on one frame; NaN where there is no number, or no truth to compare with."""
 
-    Attributes
-    ----------
-    result : Result
-        What it made of the frame.
-    mesh : MembraneMesh
-        Reference surface it did that on.
-    solver, status : str
-    total_ms, solve_ms : float
-        Depth image in → patch and its pixels out; the solver alone.
-    force_n, area_m2, residual_m : float
-        As in `Patch` and `Estimate`.
-    force_half_width_n : float
-        Half of the 95 % interval of the force.
-    iou : float
-        Of the patch's pixels with the true ones.
-    force_error : float
-        Length of the difference of the force vectors over the length of the true one.
-    """
-
-    result: Result
-    mesh: MembraneMesh
+    result: Result  # what it made of the frame
+    mesh: MembraneMesh  # reference surface it did that on
     solver: str
     status: str
+    # total_ms, solve_ms: depth image in → patch and its pixels out; the solver alone
     total_ms: float
     solve_ms: float
+    # force_n, area_m2, residual_m: as in `Patch` and `Estimate`
     force_n: float
     area_m2: float
     residual_m: float
-    force_half_width_n: float = float("nan")
-    iou: float = float("nan")
+    force_half_width_n: float = float("nan")  # half of the 95 % interval of the force
+    iou: float = float("nan")  # of the patch's pixels with the true ones
+    # length of the difference of the force vectors over the length of the true one
     force_error: float = float("nan")
 
 
 class SideBySide:
     """Measures settings; keeps what they need built.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    intrinsics : Intrinsics or None
-        Of the recording.
 
     Attributes
     ----------
@@ -73,7 +49,11 @@ class SideBySide:
         Kept ready, by setting.
     """
 
-    def __init__(self, sensor: Sensor, intrinsics: Intrinsics | None = None) -> None:
+    def __init__(
+        self,
+        sensor: Sensor,
+        intrinsics: Intrinsics | None = None,  # of the recording
+    ) -> None:
         self._sensor, self._intrinsics = sensor, intrinsics
         self.pipelines: dict[EstimatorOptions, Pipeline] = {}
 
@@ -84,29 +64,16 @@ class SideBySide:
     def measure(
         self,
         options: EstimatorOptions,
-        frame: Frame,
-        rule: FrameOptions | None = None,
+        frame: Frame,  # its gas pressure as it is to be believed
+        rule: FrameOptions | None = None,  # what makes the patch
         truth: Truth | None = None,
         *,
+        # the frame has one answer; else it is warm-started from the frame before, as in playback
         settled: bool = False,
     ) -> Measured:
         """Process a frame with a setting.
 
-        Parameters
-        ----------
-        options : EstimatorOptions
-        frame : Frame
-            Its gas pressure as it is to be believed.
-        rule : FrameOptions, optional
-            What makes the patch.
-        truth : Truth, optional
-        settled : bool
-            The frame has one answer; else it is warm-started from the frame before, as in playback.
-
-        Raises
-        ------
-        InputError
-            The setting is impossible.
+        Raises InputError: the setting is impossible.
         """
         pipeline = self._pipeline(options)
         if settled or not pipeline.counts:
@@ -117,12 +84,8 @@ class SideBySide:
             raise AssertionError("asked for all of them")
         errors: dict[str, float] = {}
         if truth is not None and estimate.trusted:
-            force = float(np.linalg.norm(truth.force_n))
-            difference = float(np.linalg.norm(patch.force_n - truth.force_n))
-            errors = {
-                "iou": iou(patch.pixel_mask, truth.patch_mask),
-                "force_error": difference / force if force > 0.0 else float("nan"),
-            }
+            errors["iou"] = iou(patch.pixel_mask, truth.patch_mask)
+            errors["force_error"] = truth.force_error(patch.force_n)
         numbers = numbers_of(result, pipeline.model.gas)
         return Measured(
             result,

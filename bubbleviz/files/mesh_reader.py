@@ -24,10 +24,8 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
     Polygons are cut into triangles and coinciding vertices (STL has three per triangle) merged.
 
-    Raises
-    ------
-    InputError
-        No such file, another format, unreadable, without triangles, or with NaN coordinates.
+    Raises InputError: no such file, another format, unreadable, without triangles, or with NaN
+    coordinates.
     """
     path = Path(path)
     if not path.is_file():

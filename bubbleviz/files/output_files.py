@@ -28,10 +28,7 @@ def whole_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     `path` (some writers choose the format by it). When the block raises, nothing remains of it,
     and what `overwrite` would have replaced is as it was.
 
-    Raises
-    ------
-    InputError
-        `path` exists, its folder does not, or the disk refuses.
+    Raises InputError: `path` exists, its folder does not, or the disk refuses.
     """
     path = Path(path)
     refuse_existing(path, overwrite=overwrite)

@@ -27,8 +27,7 @@ _FACES = ("vertex_indices", "vertex_index")
 
 _Property = tuple[str, np.dtype, np.dtype | None]
 """Name, type, and type of the length where it is a list."""
-_Element = tuple[str, int, list[_Property]]
-"""Name, number of rows, properties."""
+_Element = tuple[str, int, list[_Property]]  # name, number of rows, properties
 _Columns = Mapping[str, np.ndarray | list[np.ndarray]]
 """The values of each row by property: one, or as many as a list has."""
 
@@ -36,10 +35,7 @@ _Columns = Mapping[str, np.ndarray | list[np.ndarray]]
 def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     """Vertices (n, 3) and polygons, each an int array grouped by size (k, corners).
 
-    Raises
-    ------
-    ValueError
-        Not a PLY, truncated, or without vertices and faces.
+    Raises ValueError: not a PLY, truncated, or without vertices and faces.
     """
     header, body = _split(path.read_bytes())
     is_ascii, elements = _parse_header(header)

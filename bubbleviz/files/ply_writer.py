@@ -10,23 +10,13 @@ import numpy as np
 
 def write_ply(
     path: Path,
-    points: np.ndarray,
+    points: np.ndarray,  # (k, 3)
+    # mapping of (k,) array, properties of the points after x, y, z
     values: Mapping[str, np.ndarray],
-    triangles: np.ndarray | None = None,
-    comment: str = "",
+    triangles: np.ndarray | None = None,  # (m, 3) int
+    comment: str = "",  # one line
 ) -> None:
-    """Little-endian PLY, double precision.
-
-    Parameters
-    ----------
-    path : Path
-    points : (k, 3) array
-    values : mapping of (k,) array
-        Properties of the points after x, y, z.
-    triangles : (m, 3) int array, optional
-    comment : str
-        One line.
-    """
+    """Little-endian PLY, double precision."""
     names = ["x", "y", "z", *values]
     vertices = np.empty(len(points), dtype=[(name, "<f8") for name in names])
     for name, column in zip(names, [*points.T, *values.values()], strict=True):

@@ -70,10 +70,7 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     Reads the columns x_m, y_m, z_m, qx, qy, qz, qw and time_s; others, as POSES.csv has, are
     left.
 
-    Raises
-    ------
-    InputError
-        Names the file and the line.
+    Raises InputError: names the file and the line.
     """
     path = Path(path)
     rows = read_rows(path)
@@ -94,10 +91,7 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Lines of a CSV file by the names in its header.
 
-    Raises
-    ------
-    InputError
-        It cannot be read as CSV.
+    Raises InputError: it cannot be read as CSV.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:

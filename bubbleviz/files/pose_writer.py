@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bubbleviz.files.output_files import whole_file
+from bubbleviz.files.pose_reader import COLUMNS, pose_numbers
 from bubbleviz.files.tables import write_rows
-from bubbleviz.result import Pose, Result
+from bubbleviz.result import Result
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,13 @@ class PoseRow:
             raise ValueError("the product pose was not asked for")
         pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
         one, two = pose.stage_one, pose.stage_two
-        x, y, z, qx, qy, qz, qw = _numbers(pose)
+        known = np.isfinite(pose.T_B_O).all()
+        numbers = pose_numbers(pose.T_B_O) if known else (np.nan,) * 7
         return cls(
             frame=result.frame.index,
             time_s=result.frame.time_s,
             status=pose.status,
-            x_m=x,
-            y_m=y,
-            z_m=z,
-            qx=qx,
-            qy=qy,
-            qz=qz,
-            qw=qw,
+            **dict(zip(COLUMNS, numbers, strict=True)),
             fitness=two.fitness if two else np.nan,
             rmse_m=two.rmse_m if two else np.nan,
             stage1_rmse_m=one.rmse_m if one else np.nan,
@@ -75,15 +70,6 @@ class PoseRow:
 _AREAS = ("patch_area_m2", "object_patch_area_m2")
 
 
-def _numbers(pose: Pose) -> list[float]:
-    """Position in m and quaternion xyzw with w ≥ 0."""
-    T = pose.T_B_O
-    if not np.isfinite(T).all():
-        return [np.nan] * 7
-    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
-    return [*T[:3, 3].tolist(), *quaternion.tolist()]
-
-
 def write_poses(
     path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"], *, overwrite: bool = False
 ) -> int:
@@ -92,10 +78,7 @@ def write_poses(
     The areas of both patches are columns where any frame has that by the object. A TUM line is
     `time x y z qx qy qz qw`, s and m.
 
-    Raises
-    ------
-    InputError
-        The file exists or cannot be written.
+    Raises InputError: the file exists or cannot be written.
     """
     rows = list(rows)
     with whole_file(path, overwrite=overwrite) as temporary:

@@ -12,35 +12,25 @@ from typing import IO, Any
 
 import numpy as np
 
-from bubbleviz.files.shear_columns import SHEAR_COLUMNS, SHEAR_FIELDS, shear_fields, shear_row
+from bubbleviz.files.shear_columns import (
+    SHEAR_COLUMNS,
+    SHEAR_FIELDS,
+    by_axis,
+    shear_fields,
+    shear_row,
+)
 from bubbleviz.frames.measured_force import force_of, measured_force
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.result import Result
 
 COLUMNS: dict[str, tuple[str, ...]] = {
-    "frame": (),
-    "time_s": (),
-    "status": (),
-    "gas_pressure_change_pa": (),
-    "threshold_pa": (),
-    "force_n": ("force_x_n", "force_y_n", "force_z_n"),
-    "force_sigma_n": ("force_sigma_x_n", "force_sigma_y_n", "force_sigma_z_n"),
-    "normal_force_n": ("normal_force_x_n", "normal_force_y_n", "normal_force_z_n"),
-    "tangential_force_n": ("tangential_force_x_n", "tangential_force_y_n", "tangential_force_z_n"),
-    "torque_nm": ("torque_x_nm", "torque_y_nm", "torque_z_nm"),
+    **dict.fromkeys(("frame", "time_s", "status", "gas_pressure_change_pa", "threshold_pa"), ()),
+    **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n", "torque_nm"),
     "measured_force_n": (),
-    "center_of_pressure_m": (
-        "center_of_pressure_x_m",
-        "center_of_pressure_y_m",
-        "center_of_pressure_z_m",
-    ),
+    **by_axis("center_of_pressure_m"),
     "patch_area_m2": (),
     "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
-    "residual_rms_m": (),
-    "kkt_residual": (),
-    "solve_ms": (),
-    "total_ms": (),
-    "kappa": (),
+    **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
 }
 """Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
 than the one of the same name."""
@@ -57,20 +47,9 @@ is where its level is positive."""
 UNKNOWN = ("no_data", "not_converged", "implausible")
 """Statuses of frames about which nothing is known."""
 
-_NO_NUMBER_WITHOUT_DATA = (
-    "gas_pressure_change_pa",
-    "threshold_pa",
-    "force_n",
-    "force_sigma_n",
-    "normal_force_n",
-    "tangential_force_n",
-    "torque_nm",
-    "center_of_pressure_m",
-    "patch_area_m2",
-    "patch_area_interval_m2",
-    "residual_rms_m",
-    "kkt_residual",
-)
+_KNOWN_WITHOUT_DATA = {
+    *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
+}
 
 
 def summary_row(result: Result) -> dict[str, Any]:
@@ -106,7 +85,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "kappa": np.nan if patch.kappa is None else patch.kappa,
     }
     if estimate.status in UNKNOWN:
-        for key in _NO_NUMBER_WITHOUT_DATA:
+        for key in COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row | shear_row(result)
 
@@ -119,16 +98,13 @@ def add_measured_force(rows: list[dict[str, Any]]) -> None:
         row["measured_force_n"] = float(force)
 
 
-def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
+def nodal_fields(
+    result: Result,  # with its estimate and patch
+    mesh: MembraneMesh,
+) -> dict[str, np.ndarray]:
     """Fields of one frame by key of `NODAL_FIELDS`; NaN for what a frame without data cannot tell.
 
     With those of `SHEAR_FIELDS` where traction was asked for.
-
-    Parameters
-    ----------
-    result : Result
-        With its estimate and patch.
-    mesh : MembraneMesh
     """
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
@@ -144,15 +120,11 @@ def nodal_fields(result: Result, mesh: MembraneMesh) -> dict[str, np.ndarray]:
     return fields | shear_fields(result)
 
 
-def result_arrays(results: Sequence[Result], mesh: MembraneMesh) -> dict[str, np.ndarray]:
-    """Arrays of RESULT.npz but its masks: numbers of each frame, nodal fields, reference surface.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        With their estimates and patches.
-    mesh : MembraneMesh
-    """
+def result_arrays(
+    results: Sequence[Result],  # with their estimates and patches
+    mesh: MembraneMesh,
+) -> dict[str, np.ndarray]:
+    """Arrays of RESULT.npz but its masks: numbers of frames, nodal fields, reference surface."""
     fields = [nodal_fields(result, mesh) for result in results]
     rows = [summary_row(result) for result in results]
     add_measured_force(rows)
@@ -183,28 +155,16 @@ class ResultWriter:
     The masks of 36,000 frames are 11 GB, the nodal fields 0.6 GB: the masks go into the archive,
     the nodal fields through unnamed files beside it (a system's folder for temporary files may
     be memory), and only a few numbers a frame are kept.
-
-    Parameters
-    ----------
-    path : Path
-        Where to write; give the temporary path of `whole_file`.
-    mesh : MembraneMesh
-    frames : int
-        F, how many frames will be added.
-    shape : (int, int)
-        H, W of the masks.
-    shear : bool, optional
-        Whether the results have traction.
     """
 
     def __init__(
         self,
-        path: Path,
+        path: Path,  # where to write; give the temporary path of `whole_file`
         mesh: MembraneMesh,
-        frames: int,
-        shape: tuple[int, int],
+        frames: int,  # F, how many frames will be added
+        shape: tuple[int, int],  # H, W of the masks
         *,
-        shear: bool = False,
+        shear: bool = False,  # whether the results have traction
     ) -> None:
         self.rows: list[dict[str, Any]] = []
         self._mesh, self._frames, self._shape = mesh, frames, shape

@@ -9,21 +9,20 @@ import numpy as np
 from bubbleviz.diagnostics.shear_numbers import ShearNumbers
 from bubbleviz.result import Result
 
+
+def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
+    """Keys of vectors, `force_n`, with their columns by component, `force_x_n` and so on."""
+    parts = {key: key.rpartition("_") for key in keys}
+    return {key: tuple(f"{p[0]}_{axis}_{p[2]}" for axis in "xyz") for key, p in parts.items()}
+
+
 SHEAR_COLUMNS: dict[str, tuple[str, ...]] = {
-    "traction_status": (),
-    "traction_reason": (),
-    **{
-        f"traction_{name}_{unit}": tuple(f"traction_{name}_{axis}_{unit}" for axis in "xyz")
-        for name, unit in (
-            ("force", "n"),
-            ("force_sigma", "n"),
-            ("torque", "nm"),
-            ("torque_sigma", "nm"),
-        )
-    },
-    "flow_rms_px": (),
-    "slip": (),
-    "slip_sigma": (),
+    **dict.fromkeys(("traction_status", "traction_reason"), ()),
+    **by_axis(
+        *("traction_force_n", "traction_force_sigma_n"),
+        *("traction_torque_nm", "traction_torque_sigma_nm"),
+    ),
+    **dict.fromkeys(("flow_rms_px", "slip", "slip_sigma"), ()),
 }
 """Keys with a text or a few numbers a frame, and their columns in the CSV as of
 `result_writer.COLUMNS`."""

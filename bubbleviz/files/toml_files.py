@@ -17,10 +17,7 @@ Model = TypeVar("Model", bound=BaseModel)
 def named_file(name: str | Path, presets: Path, what: str) -> Path:
     """The file of that name or, where there is none, the preset of its stem.
 
-    Raises
-    ------
-    InputError
-        There is neither; lists the presets.
+    Raises InputError: there is neither; lists the presets.
     """
     path = Path(name)
     if path.exists():
@@ -35,10 +32,7 @@ def named_file(name: str | Path, presets: Path, what: str) -> Path:
 def read_toml(path: Path) -> dict[str, Any]:
     """Tables of a TOML file.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, or is not TOML.
+    Raises InputError: it cannot be read, or is not TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -46,22 +40,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
 
 
-def checked(model: type[Model], data: Mapping[str, Any], path: Path, whole: str) -> Model:
+def checked(
+    model: type[Model],
+    data: Mapping[str, Any],
+    path: Path,  # for the message
+    whole: str,  # what to call the file's content where no key is to blame
+) -> Model:
     """What the tables of a file describe.
 
-    Parameters
-    ----------
-    model : type
-    data : mapping
-    path : Path
-        For the message.
-    whole : str
-        What to call the file's content where no key is to blame.
-
-    Raises
-    ------
-    InputError
-        It breaks the schema; names the first key that does and what to do.
+    Raises InputError: it breaks the schema; names the first key that does and what to do.
     """
     try:
         return model.model_validate(data)

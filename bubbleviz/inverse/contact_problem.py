@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.inverse.likeliest_support import SupportProblem
-from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
+from bubbleviz.inverse.solvers.pivoting import nonnegative_qp, part
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.mesh_graph import adjacency, dense_part, grown
 from bubbleviz.membrane.stiffness import cotangent_laplacian
@@ -268,7 +268,7 @@ class ContactProblem:
                 slope = gradient[self._work]
                 guess = slope < 0.5 * slope.min(initial=0.0)
             linear = self._linear + prior.threshold[self._work]
-            x, count, converged = nonnegative_qp(DenseQuadratic(self._hessian), linear, guess)
+            x, count, converged = nonnegative_qp(self._hessian, linear, guess)
             pressure = self._everywhere(x)
             pivots += count
             gradient = self._gradient(pressure) + prior.threshold
@@ -356,7 +356,7 @@ class ContactProblem:
         if not len(support):
             return pressure, 0, True
         where = np.searchsorted(self._work, support)
-        H = DenseQuadratic(part(self._hessian, where))
+        H = part(self._hessian, where)
         x, pivots, converged = nonnegative_qp(H, self._linear[where], np.ones(len(where), bool))
         pressure[support] = x
         return pressure, pivots, converged

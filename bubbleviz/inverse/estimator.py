@@ -24,8 +24,9 @@ from bubbleviz.inverse.plausibility import (
 )
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, Scales, natural_residual
 from bubbleviz.inverse.resolution import information_density, resolution_m
-from bubbleviz.inverse.solvers.inverse_solver import BASE_MESH, LINEAR, make_solver
+from bubbleviz.inverse.solvers.inverse_solver import BASE_MESH, DROPPED, LINEAR, make_solver
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.stiffness import mean_curvature
 from bubbleviz.result import Estimate, Status
 
@@ -39,7 +40,10 @@ RIM_SLACK_M = 1.5e-4
 holds rubber."""
 
 MAX_NODES = 60_000
-"""Beyond this a frame would take minutes."""
+"""Of the exact membrane: beyond this a frame would take minutes."""
+
+MAX_LINEAR_NODES = 15_000
+"""Of the linear one: at 20,000 a first frame takes two minutes and does not converge."""
 
 _NEAR, _FAR = 0.05, 0.5
 """Shares of a mesh edge. Moved by less than the first, a ray meets the same facet at the same
@@ -65,8 +69,6 @@ class EstimatorOptions:
         How often rays may be re-cast at the current shape within one frame of a stream.
     nodes : int or None
         Size of the mesh of an analytic dome; None for the sensor file's.
-    tolerance : float or None
-        Of the solver, in its own terms; None for its default.
     pressure_scale : float
         Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
     block : int or None
@@ -84,7 +86,6 @@ class EstimatorOptions:
     solver: str | None = None
     relinearisations: int = 2
     nodes: int | None = None
-    tolerance: float | None = None
     pressure_scale: float = PRESSURE_SCALE
     block: int | None = None
     rim_slack_m: float = RIM_SLACK_M
@@ -96,7 +97,14 @@ class EstimatorOptions:
         """Options of a `--solver` name, and of a `--friction` in place of the default.
 
         The name is `fast`, a solver's own, or None for the default.
+
+        Raises
+        ------
+        InputError
+            The name is of a solver that was dropped.
         """
+        if name in DROPPED:
+            raise InputError(f"solver {name}: {DROPPED[name]}")
         mu = FRICTION if friction is None else friction
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
@@ -105,6 +113,15 @@ class EstimatorOptions:
             return cls(BASE_MESH[name], fine_contact=False, friction=mu)
         # active-set: its name up to version 0.1
         return cls(LINEAR if name == "active-set" else name, friction=mu)
+
+
+def check_size(mesh: MembraneMesh, most: int) -> None:
+    """Raise InputError where a mesh has more nodes than that."""
+    if len(mesh.nodes) > most:
+        raise InputError(
+            f"mesh: {len(mesh.nodes)} nodes are too many for the inverse problem; use at most "
+            f"{most}, the noise hides what 3,000 cannot resolve"
+        )
 
 
 @dataclass(frozen=True)
@@ -198,11 +215,7 @@ class Estimator:
         options: EstimatorOptions | None = None,
     ) -> None:
         self.mesh = observer.mesh
-        if len(self.mesh.nodes) > MAX_NODES:
-            raise InputError(
-                f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
-                f"use at most {MAX_NODES}, the noise hides what 3,000 cannot resolve"
-            )
+        check_size(self.mesh, MAX_LINEAR_NODES)
         self.observer = observer
         self.gas = gas
         self.options = options or EstimatorOptions()
@@ -217,9 +230,7 @@ class Estimator:
         expected = self.options.pressure_scale
         self.prior_weight = (expected * self.held_pressure_pa) ** -2.0
         self._lambda = 1.0 / (expected * self._held) ** 2
-        self._solver = make_solver(
-            self.solver_name, self._equilibrium, reference_Q, self._lambda, self.options.tolerance
-        )
+        self._solver = make_solver(self.solver_name, self._equilibrium, reference_Q, self._lambda)
         self._gas_limit = GAS_LINEAR * gas.P0 / self.scales.pressure_pa
         self._weight = float(reference_Q.diagonal().sum())
         self._tau = detection_threshold(self._equilibrium, reference_Q)

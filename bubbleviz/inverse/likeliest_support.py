@@ -18,7 +18,7 @@ from math import log
 import numpy as np
 from scipy.linalg.blas import dger
 
-from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
+from bubbleviz.inverse.solvers.pivoting import nonnegative_qp, part
 
 _CUT = 0.5 * log(2.0)
 """β: a boundary has some two ways to go on at every node, and two mesh edges cut beside it."""
@@ -79,7 +79,7 @@ class SupportProblem:
     def _pressed(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Nodes of a support (c,) bool under pressure, pivots, and whether it converged."""
         nodes = np.flatnonzero(support)
-        H = DenseQuadratic(part(self.hessian, nodes))
+        H = part(self.hessian, nodes)
         p, pivots, solved = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
         pressed = np.zeros_like(support)
         pressed[nodes[p > 0.0]] = True

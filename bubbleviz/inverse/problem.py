@@ -60,8 +60,6 @@ class Equilibrium:
 
     Attributes
     ----------
-    nodes : (n, 3) array
-        The free nodes.
     L : (n, n) sparse array
         Stiffness of the free nodes.
     A : (n,) array
@@ -72,7 +70,6 @@ class Equilibrium:
 
     def __init__(self, mesh: MembraneMesh, gas: Gas, scales: Scales) -> None:
         free = mesh.free
-        self.nodes = mesh.nodes[free] / scales.length_m
         self.L = cotangent_laplacian(mesh)[free][:, free].tocsc()
         self.A = mesh.areas[free] / scales.length_m**2
         self.beta = gas.beta[free] * scales.length_m / scales.pressure_pa

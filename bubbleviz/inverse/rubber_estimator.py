@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import smoothness
-from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
+from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions, check_size
 from bubbleviz.inverse.gauss_newton import FailedFrame, GaussNewton, RubberStart, SolvedFrame
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
@@ -69,11 +68,7 @@ class RubberEstimator:
         variants: Sequence[RubberMembrane] = (),
     ) -> None:
         self.mesh = observer.mesh
-        if len(self.mesh.nodes) > MAX_NODES:
-            raise InputError(
-                f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
-                f"use at most {MAX_NODES}, the noise hides what 3,000 cannot resolve"
-            )
+        check_size(self.mesh, MAX_NODES)
         self.observer, self.membrane, self.gas = observer, membrane, gas
         self.options = options or EstimatorOptions()
         self.solver_name = RUBBER

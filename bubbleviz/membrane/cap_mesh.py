@@ -14,21 +14,12 @@ from bubbleviz.membrane.smoothing import lawson_flips, smooth
 
 @dataclass(frozen=True)
 class EllipsoidalCap:
-    """Cap of an ellipsoid above the plane z = 0, centred on the z axis, apex at +z.
+    """Cap of an ellipsoid above the plane z = 0, centred on the z axis, apex at +z."""
 
-    Attributes
-    ----------
-    rim_semi_axes_m : (ax, ay)
-        Semi-axes of the rim ellipse along x and y, m.
-    height_m : float
-        Apex above the rim plane, m.
-    vertical_semi_axis_m : float
-        Vertical semi-axis c of the whole ellipsoid, m; more than half the height. The cap is
-        less than half of the ellipsoid where c > height and more where c < height.
-    """
-
-    rim_semi_axes_m: tuple[float, float]
-    height_m: float
+    rim_semi_axes_m: tuple[float, float]  # (ax, ay), semi-axes of the rim ellipse along x and y, m
+    height_m: float  # apex above the rim plane, m
+    # vertical semi-axis c of the whole ellipsoid, m; more than half the height. The cap is less
+    # than half of the ellipsoid where c > height and more where c < height.
     vertical_semi_axis_m: float
 
     @classmethod

@@ -15,59 +15,30 @@ from bubbleviz.membrane.obstacle import Obstacle, ObstacleSolver
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.rigid_object import RigidObject
 
-Outer = Literal["joint", "bracket", "relaxed"]
+Outer = Literal["joint", "bracket"]
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Equilibrium of the membrane pressed by a rigid object, and how well it holds.
+    """Equilibrium of the membrane pressed by a rigid object, and how well it holds."""
 
-    Attributes
-    ----------
-    displacement_m : (n,) array
-        u along the reference normals, m; 0 on the rim.
-    displacement_3d_m : (n, 3) array
-        The whole displacement, m.
-    contact_pressure_pa : (n,) array
-        p_c ≥ 0, Pa.
-    nodal_force_n : (n, 3) array
-        Of the object on the membrane, N.
-    gap_m : (n,) array
-        Bound g on u from the object, m; inf where its normal line does not meet it.
-    gas_pressure_change_pa : float
-        p_v, Pa.
-    complementarity : float
-        max |φ p_c| with φ = g − u, Pa·m (Eq. 13).
-    penetration_m : float
-        max(u − g, 0) over the free nodes, m.
-    rim_penetration_m : float
-        The same on the clamped rim, which cannot give way; above 0 the object sits on it.
-    balance_residual : float
-        max |K u − A p_v + A∘p_c| relative to the largest of its terms (Eq. 5).
-    gas_law_residual : float
-        |P(V(u)) − P0 − p_v| / P0.
-    iterations : int
-        Sparse factorisations.
-    outer_iterations : int
-        Gas-law iterations; 1 where it is solved together with the contact.
-    converged : bool
-        Contact and gas law both hold.
-    """
-
-    displacement_m: np.ndarray
-    displacement_3d_m: np.ndarray
-    contact_pressure_pa: np.ndarray
-    nodal_force_n: np.ndarray
+    displacement_m: np.ndarray  # (n,), u along the reference normals, m; 0 on the rim
+    displacement_3d_m: np.ndarray  # (n, 3), the whole displacement, m
+    contact_pressure_pa: np.ndarray  # (n,), p_c ≥ 0, Pa
+    nodal_force_n: np.ndarray  # (n, 3), of the object on the membrane, N
+    # (n,), bound g on u from the object, m; inf where its normal line does not meet it
     gap_m: np.ndarray
-    gas_pressure_change_pa: float
-    complementarity: float
-    penetration_m: float
+    gas_pressure_change_pa: float  # p_v, Pa
+    complementarity: float  # max |φ p_c| with φ = g − u, Pa·m (Eq. 13)
+    penetration_m: float  # max(u − g, 0) over the free nodes, m
+    # the same on the clamped rim, which cannot give way; above 0 the object sits on it
     rim_penetration_m: float
+    # max |K u − A p_v + A∘p_c| relative to the largest of its terms (Eq. 5)
     balance_residual: float
-    gas_law_residual: float
-    iterations: int
-    outer_iterations: int
-    converged: bool
+    gas_law_residual: float  # |P(V(u)) − P0 − p_v| / P0
+    iterations: int  # sparse factorisations
+    outer_iterations: int  # gas-law iterations; 1 where it is solved together with the contact
+    converged: bool  # contact and gas law both hold
 
 
 class ForwardModel:
@@ -79,13 +50,11 @@ class ForwardModel:
     tension_n_per_m : float
         γ0.
     gas : Gas
-    outer : {"joint", "bracket", "relaxed"}
+    outer : {"joint", "bracket"}
         How the gas law is met. `joint`: solved exactly in every step of the contact solver,
         with `bracket` behind it. `bracket`: a root of P(V(u(p_v))) − P0 − p_v, which falls
-        monotonically, between bounds that always hold it. `relaxed`: the paper's fixed point
-        p ← p + ω (P(V) − P0 − p); diverges where the gas is stiff, and then says so.
-    relaxation : float
-        ω of `relaxed`; 0.6 in the paper.
+        monotonically, between bounds that always hold it. (The paper's fixed point
+        p ← p + ω (P(V) − P0 − p) diverges where the gas is stiff; dropped in 0.3.)
     """
 
     def __init__(
@@ -95,12 +64,13 @@ class ForwardModel:
         gas: Gas,
         *,
         outer: Outer = "joint",
-        relaxation: float = 0.6,
     ) -> None:
         if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
             raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
         self.mesh, self.tension, self.gas = mesh, tension_n_per_m, gas
-        self.outer, self.relaxation = outer, relaxation
+        if outer not in ("joint", "bracket"):
+            raise InputError(f"outer={outer!r}: use joint; relaxed is gone since 0.3")
+        self.outer = outer
         self._finder = GapFinder(mesh)
         self._laplacian = cotangent_laplacian(mesh)
         free = mesh.free
@@ -120,9 +90,7 @@ class ForwardModel:
     def solve(self, gap_m: np.ndarray) -> Contact:
         """Equilibrium under given bounds g (n,) on the displacement, m."""
         bound = gap_m[self.mesh.free]
-        if self.outer == "relaxed":
-            state, factorisations, outers, ok = self._relaxed(bound)
-        elif self.outer == "bracket":
+        if self.outer == "bracket":
             state, factorisations, outers, ok = self._bracketed(bound)
         else:
             state = self._solver.solve(bound, self._gas_rule, self._active)
@@ -181,26 +149,6 @@ class ForwardModel:
         states.append(self._at_pressure(bound, root))
         iterations = sum(s.iterations for s in states)
         return states[-1], iterations, len(states), states[-1].converged
-
-    def _relaxed(self, bound: np.ndarray) -> tuple[Obstacle, int, int, bool]:
-        """The paper's fixed point on p_v with relaxation ω (III-C); not converged if it diverges.
-
-        Divergence shows as a change that outgrows the first one or asks for a negative pressure.
-        """
-        P0, V0 = self.gas.P0, self.gas.V0
-        pressure, factorisations, first, ok = 0.0, 0, np.inf, False
-        for step in range(1, 201):
-            state = self._at_pressure(bound, pressure)
-            factorisations += state.iterations
-            volume = self._volume(state)
-            change = P0 * V0 / volume - P0 - pressure if volume > 0.0 else np.inf
-            first = min(first, abs(change)) if step == 1 else first
-            ok = abs(change) <= 1e-10 * P0
-            following = pressure + self.relaxation * change
-            if ok or not abs(change) <= 1e2 * first or following <= -P0:
-                break
-            pressure = following
-        return state, factorisations, step, ok and state.converged
 
     def _certified(
         self, state: Obstacle, gap_m: np.ndarray, factorisations: int, outers: int, ok: bool

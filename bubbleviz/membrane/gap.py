@@ -6,7 +6,7 @@ import numpy as np
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
 from bubbleviz.rigid_object import RigidObject
 
 
@@ -45,8 +45,7 @@ class GapFinder:
 
     def _load(self, obj: RigidObject) -> None:
         scene = TriangleScene(obj.vertices, obj.triangles)
-        a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
-        vectors = np.cross(b - a, c - a)
+        a, vectors = obj.vertices[obj.triangles[:, 0]], area_vectors(obj.vertices, obj.triangles)
         self._solid = is_watertight(obj.triangles)
         if self._solid and np.einsum("ij,ij->", vectors, a) < 0.0:
             vectors = -vectors  # inward normals: the signed volume is negative

@@ -12,28 +12,18 @@ from bubbleviz.sensor import Pneumatics
 
 @dataclass(frozen=True)
 class Gas:
-    """Isothermal ideal gas in the chamber and under the cap.
+    """Isothermal ideal gas in the chamber and under the cap."""
 
-    Attributes
-    ----------
-    P0 : float
-        Absolute reference pressure, Pa.
-    V0 : float
-        Reference volume, chamber and cap, m³.
-    dV_du : (n,) array
-        Volume change per node displacement, m². The divergence theorem gives A; the paper's
-        Eq. 9 has A/3, which under-reports p_v threefold and is kept for comparison.
-    lowest_change_pa, highest_change_pa : float
-        Range of p_v that a membrane can cause: from no gauge pressure left to the cap pressed flat.
-    zero_sigma_pa : float
-        Standard deviation of the zero from which a measured p_v counts, Pa.
-    """
-
-    P0: float
-    V0: float
+    P0: float  # absolute reference pressure, Pa
+    V0: float  # reference volume, chamber and cap, m³
+    # (n,), volume change per node displacement, m². The divergence theorem gives A; the paper's Eq.
+    # 9 has A/3, which under-reports p_v threefold and is kept for comparison.
     dV_du: np.ndarray
+    # lowest_change_pa, highest_change_pa: range of p_v that a membrane can cause: from no gauge
+    # pressure left to the cap pressed flat
     lowest_change_pa: float = -np.inf
     highest_change_pa: float = np.inf
+    # standard deviation of the zero from which a measured p_v counts, Pa
     zero_sigma_pa: float = 0.0
 
     @classmethod

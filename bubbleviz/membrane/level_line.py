@@ -6,19 +6,12 @@ import numpy as np
 
 
 def level_line(
-    points: np.ndarray, corners: np.ndarray, field: np.ndarray, level: float = 0.0
+    points: np.ndarray,  # (n, 3)
+    corners: np.ndarray,  # (3, m) int, triangles by corner
+    field: np.ndarray,  # (n,), linear on each triangle
+    level: float = 0.0,
 ) -> np.ndarray:
-    """Straight pieces of the line, one in each triangle that it crosses, (k, 2, 3).
-
-    Parameters
-    ----------
-    points : (n, 3) array
-    corners : (3, m) int array
-        Triangles by corner.
-    field : (n,) array
-        Linear on each triangle.
-    level : float
-    """
+    """Straight pieces of the line, one in each triangle that it crosses, (k, 2, 3)."""
     above = field - level
     inside = (above > 0.0).take(corners)
     count = inside.sum(axis=0)

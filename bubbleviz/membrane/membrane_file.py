@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.mesh_reader import read_triangles
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
 
 LARGEST_M = 1.0  # of the mesh's box, m: more is in millimetres
 SMALLEST_M = 2e-3  # of the mesh's box, m
@@ -26,10 +26,7 @@ def load_membrane(path: str | Path) -> MembraneMesh:
     The open boundary is the rim, held at z ≈ 0 (it need not be exactly plane; the cap volume
     is that above z = 0). Triangles are turned so that normals point out, to +z.
 
-    Raises
-    ------
-    InputError
-        One line with the file, the edge, triangle or node at fault, and what to do.
+    Raises InputError: one line with the file, the edge, triangle or node at fault, and what to do.
     """
     nodes, triangles = read_triangles(path)
     try:
@@ -46,8 +43,7 @@ def membrane_from_triangles(nodes: np.ndarray, triangles: np.ndarray) -> Membran
     _check_connected(nodes, triangles, first, second)
     _check_one_loop(nodes, boundary)
     triangles = _oriented(triangles, first, second)
-    a, b, c = (nodes[triangles[:, k]] for k in range(3))
-    facing = np.cross(b - a, c - a).sum(axis=0)  # twice the area vector of the rim's opening
+    facing = area_vectors(nodes, triangles).sum(axis=0)  # of the rim's opening
     if facing[2] < 0.0:
         triangles, facing = triangles[:, [0, 2, 1]], -facing
     rim = np.zeros(len(nodes), dtype=bool)

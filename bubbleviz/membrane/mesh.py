@@ -10,27 +10,18 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MembraneMesh:
-    """Reference configuration S0 in the bubble frame B.
+    """Reference configuration S0 in the bubble frame B."""
 
-    Attributes
-    ----------
-    nodes : (n, 3) array
-        Node positions x0 in m.
-    triangles : (m, 3) int array
-        Node indices, counter-clockwise seen from outside (normals point out of the sensor).
-    rim : (n,) bool array
-        Nodes clamped at the rim, where u = 0.
-    """
-
-    nodes: np.ndarray
+    nodes: np.ndarray  # (n, 3), node positions x0 in m
+    # (m, 3) int, node indices, counter-clockwise seen from outside (normals point out of the
+    # sensor)
     triangles: np.ndarray
-    rim: np.ndarray
+    rim: np.ndarray  # (n,) bool, nodes clamped at the rim, where u = 0
 
     @cached_property
     def facet_vectors(self) -> np.ndarray:
         """Area vectors of the triangles (area × unit normal), shape (m, 3), m²."""
-        a, b, c = (self.nodes[self.triangles[:, k]] for k in range(3))
-        return 0.5 * cross(b - a, c - a)
+        return area_vectors(self.nodes, self.triangles)
 
     @cached_property
     def facet_areas(self) -> np.ndarray:
@@ -103,9 +94,8 @@ class MembraneMesh:
         the divergence theorem with the field (0, 0, z) the plane itself contributes nothing.
         """
         nodes = self.nodes if displacement is None else self.deformed(displacement)
-        a, b, c = (nodes[self.triangles[:, k]] for k in range(3))
-        normal_z = 0.5 * np.cross(b - a, c - a)[:, 2]
-        return float(np.sum(normal_z * (a[:, 2] + b[:, 2] + c[:, 2]) / 3.0))
+        a, b, c = nodes[self.triangles.T, 2]
+        return float(np.sum(area_vectors(nodes, self.triangles)[:, 2] * (a + b + c) / 3.0))
 
 
 def triangles_across(triangles: np.ndarray) -> np.ndarray:
@@ -126,6 +116,12 @@ def faces_from(local: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         local.take(triangles[:, turned].ravel(), axis=0) for turned in ([1, 2, 0], [2, 0, 1])
     )
     return cross(second, third).reshape(-1, 3, 3)
+
+
+def area_vectors(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Area times unit normal of triangles (m, 3) between nodes (n, 3), (m, 3), m²."""
+    a, b, c = (nodes[triangles[:, k]] for k in range(3))
+    return 0.5 * cross(b - a, c - a)
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -16,28 +16,13 @@ PressureRule = Callable[[float, float], float]
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Solution of L u = A p − λ, u ≤ g, λ ≥ 0, λ (g − u) = 0 on the free nodes.
+    """Solution of L u = A p − λ, u ≤ g, λ ≥ 0, λ (g − u) = 0 on the free nodes."""
 
-    Attributes
-    ----------
-    displacement : (f,) array
-        u, m.
-    reaction : (f,) array
-        λ = A p_c / γ0, m.
-    pressure : float
-        p = p_v / γ0, 1/m.
-    active : (f,) bool array
-        Nodes in contact.
-    iterations : int
-        Sparse factorisations.
-    converged : bool
-    """
-
-    displacement: np.ndarray
-    reaction: np.ndarray
-    pressure: float
-    active: np.ndarray
-    iterations: int
+    displacement: np.ndarray  # (f,), u, m
+    reaction: np.ndarray  # (f,), λ = A p_c / γ0, m
+    pressure: float  # p = p_v / γ0, 1/m
+    active: np.ndarray  # (f,) bool, nodes in contact
+    iterations: int  # sparse factorisations
     converged: bool
 
 
@@ -49,19 +34,14 @@ class ObstacleSolver:
     this goes down monotonically and ends after finitely many steps; where the number of wrong
     nodes stops falling (slivers), Júdice and Pires' rule of changing only the last wrong node
     takes over, which ends on any positive definite matrix.
-
-    Parameters
-    ----------
-    laplacian : (f, f) sparse array
-        Cotangent Laplacian of the free nodes.
-    areas : (f,) array
-        Nodal areas, m².
-    volume_gradient : (f,) array
-        Volume change per displacement as the gas law has it, m².
     """
 
     def __init__(
-        self, laplacian: sparse.csr_array, areas: np.ndarray, volume_gradient: np.ndarray
+        self,
+        laplacian: sparse.csr_array,  # (f, f) sparse, cotangent Laplacian of the free nodes
+        areas: np.ndarray,  # (f,), nodal areas, m²
+        # (f,), volume change per displacement as the gas law has it, m²
+        volume_gradient: np.ndarray,
     ) -> None:
         order = np.argsort(symmetric_lu(laplacian.tocsc()).perm_c)
         self._order = order  # fill-reducing once; its restriction to a subset is nearly as good
@@ -71,22 +51,13 @@ class ObstacleSolver:
 
     def solve(
         self,
-        bound: np.ndarray,
-        rule: PressureRule,
+        bound: np.ndarray,  # (f,), g, m; inf where there is no object
+        rule: PressureRule,  # see `PressureRule`; a constant for a fixed pressure
+        # (f,) bool, first guess of the nodes in contact; those that penetrate at rest by default
         active: np.ndarray | None = None,
         max_iterations: int = 200,
     ) -> Obstacle:
-        """Solve for u, λ and the pressure that `rule` asks for.
-
-        Parameters
-        ----------
-        bound : (f,) array
-            g, m; inf where there is no object.
-        rule : callable
-            See `PressureRule`; a constant for a fixed pressure.
-        active : (f,) bool array, optional
-            First guess of the nodes in contact; those that penetrate at rest by default.
-        """
+        """Solve for u, λ and the pressure that `rule` asks for."""
         order = self._order
         g = bound[order]
         guess = (g < 0.0) if active is None else active[order]

@@ -16,19 +16,14 @@ from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import Sensor
 
 
-def build_mesh(sensor: Sensor, nodes: int | None = None) -> MembraneMesh:
+def build_mesh(
+    sensor: Sensor,
+    # target number of nodes in place of the file's; a mesh from file keeps its own
+    nodes: int | None = None,
+) -> MembraneMesh:
     """Mesh of the sensor's reference surface S0.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    nodes : int, optional
-        Target number of nodes in place of the file's; a mesh from file keeps its own.
-
-    Raises
-    ------
-    InputError
-        The surface cannot be built; names the file and the place.
+    Raises InputError: the surface cannot be built; names the file and the place.
     """
     membrane = sensor.membrane
     cap = cap_of(sensor)
@@ -48,10 +43,7 @@ def _meshed(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
 def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
     """Analytic reference surface of a sensor; None where a mesh file gives it.
 
-    Raises
-    ------
-    InputError
-        Numbers of the surface are missing.
+    Raises InputError: numbers of the surface are missing.
     """
     membrane = sensor.membrane
     if membrane.shape == "mesh":
@@ -68,10 +60,7 @@ def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
     """Tension γ0 in N/m: the sensor file's, else what holds the gauge pressure (Eq. 2).
 
-    Raises
-    ------
-    InputError
-        The surface is flat or hollow, so that no tension holds it.
+    Raises InputError: the surface is flat or hollow, so that no tension holds it.
     """
     given = sensor.pneumatics.tension_n_per_m
     if given is not None:
@@ -92,26 +81,16 @@ def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
 def build_rubber(
     sensor: Sensor,
     mesh: MembraneMesh,
-    tension_n_per_m: float,
-    rim_slack_m: float | None = None,
+    tension_n_per_m: float,  # γ0, the mean tension, N/m
+    rim_slack_m: float | None = None,  # as of `RubberMembrane`
+    # as of `rest_stress`, found from the mesh where not given; that of a coarser mesh of the
+    # surface saves time
     stress: Prestress | None = None,
 ) -> RubberMembrane:
     """Exact membrane of a sensor on a mesh of its reference surface.
 
     Its stiffness is μh = γ0 / (1 − λ⁻⁶), its stress at rest what holds the gauge pressure. A sensor
     without pre-stretch has constant tension.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    mesh : MembraneMesh
-    tension_n_per_m : float
-        γ0, the mean tension, N/m.
-    rim_slack_m : float, optional
-        As of `RubberMembrane`.
-    stress : Prestress, optional
-        As of `rest_stress`, found from the mesh where not given; that of a coarser mesh of the
-        surface saves time.
     """
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
     if prestretch is None:

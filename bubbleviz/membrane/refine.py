@@ -10,21 +10,13 @@ from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 
 
 class Refined(NamedTuple):
-    """A finer mesh and where its nodes are on the coarser one.
+    """A finer mesh and where its nodes are on the coarser one."""
 
-    Attributes
-    ----------
-    mesh : MembraneMesh
-        The coarser one's nodes come first.
-    ends : (k, 2) int array
-        Nodes of the coarser mesh that each node lies midway between; twice the same for its own.
-    parent : (m,) int array
-        Triangle of the coarser mesh that each triangle is part of.
-    """
-
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # the coarser one's nodes come first
+    # (k, 2) int, nodes of the coarser mesh that each node lies midway between; twice the same for
+    # its own
     ends: np.ndarray
-    parent: np.ndarray
+    parent: np.ndarray  # (m,) int, triangle of the coarser mesh that each triangle is part of
 
     def values(self, coarse: np.ndarray) -> np.ndarray:
         """Values on the coarser nodes (n, …), interpolated linearly to the finer ones."""
@@ -61,16 +53,14 @@ def refine(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> MembraneMesh
     return refinement(mesh, chosen).mesh
 
 
-def refinement(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> Refined:
-    """Cut triangles into four at the middles of their edges.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-    chosen : (m,) bool array, optional
-        Triangles to cut, all by default. A neighbour with one edge cut is halved, one with more is
-        cut into four itself, so that the mesh stays conforming (Bank, Sherman and Weiser 1983).
-    """
+def refinement(
+    mesh: MembraneMesh,
+    # (m,) bool, triangles to cut, all by default. A neighbour with one edge cut is halved, one with
+    # more is cut into four itself, so that the mesh stays conforming (Bank, Sherman and Weiser
+    # 1983).
+    chosen: np.ndarray | None = None,
+) -> Refined:
+    """Cut triangles into four at the middles of their edges."""
     n, corners = len(mesh.nodes), mesh.triangles
     sides = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, which, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)

@@ -6,16 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bubbleviz.membrane.mesh import area_vectors
 
-def lawson_flips(nodes: np.ndarray, triangles: np.ndarray, passes: int = 30) -> np.ndarray:
-    """Triangles with edges flipped until each is locally Delaunay (opposite angles sum to ≤ π).
 
-    Parameters
-    ----------
-    nodes : (n, 3) array
-    triangles : (m, 3) int array
-        Consistently oriented; the orientation is kept.
-    """
+def lawson_flips(
+    nodes: np.ndarray,  # (n, 3)
+    triangles: np.ndarray,  # (m, 3) int, consistently oriented; the orientation is kept
+    passes: int = 30,
+) -> np.ndarray:
+    """Triangles with edges flipped until each is locally Delaunay (opposite angles sum to ≤ π)."""
     triangles = triangles.copy()
     for _ in range(passes):
         first, second = _bad_edges(nodes, triangles)
@@ -26,33 +25,18 @@ def lawson_flips(nodes: np.ndarray, triangles: np.ndarray, passes: int = 30) -> 
 
 
 def smooth(
-    nodes: np.ndarray,
-    triangles: np.ndarray,
-    fixed: np.ndarray,
-    project: Callable[[np.ndarray], np.ndarray],
-    iterations: int = 16,
+    nodes: np.ndarray,  # (n, 3), m
+    triangles: np.ndarray,  # (m, 3) int
+    fixed: np.ndarray,  # (n,) bool, nodes that stay (the rim)
+    project: Callable[[np.ndarray], np.ndarray],  # puts points (k, 3) back on the surface
+    iterations: int = 16,  # sweeps; edges are flipped to Delaunay in between
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move free nodes to the area-weighted centroid of their triangles, on the surface.
-
-    Parameters
-    ----------
-    nodes : (n, 3) array
-        m.
-    triangles : (m, 3) int array
-    fixed : (n,) bool array
-        Nodes that stay (the rim).
-    project : callable
-        Puts points (k, 3) back on the surface.
-    iterations : int
-        Sweeps; edges are flipped to Delaunay in between.
-    """
+    """Move free nodes to the area-weighted centroid of their triangles, on the surface."""
     free = np.flatnonzero(~fixed)
     nodes = nodes.copy()
     for _ in range(iterations):
         corners = nodes[triangles]
-        area = np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
+        area = np.linalg.norm(area_vectors(nodes, triangles), axis=1)
         moment = area[:, None] * corners.mean(axis=1)
         flat = triangles.ravel()
         weight = np.bincount(flat, np.repeat(area, 3), minlength=len(nodes))

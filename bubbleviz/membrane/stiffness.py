@@ -63,10 +63,7 @@ def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
     rim, where L x holds the housing's pull besides the curvature. It is linear in the curvature,
     whose errors on a measured surface cancel in the sum. For a spherical cap it is P R / 2.
 
-    Raises
-    ------
-    InputError
-        The surface is flat or hollow, so that no tension holds it.
+    Raises InputError: the surface is flat or hollow, so that no tension holds it.
     """
     area, bending = area_and_bending(mesh)
     if not bending > 0.0:

@@ -10,23 +10,15 @@ from scipy.sparse.linalg import SuperLU, splu
 
 
 def symmetric_lu(
-    matrix: sparse.csc_array[np.float64],
+    matrix: sparse.csc_array[np.float64],  # (n, n) sparse
+    # of elimination, as in `splu`; "NATURAL" where the rows have one that is good
     order: Literal["NATURAL", "MMD_AT_PLUS_A"] = "MMD_AT_PLUS_A",
 ) -> SuperLU:
     """Factorise a symmetric matrix that needs no pivoting, as a positive definite one.
 
     Takes a fraction of the time of `splu` as it is, whose order (COLAMD) knows no symmetry.
 
-    Parameters
-    ----------
-    matrix : (n, n) sparse array
-    order : str
-        Of elimination, as in `splu`; "NATURAL" where the rows have one that is good.
-
-    Raises
-    ------
-    RuntimeError
-        The matrix is singular.
+    Raises RuntimeError: the matrix is singular.
     """
     return splu(
         matrix,

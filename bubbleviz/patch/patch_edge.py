@@ -34,7 +34,7 @@ and 16 that with the steadiest edge in the hold of the real press."""
 _INWARD = 1.75
 """Way inside from the edge, in ℓ, on which a blurred step has all but risen; at least one mesh
 edge. Chosen on presses of four objects into three membranes: 2 takes more from contacts on a dome
-that are too small already. On six others (`presses.EDGE_OBJECTS`) 1.5 is as good and 2 worse."""
+that are too small already. On six others (`benchmarks/objects`) 1.5 is as good and 2 worse."""
 _THIN = 0.5
 """Share of the patch's half width over which the contour is smoothed at most: a small contact would
 be smoothed away. Of presses of ten objects 0.35 to 0.7 have the same IoU to 0.01."""

@@ -7,17 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
 from bubbleviz.result import Estimate, Patch
 
 LEAST_POINTS = 12
 """Contact points below which there is no patch to speak of: two triangles of the mesh."""
 
-_REACH_M = 0.008
-"""How far around the patch the free membrane is looked at."""
+_REACH_M = 0.008  # how far around the patch the free membrane is looked at
 
-_MOST = 160
-"""Contact points, and free ones, beyond which more of them say the same again."""
+_MOST = 160  # contact points, and free ones, beyond which more of them say the same again
 
 _CENTRES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Barycentric coordinates of the centres of a triangle's four quarters."""
@@ -25,39 +23,20 @@ _CENTRES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3
 
 @dataclass(frozen=True)
 class ContactPoints:
-    """Points of the membrane in B, on and around the contact patch.
+    """Points of the membrane in B, on and around the contact patch."""
 
-    Attributes
-    ----------
-    points, normals : (k, 3) array
-        On the patch, with the membrane's outward unit normals, which oppose the object's.
-    areas_m2 : (k,) array
-        The part of the membrane that each stands for.
-    pressure_pa : (k,) array
-        Contact pressure.
-    free : (f, 3) array
-        Around the patch, where the membrane touches nothing.
-    free_areas_m2 : (f,) array
-    center : (3,) array
-        Mean of `points`, weighted by area.
-    radius_m : float
-        Their root mean square distance from it.
-    rest_center : (3,) array
-        Where that part of the membrane was at rest, on average.
-    membrane : (n, 3) array
-        All nodes of the membrane, as estimated.
-    """
-
+    # points, normals: (k, 3), on the patch, with the membrane's outward unit normals, which oppose
+    # the object's
     points: np.ndarray
     normals: np.ndarray
-    areas_m2: np.ndarray
-    pressure_pa: np.ndarray
-    free: np.ndarray
-    free_areas_m2: np.ndarray
-    center: np.ndarray
-    radius_m: float
-    rest_center: np.ndarray
-    membrane: np.ndarray
+    areas_m2: np.ndarray  # (k,), the part of the membrane that each stands for
+    pressure_pa: np.ndarray  # (k,), contact pressure
+    free: np.ndarray  # (f, 3), around the patch, where the membrane touches nothing
+    free_areas_m2: np.ndarray  # (f,)
+    center: np.ndarray  # (3,), mean of `points`, weighted by area
+    radius_m: float  # their root mean square distance from it
+    rest_center: np.ndarray  # (3,), where that part of the membrane was at rest, on average
+    membrane: np.ndarray  # (n, 3), all nodes of the membrane, as estimated
 
     @property
     def extent_m(self) -> float:
@@ -77,7 +56,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     around = box < np.abs(middle - middle.mean(axis=0)).max() + _REACH_M + 2.0 * mesh.edge_length
     triangles = mesh.triangles[np.all(around[mesh.triangles], axis=1)]
     corners = nodes[triangles]
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vectors = area_vectors(nodes, triangles)
     areas = np.linalg.norm(vectors, axis=1)
     points = np.einsum("qj,tjk->tqk", _CENTRES, corners).reshape(-1, 3)
     level = (patch.level[triangles] @ _CENTRES.T).ravel()

@@ -25,22 +25,13 @@ from bubbleviz.result import Pose, Stage
 
 @dataclass(frozen=True)
 class Solution:
-    """A pose of one frame.
+    """A pose of one frame."""
 
-    Attributes
-    ----------
-    first, pose : Fit
-        Stage one and stage two.
-    ms : (float, float)
-        Wall time of the stages.
-    motion : Motion
-        Pose and velocity with what this frame adds.
-    """
-
+    # first, pose: stage one and stage two
     first: Fit
     pose: Fit
-    ms: tuple[float, float]
-    motion: Motion
+    ms: tuple[float, float]  # wall time of the stages
+    motion: Motion  # pose and velocity with what this frame adds
 
     def as_pose(self, contact: ContactPoints) -> Pose:
         """What consumers see."""
@@ -66,22 +57,13 @@ def _stage(fit: Fit, ms: float) -> Stage:
 
 
 class Solver:
-    """Runs the stages.
-
-    Parameters
-    ----------
-    registration : Registration
-    estimator : Estimator or RubberEstimator
-    membrane : RubberMembrane
-        That the object presses into.
-    options : PoseOptions
-    """
+    """Runs the stages."""
 
     def __init__(
         self,
         registration: Registration,
         estimator: Estimator | RubberEstimator,
-        membrane: RubberMembrane,
+        membrane: RubberMembrane,  # that the object presses into
         options: PoseOptions,
     ) -> None:
         self._registration, self._estimator = registration, estimator
@@ -101,12 +83,7 @@ class Solver:
             self._image.forget()
 
     def solve(
-        self,
-        frame: Frame,
-        contact: ContactPoints,
-        predicted: Motion,
-        *,
-        settled: bool,
+        self, frame: Frame, contact: ContactPoints, predicted: Motion, *, settled: bool
     ) -> Solution:
         """Both stages from a prediction, which `settled` says is close."""
         stages = self._options.stages
@@ -128,11 +105,7 @@ class Solver:
         return Solution(first, second, times, motion)
 
     def best(
-        self,
-        frame: Frame,
-        contact: ContactPoints,
-        starts: np.ndarray,
-        finalists: int,
+        self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
     ) -> Solution | None:
         """Both stages from those of the starts (s, 4, 4) that fit best; None where none does."""
         stages = self._options.stages

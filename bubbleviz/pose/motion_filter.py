@@ -11,35 +11,23 @@ from bubbleviz.pose.rigid_motion import about, motion_between, moved
 START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
 """Standard deviation of a given start: off by up to 5 mm and 10°."""
 
-SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)
-"""The same of a coarse start."""
+SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a coarse start
 
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
 _ACCELERATION = np.array([0.5] * 3 + [0.2] * 3)
 """Standard deviations of velocity at first (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
 
-_LONGEST_S = 0.5
-"""Longest time to coast: motion is not known further ahead."""
+_LONGEST_S = 0.5  # longest time to coast: motion is not known further ahead
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Pose and velocity, with their covariance.
+    """Pose and velocity, with their covariance."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    velocity : (6,) array
-        In B about `center`, m/s and rad/s.
-    covariance : (12, 12) array
-        Of small motions in B about `center`, and of the velocity.
-    center : (3,) array
-    """
-
-    T_B_O: np.ndarray
-    velocity: np.ndarray
-    covariance: np.ndarray
-    center: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    velocity: np.ndarray  # (6,), in B about `center`, m/s and rad/s
+    covariance: np.ndarray  # (12, 12), of small motions in B about `center`, and of the velocity
+    center: np.ndarray  # (3,)
 
     @classmethod
     def at_rest(cls, T_B_O: np.ndarray, deviation: np.ndarray, center: np.ndarray) -> Motion:

@@ -18,23 +18,15 @@ _NEAR_M = 1e-3
 
 @dataclass(frozen=True)
 class ObjectDistance:
-    """Points in B against an object at a pose.
+    """Points in B against an object at a pose."""
 
-    Attributes
-    ----------
-    signed_m : (k,) array
-        Positive outside.
-    gradient, normal, place : (k, 3) array
-        Of the distance, of the surface at the closest place, and that place, in B.
-    over : (k,) bool array
-        Over a face, not beside it.
-    """
-
-    signed_m: np.ndarray
+    signed_m: np.ndarray  # (k,), positive outside
+    # gradient, normal, place: (k, 3), of the distance, of the surface at the closest place, and
+    # that place, in B
     gradient: np.ndarray
     normal: np.ndarray
     place: np.ndarray
-    over: np.ndarray
+    over: np.ndarray  # (k,) bool, over a face, not beside it
 
     def of(self, some: slice) -> ObjectDistance:
         """Of some of the points."""

@@ -11,15 +11,14 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
 from bubbleviz.rigid_object import RigidObject
 
 CREASE_RAD = np.radians(20.0)
 """Angle between faces from which their common edge is an edge of the object, and not of its mesh:
 a circle of 20 facets still counts as round."""
 
-_STEP = 0.01
-"""Distance of points along creases over the object's size."""
+_STEP = 0.01  # distance of points along creases over the object's size
 
 _LARGEST = 20.0
 """Size of an object over that of the bubble beyond which one of them is in other units."""
@@ -27,42 +26,22 @@ _LARGEST = 20.0
 
 @dataclass(frozen=True)
 class Closest:
-    """The places on an object that are closest to some points, all in O.
+    """The places on an object that are closest to some points, all in O."""
 
-    Attributes
-    ----------
-    place : (k, 3) array
-    normal : (k, 3) array
-        Outward surface normal there, smooth but across creases.
-    """
-
-    place: np.ndarray
-    normal: np.ndarray
+    place: np.ndarray  # (k, 3)
+    normal: np.ndarray  # (k, 3), outward surface normal there, smooth but across creases
 
 
 @dataclass(frozen=True)
 class Creases:
-    """Points along the convex edges of an object, in O.
+    """Points along the convex edges of an object, in O."""
 
-    Attributes
-    ----------
-    tree : cKDTree
-        Of the points (c, 3).
-    normals : (c, 2, 3) array
-        Of the two faces that meet there.
-    """
-
-    tree: Any
-    normals: np.ndarray
+    tree: Any  # of the points (c, 3)
+    normals: np.ndarray  # (c, 2, 3), of the two faces that meet there
 
 
 class ObjectModel:
     """Surface of a rigid object, to be asked for closest points.
-
-    Parameters
-    ----------
-    obj : RigidObject
-        Watertight or not; its triangles face outward.
 
     Attributes
     ----------
@@ -78,11 +57,13 @@ class ObjectModel:
         The mesh has no area.
     """
 
-    def __init__(self, obj: RigidObject) -> None:
+    def __init__(
+        self,
+        obj: RigidObject,  # watertight or not; its triangles face outward
+    ) -> None:
         self.obj = obj
         self.size_m = float(np.ptp(obj.vertices, axis=0).max())
-        corners = obj.vertices[obj.triangles]
-        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        vectors = area_vectors(obj.vertices, obj.triangles)
         areas = np.linalg.norm(vectors, axis=1)
         if not areas.sum() > 1e-8 * self.size_m**2:
             raise InputError(f"object {obj.name}: its triangles have no area; export a surface")
@@ -115,9 +96,7 @@ class ObjectModel:
 def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     """Refuse an object that is in other units than the bubble.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     size = float(np.ptp(obj.vertices, axis=0).max())
     bubble = float(np.ptp(mesh.nodes, axis=0).max())

@@ -39,32 +39,20 @@ _NEWTON_STEPS = 40
 
 
 class ObjectPatchFinder:
-    """Finds the patch of one object, each frame's from the press of the one before.
-
-    Parameters
-    ----------
-    sensor : SensorModel
-    obj : ObjectModel
-    """
+    """Finds the patch of one object, each frame's from the press of the one before."""
 
     def __init__(self, sensor: SensorModel, obj: ObjectModel) -> None:
         self._sensor, self._object = sensor, obj
         self._press: _FinePress | None = None
 
     def find(
-        self, estimate: Estimate, patch: Patch, pose: Pose, gas_pressure_pa: float | None = None
+        self,
+        estimate: Estimate,
+        patch: Patch,  # by the contact pressure: where to look
+        pose: Pose,
+        gas_pressure_pa: float | None = None,  # measured, absolute
     ) -> ObjectPatch | None:
-        """Patch in a frame; None where the pose is lost, or no press is found.
-
-        Parameters
-        ----------
-        estimate : Estimate
-        patch : Patch
-            By the contact pressure: where to look.
-        pose : Pose
-        gas_pressure_pa : float, optional
-            Measured, absolute.
-        """
+        """Patch in a frame; None where the pose is lost, or no press is found."""
         mesh = self._sensor.mesh
         contact = contact_points(mesh, estimate, patch)
         if pose.status != "ok" or contact is None:

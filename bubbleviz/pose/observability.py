@@ -15,27 +15,19 @@ _LARGEST_RADIUS_M = 0.1
 """A motion that turns less than this share of the one that turns most is a shift; patches are
 smaller than this."""
 
-LEAST_RADIUS_M = 2e-3
-"""A smaller patch turns about itself as one of this radius does."""
+LEAST_RADIUS_M = 2e-3  # a smaller patch turns about itself as one of this radius does
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Six independent small motions, from the best determined to the least.
+    """Six independent small motions, from the best determined to the least."""
 
-    Attributes
-    ----------
-    motions : (6, 6) array
-        In columns, in B about the patch's centre: translation, then rotation in rad, such that a
-        unit of each moves the patch's edge by about 1 m.
-    deviation_m : (6,) array
-        Standard deviation of each at the patch's edge by the contact normals alone.
-    determined : (6,) bool array
-    """
-
+    # (6, 6), in columns, in B about the patch's centre: translation, then rotation in rad, such
+    # that a unit of each moves the patch's edge by about 1 m
     motions: np.ndarray
+    # (6,), standard deviation of each at the patch's edge by the contact normals alone
     deviation_m: np.ndarray
-    determined: np.ndarray
+    determined: np.ndarray  # (6,) bool
 
     @property
     def open(self) -> np.ndarray:
@@ -54,15 +46,12 @@ def directions(surface: np.ndarray, radius_m: float) -> Directions:
     return Directions(unit[:, None] * vectors, deviation, deviation < DETERMINED_M)
 
 
-def open_axes(motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def open_axes(
+    motions: np.ndarray,  # (6, q), columns as in `Directions.motions`
+) -> tuple[np.ndarray, np.ndarray]:
     """Shifts and turns among some motions: unit directions (s, 3) and axes (t, 3) in B.
 
     Where a turn comes with a shift, as a ball's about its middle, the turn counts.
-
-    Parameters
-    ----------
-    motions : (6, q) array
-        Columns as in `Directions.motions`.
     """
     if not motions.size:
         return np.zeros((0, 3)), np.zeros((0, 3))

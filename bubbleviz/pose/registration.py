@@ -26,11 +26,9 @@ estimate's resolution to the next."""
 _PARALLEL = np.cos(np.radians(45.0))
 """Membrane that lies on a face is parallel to it, but for the blur of the estimate."""
 
-_AWAY = 0.3
-"""Cosine between the normals of membrane and object beyond which they face the same way."""
+_AWAY = 0.3  # cosine between the normals of membrane and object beyond which they face the same way
 
-_SLACK_M = 5e-4
-"""How far blur takes the estimated membrane into an object's edges."""
+_SLACK_M = 5e-4  # how far blur takes the estimated membrane into an object's edges
 
 _EDGE_DEVIATION_M = 2e-3
 """Error of the patch's edge, where membrane is taken for contact that is none."""
@@ -39,24 +37,15 @@ _NARROWEST_M = 1e-3
 _NARROWING = 0.6
 """Residual at which robust weights begin to fall in the end, and how fast it gets there."""
 
-_CONVERGED_M = 2e-5
-"""Step at the patch's edge that is none."""
+_CONVERGED_M = 2e-5  # step at the patch's edge that is none
 
 
 @dataclass(frozen=True)
 class Precision:
-    """How precisely the estimate knows where the membrane is.
+    """How precisely the estimate knows where the membrane is."""
 
-    Attributes
-    ----------
-    information_per_m4 : float
-        Sum of 1/σ² of the range pixels per area of membrane.
-    resolution_m : float
-        Distance over which the estimate's errors are one.
-    """
-
-    information_per_m4: float
-    resolution_m: float
+    information_per_m4: float  # sum of 1/σ² of the range pixels per area of membrane
+    resolution_m: float  # distance over which the estimate's errors are one
 
     @property
     def per_area(self) -> float:
@@ -71,56 +60,31 @@ class Precision:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the pose before a frame.
+    """What is known of the pose before a frame."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    information : (6, 6) array
-        Inverse covariance of small motions in B about the patch's centre.
-    """
-
-    T_B_O: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    # (6, 6), inverse covariance of small motions in B about the patch's centre
     information: np.ndarray
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A pose and how well it fits.
+    """A pose and how well it fits."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    fitness : float
-        Share of the patch within `INLIER_M` of the object, 0 to 1.
-    rmse_m : float
-        Root mean square distance of that share; NaN where there is none.
-    correspondences : int
-        Number of contact points in that share.
-    cost : float
-        Robust misfit in units of the noise, squared; lower is better.
-    surface : (6, 6) array
-        Information of the contact normals about small motions in B about the patch's centre.
-    outline : (6, 6) array
-        Information of all else: points beside the object and the free membrane, about shifts alone.
-    distance_m : (k,) array
-        Signed distance of each contact point from the object, positive outside.
-    places_m : (k, 3) array
-        The closest places on the object, in B.
-    history : (i, 2) array
-        Fitness, and rmse in m, at the start and after every iteration.
-    """
-
-    T_B_O: np.ndarray
-    fitness: float
-    rmse_m: float
-    correspondences: int
-    cost: float
+    T_B_O: np.ndarray  # (4, 4)
+    fitness: float  # share of the patch within `INLIER_M` of the object, 0 to 1
+    rmse_m: float  # root mean square distance of that share; NaN where there is none
+    correspondences: int  # number of contact points in that share
+    cost: float  # robust misfit in units of the noise, squared; lower is better
+    # (6, 6), information of the contact normals about small motions in B about the patch's centre
     surface: np.ndarray
+    # (6, 6), information of all else: points beside the object and the free membrane, about shifts
+    # alone
     outline: np.ndarray
+    # (k,), signed distance of each contact point from the object, positive outside
     distance_m: np.ndarray
-    places_m: np.ndarray
-    history: np.ndarray
+    places_m: np.ndarray  # (k, 3), the closest places on the object, in B
+    history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
 
 
 @dataclass(frozen=True)
@@ -150,13 +114,7 @@ _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class Registration:
-    """Fits one object to contact points.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    precision : Precision
-    """
+    """Fits one object to contact points."""
 
     def __init__(self, model: ObjectModel, precision: Precision) -> None:
         self.model, self.precision = model, precision
@@ -164,26 +122,14 @@ class Registration:
     def stage_one(
         self,
         contact: ContactPoints,
-        start: np.ndarray,
-        prior: Prior,
+        start: np.ndarray,  # (4, 4), T_B_O at which to begin
+        prior: Prior,  # decides where the contact does not
         *,
+        # scale of the robust weights at first: how far off the start may be
         widest_m: float = 5e-3,
-        iterations: int = 12,
+        iterations: int = 12,  # at most
     ) -> Fit:
-        """Fit to the contact points alone, weighted by the pressure on them.
-
-        Parameters
-        ----------
-        contact : ContactPoints
-        start : (4, 4) array
-            T_B_O at which to begin.
-        prior : Prior
-            Decides where the contact does not.
-        widest_m : float
-            Scale of the robust weights at first: how far off the start may be.
-        iterations : int
-            At most.
-        """
+        """Fit to the contact points alone, weighted by the pressure on them."""
         share = contact.areas_m2 * contact.pressure_pa
         share *= contact.areas_m2.sum() / share.sum()
         return self._fit(contact, share, start, prior, widest_m, iterations, around=False)

@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.membrane.mesh import area_vectors
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.object_model import ObjectModel
 
-TURNS = 12
-"""Turns about the patch's normal: 30° apart, which registration bridges."""
+TURNS = 12  # turns about the patch's normal: 30° apart, which registration bridges
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _ALIKE = np.cos(np.radians(20.0))  # faces that registration turns into each other
@@ -27,10 +27,7 @@ def touching_directions(model: ObjectModel) -> np.ndarray:
     hull = _hull(model.obj.vertices)
     candidates = list(np.concatenate([np.eye(3), -np.eye(3)]))
     if hull is not None:
-        corners = model.obj.vertices[hull.simplices]
-        areas = 0.5 * np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
+        areas = np.linalg.norm(area_vectors(model.obj.vertices, hull.simplices), axis=1)
         normals = hull.equations[:, :3]
         faces, which = np.unique(np.round(normals, 3), axis=0, return_inverse=True)
         total = np.bincount(which.ravel(), areas)
@@ -51,12 +48,7 @@ def _hull(vertices: np.ndarray) -> ConvexHull | None:
 
 
 class StartFinder:
-    """Lists coarse starts of one object, the most promising first.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    """
+    """Lists coarse starts of one object, the most promising first."""
 
     def __init__(self, model: ObjectModel) -> None:
         self._model = model

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.pose.object_model import ObjectModel
 
-_ALIKE = 2e-3
-"""Distance over the object's size below which surfaces are the same."""
+_ALIKE = 2e-3  # distance over the object's size below which surfaces are the same
 
 _FOLDS = (2, 3, 4, 5, 6, 8)  # of prisms that people make
 _CIRCLE = 360  # turns of a round object: a degree apart

@@ -30,30 +30,17 @@ from bubbleviz.rigid_object import RigidObject
 class PoseTracker:
     """Pose of one object in each frame.
 
-    Parameters
-    ----------
-    estimator : Estimator or RubberEstimator
-        The one that makes the estimates.
-    obj : RigidObject
-    start : (4, 4) array, optional
-        T_B_O in the first frame, to about 5 mm and 10°; searched for when None.
-    membrane : RubberMembrane
-        That the object presses into, on the estimator's mesh.
-    options : PoseOptions, optional
-
-    Raises
-    ------
-    InputError
-        The object has no area, or is in other units than the bubble.
+    Raises InputError: the object has no area, or is in other units than the bubble.
     """
 
     def __init__(
         self,
-        estimator: Estimator | RubberEstimator,
+        estimator: Estimator | RubberEstimator,  # the one that makes the estimates
         obj: RigidObject,
+        # (4, 4), T_B_O in the first frame, to about 5 mm and 10°; searched for when None
         start: np.ndarray | None = None,
         *,
-        membrane: RubberMembrane,
+        membrane: RubberMembrane,  # that the object presses into, on the estimator's mesh
         options: PoseOptions | None = None,
     ) -> None:
         check_size(obj, estimator.mesh)

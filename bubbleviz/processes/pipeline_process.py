@@ -18,8 +18,7 @@ from bubbleviz.sensor import Sensor
 
 OF_DEPTH: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask", "cloud", "residual"})
 """Products that depth image and gas pressure are enough for."""
-PATIENCE_S = 5.0
-"""A frame takes longer than this only in a process that hangs; chosen."""
+PATIENCE_S = 5.0  # a frame takes longer than this only in a process that hangs; chosen
 
 
 class PipelineProcess:
@@ -28,20 +27,18 @@ class PipelineProcess:
     The process is started with the first frame. Frames are solved here until it is built, whenever
     something is asked for that depth alone does not tell, and for good once it has died or hung.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        The one here; the other is built alike, and each keeps a warm start of its own.
-    patience_s : float, optional
-        How long a frame may take before the process is ended.
-
     Attributes
     ----------
     lost : str
         How the process ended, when nobody had asked it to; else empty.
     """
 
-    def __init__(self, pipeline: Pipeline, patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self,
+        # the one here; the other is built alike, and each keeps a warm start of its own
+        pipeline: Pipeline,
+        patience_s: float = PATIENCE_S,  # how long a frame may take before the process is ended
+    ) -> None:
         self.lost = ""
         self._pipeline = pipeline
         self._patience_s = patience_s
@@ -136,10 +133,7 @@ class PipelineProcess:
 
 
 def _prepared(
-    sensor: Sensor,
-    intrinsics: Intrinsics,
-    options: EstimatorOptions,
-    products: frozenset[Product],
+    sensor: Sensor, intrinsics: Intrinsics, options: EstimatorOptions, products: frozenset[Product]
 ) -> Pipeline:
     pipeline = Pipeline.of(sensor, intrinsics, options)
     pipeline.prepare(products)

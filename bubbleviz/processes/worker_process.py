@@ -29,23 +29,13 @@ Kind = Literal["returned", "raised", "hung", "died"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a call.
-
-    Attributes
-    ----------
-    kind : {"returned", "raised", "hung", "died"}
-    value : object
-        What it returned.
-    detail : str
-        Type and message of the exception, with the line it came from, or how the process ended.
-    ms : float
-        Wall time.
-    """
+    """What became of a call."""
 
     kind: Kind
-    value: Any
+    value: Any  # what it returned
+    # type and message of the exception, with the line it came from, or how the process ended
     detail: str
-    ms: float
+    ms: float  # wall time
 
 
 class WorkerProcess:

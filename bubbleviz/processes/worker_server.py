@@ -12,17 +12,12 @@ from typing import Any
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def serve(pipe: Connection, parent: int, memory_limit_bytes: int | None) -> None:
-    """Make the calls that come through a pipe and answer how each ended, until it is closed.
-
-    Parameters
-    ----------
-    pipe : Connection
-        Gives (function, args, keep), takes (kind, value, detail) of an `Outcome`.
-    parent : int
-        Process without which this one ends.
-    memory_limit_bytes : int or None
-    """
+def serve(
+    pipe: Connection,  # gives (function, args, keep), takes (kind, value, detail) of an `Outcome`
+    parent: int,  # process without which this one ends
+    memory_limit_bytes: int | None,
+) -> None:
+    """Make the calls that come through a pipe and answer how each ended, until it is closed."""
     os.environ.update(dict.fromkeys(_THREADS, "1"), TQDM_DISABLE="1")
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     from tqdm import tqdm  # reads the environment when it is imported

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
-from bubbleviz.inverse.solvers.pivoting import DenseQuadratic, nonnegative_qp, part
+from bubbleviz.inverse.solvers.pivoting import nonnegative_qp, part
 from bubbleviz.shear.friction_cone import within_cone
 
 _DECADES = np.linspace(-8.0, 8.0, 129)
@@ -191,7 +191,7 @@ class TractionProblem:
             across = cho_solve(rest, K[count:, :count], check_finite=False)
             reduced = K[:count, :count] - K[:count, count:] @ across
             p, _, solved = nonnegative_qp(
-                DenseQuadratic(np.ascontiguousarray(reduced)),
+                np.ascontiguousarray(reduced),
                 across.T @ f[count:] - f[:count],
                 np.ones(count, bool),
             )

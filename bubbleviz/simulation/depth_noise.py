@@ -10,39 +10,22 @@ from scipy.special import ndtri
 
 from bubbleviz.errors import InputError
 
-_MEMORY = 32
-"""Frames that a frame's correlated noise may reach back."""
+_MEMORY = 32  # frames that a frame's correlated noise may reach back
 
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """Noise model of a depth camera.
+    """Noise model of a depth camera."""
 
-    Attributes
-    ----------
-    relative : float
-        σ of range over range.
-    absolute_m : float
-        σ of range that does not grow with range, m; both add in squares.
-    correlation_px : float
-        Distance in pixels at which the correlation of two pixels' noise is 1/e; 0 for white.
-    correlation_frames : float
-        Correlation of one pixel's noise from frame to frame, 0 to below 1.
-    holes : float
-        Fraction of pixels without a return, in blobs as wide as the correlation.
-    outliers : float
-        Fraction of pixels whose range is off by up to `outlier_m`.
-    outlier_m : float
-        Largest error of an outlier, m.
-    """
-
-    relative: float = 0.0
-    absolute_m: float = 0.0
+    relative: float = 0.0  # σ of range over range
+    absolute_m: float = 0.0  # σ of range that does not grow with range, m; both add in squares
+    # distance in pixels at which the correlation of two pixels' noise is 1/e; 0 for white
     correlation_px: float = 0.0
+    # correlation of one pixel's noise from frame to frame, 0 to below 1
     correlation_frames: float = 0.0
-    holes: float = 0.0
-    outliers: float = 0.0
-    outlier_m: float = 0.02
+    holes: float = 0.0  # fraction of pixels without a return, in blobs as wide as the correlation
+    outliers: float = 0.0  # fraction of pixels whose range is off by up to `outlier_m`
+    outlier_m: float = 0.02  # largest error of an outlier, m
 
     def __post_init__(self) -> None:
         bad = [name for name, value in vars(self).items() if not 0.0 <= value < np.inf]

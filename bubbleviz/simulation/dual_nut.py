@@ -15,13 +15,10 @@ from bubbleviz.simulation.synthetic_source import ease
 
 Side = Literal["left", "right"]
 
-OVERSIZE = 2.0
-"""Times the preset's nut: 48 mm across flats, as wide as a third of the bubble."""
-PRESS = 0.2
-"""How deep the closed fingers press, over the height of the dome."""
+OVERSIZE = 2.0  # times the preset's nut: 48 mm across flats, as wide as a third of the bubble
+PRESS = 0.2  # how deep the closed fingers press, over the height of the dome
 OPENING_M = 0.02  # of each finger before it closes, m; chosen
-TURN_RAD = np.radians(12.0)
-"""By how much the nut turns in the grip."""
+TURN_RAD = np.radians(12.0)  # by how much the nut turns in the grip
 
 
 def oversized_nut() -> RigidObject:

@@ -9,7 +9,6 @@ from functools import cached_property, partial
 import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.inflation import Inflation
@@ -19,8 +18,7 @@ from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.inflated_sensor import InflatedSensor
 
-ATMOSPHERE_PA = 98_700.0
-"""Some 225 m above the sea, where no sensor file assumes to be."""
+ATMOSPHERE_PA = 98_700.0  # some 225 m above the sea, where no sensor file assumes to be
 CHAMBER_M3 = 3e-4
 _NODES = 3_000
 CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frames=0.5)
@@ -29,35 +27,20 @@ CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frame
 
 @dataclass(frozen=True)
 class InflatedRubber:
-    """A membrane of known rubber.
-
-    Attributes
-    ----------
-    name : str
-    rim_semi_axes_m : (ax, ay)
-    gauge_pressure_pa : float
-        G at rest.
-    mu_h_n_per_m : float
-    tension_n_per_m : float
-        γ0: the one tension that balances the gauge pressure over the surface at rest, as
-        identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
-        where shape and pressure do not tell it.
-    shape : callable
-        Membrane under a gauge pressure in Pa.
-    sheet : MembraneMesh
-        The same triangles stretched by λ over the rim, before there is any pressure.
-    sheet_stretch : float
-        That λ.
-    """
+    """A membrane of known rubber."""
 
     name: str
-    rim_semi_axes_m: tuple[float, float]
-    gauge_pressure_pa: float
+    rim_semi_axes_m: tuple[float, float]  # (ax, ay)
+    gauge_pressure_pa: float  # G at rest
     mu_h_n_per_m: float
+    # γ0: the one tension that balances the gauge pressure over the surface at rest, as
+    # identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
+    # where shape and pressure do not tell it.
     tension_n_per_m: float
-    shape: Callable[[float], MembraneMesh]
+    shape: Callable[[float], MembraneMesh]  # membrane under a gauge pressure in Pa
+    # the same triangles stretched by λ over the rim, before there is any pressure
     sheet: MembraneMesh
-    sheet_stretch: float
+    sheet_stretch: float  # that λ
 
     @cached_property
     def rest(self) -> MembraneMesh:
@@ -73,29 +56,6 @@ class InflatedRubber:
             chamber_volume_m3=CHAMBER_M3,
             tension_n_per_m=self.tension_n_per_m,
         )
-
-    def rubber(self, mesh: MembraneMesh) -> RubberMembrane:
-        """The membrane in equilibrium at rest, on a mesh with its nodes on the facets of `rest`."""
-        place = TriangleScene(self.rest.nodes, self.rest.triangles).closest(mesh.nodes)
-        corners = self.sheet.nodes[self.sheet.triangles[place.triangle]]
-        flat = replace(mesh, nodes=np.einsum("ij,ijk->ik", place.barycentric, corners))
-        free = self.sheet_stretch**2 * inverse_metric(flat)
-        material = self.gauge_pressure_pa, free, self.mu_h_n_per_m
-        inflation = Inflation(RubberMembrane(mesh, *material), np.zeros_like(mesh.nodes))
-        bulged = replace(mesh, nodes=inflation.at(self.gauge_pressure_pa, mesh.nodes))
-        return RubberMembrane(bulged, *material)
-
-    def resting(self, nodes: int) -> MembraneMesh:
-        """Another mesh of the membrane at rest, of about so many nodes, all on its facets."""
-        height = float(self.rest.nodes[:, 2].max())
-        mesh = mesh_cap(EllipsoidalCap.of(self.rim_semi_axes_m, height), nodes)
-        inner = ~mesh.rim
-        rays = np.zeros((int(inner.sum()), 6))
-        rays[:, :2], rays[:, 2], rays[:, 5] = mesh.nodes[inner, :2], 1.0, -1.0
-        met = TriangleScene(self.rest.nodes, self.rest.triangles).cast(rays)
-        points = mesh.nodes.copy()
-        points[inner, 2] = 1.0 - met.distance
-        return replace(mesh, nodes=points)
 
     @property
     def prestretch(self) -> float:

@@ -14,20 +14,6 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 class InflatedSensor:
     """Source of frames of a membrane at rest.
 
-    Parameters
-    ----------
-    name : str
-    camera : DepthCamera
-    membrane : MembraneMesh
-        As the pressure bulges it.
-    gas_pressure_pa : float or None
-        Absolute, as it is recorded.
-    noise : DepthNoise
-    frames : int
-    seed : int
-    pressure_noise_pa : float
-        σ of each frame's pressure, Pa.
-
     Attributes
     ----------
     pressures_pa : (F,) array or None
@@ -38,16 +24,16 @@ class InflatedSensor:
         self,
         name: str,
         camera: DepthCamera,
-        membrane: MembraneMesh,
-        gas_pressure_pa: float | None,
+        membrane: MembraneMesh,  # as the pressure bulges it
+        gas_pressure_pa: float | None,  # absolute, as it is recorded
         noise: DepthNoise,
         frames: int = 40,
         seed: int = 0,
-        pressure_noise_pa: float = 5.0,
+        pressure_noise_pa: float = 5.0,  # σ of each frame's pressure, Pa
     ) -> None:
         self.name, self.camera, self.noise, self.seed = name, camera, noise, seed
         self.times_s = np.arange(frames) / 30.0
-        self._range_m = MembraneView(camera, membrane).range_image(np.zeros(len(membrane.nodes)))
+        self._range_m = MembraneView(camera, membrane).rest_range
         self.pressures_pa: np.ndarray | None = None
         if gas_pressure_pa is not None:
             shaken = np.random.default_rng([seed, 3]).standard_normal(frames)

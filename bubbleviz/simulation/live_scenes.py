@@ -27,10 +27,7 @@ def simulation(
     It is empty for the built-in press, an object's name or mesh file for the same press
     with that, `nut-left` or `nut-right` for a finger of the dual-finger task.
 
-    Raises
-    ------
-    InputError
-        There is no such object.
+    Raises InputError: there is no such object.
     """
     obj, poses = _scene(place, sensor, frames)
 

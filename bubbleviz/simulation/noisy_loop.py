@@ -14,17 +14,14 @@ from bubbleviz.simulation.truth import Truth, truth_of
 
 
 class NoisyLoop:
-    """Adds noise to frames without; it changes when reading begins again before where it was.
+    """Adds noise to frames without; it changes when reading begins again before where it was."""
 
-    Parameters
-    ----------
-    source : FrameSource
-        Without noise.
-    camera : DepthCamera
-    noise : DepthNoise
-    """
-
-    def __init__(self, source: FrameSource, camera: DepthCamera, noise: DepthNoise) -> None:
+    def __init__(
+        self,
+        source: FrameSource,  # without noise
+        camera: DepthCamera,
+        noise: DepthNoise,
+    ) -> None:
         self._source, self._camera, self._noise = source, camera, noise
         self._round, self._last = 0, 0
         self.name, self.times_s = source.name, source.times_s

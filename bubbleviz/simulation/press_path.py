@@ -10,44 +10,24 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
 
-FEWEST = 10
-"""Frames of a path at least."""
-MOST_DRAG_M, MOST_TWIST_RAD = 0.05, np.pi
-"""Beyond these a unit is taken for another."""
-_CLEAR_M = 1e-3
-"""Height above first touch at which the object waits."""
+FEWEST = 10  # frames of a path at least
+MOST_DRAG_M, MOST_TWIST_RAD = 0.05, np.pi  # beyond these a unit is taken for another
+_CLEAR_M = 1e-3  # height above first touch at which the object waits
 _TOUCHES, _PRESSED, _DRAGGED, _TWISTED = 0.15, 0.4, 0.65, 0.9
 """Ends of waiting, pressing, dragging and twisting, over the time of the path; then it holds."""
 
 
 def press_path(
     obj: RigidObject,
-    T_B_O: np.ndarray,
-    mesh: MembraneMesh,
-    frames: int,
-    drag_m: float = 0.0,
-    twist_rad: float = 0.0,
+    T_B_O: np.ndarray,  # (4, 4), where it is pressed to, along −z of B
+    mesh: MembraneMesh,  # at rest
+    frames: int,  # 10 or more: the first 15 % contact-free, then 25 % for each of the three, evenly
+    drag_m: float = 0.0,  # way along x of B, m
+    twist_rad: float = 0.0,  # turn about the z axis of the object through its origin, rad
 ) -> np.ndarray:
     """Poses T_B_O (frames, 4, 4): clear of the membrane, pressed in, dragged, twisted, held.
 
-    Parameters
-    ----------
-    obj : RigidObject
-    T_B_O : (4, 4) array
-        Where it is pressed to, along −z of B.
-    mesh : MembraneMesh
-        At rest.
-    frames : int
-        10 or more: the first 15 % contact-free, then 25 % for each of the three, evenly.
-    drag_m : float
-        Way along x of B, m.
-    twist_rad : float
-        Turn about the z axis of the object through its origin, rad.
-
-    Raises
-    ------
-    InputError
-        Fewer frames, or a way or turn that is out of range.
+    Raises InputError: fewer frames, or a way or turn that is out of range.
     """
     if frames < FEWEST:
         raise InputError(f"{frames} frames: drag and twist take {FEWEST} or more")

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.rigid_object import RigidObject
-from bubbleviz.simulation import object_shapes
+from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.simulation.press_path import touching_height
 
 GRID_OBJECTS = ("frustum", "two_legged_toy", "bridge", "sphere", "torus", "two_spheres")
 HELD_OUT_OBJECTS = ("cross", "cylinder", "hex_nut")
 """Held-out objects: not used while choosing the estimator's settings."""
-EDGE_OBJECTS = ("ring", "rounded_cross", "unequal_balls", "ell", "thin_bar", "small_nut")
-"""Held out, too: made to judge the edge of the patch, and no constant was chosen on them."""
 SMOOTH_OBJECTS = ("sphere", "puck")
 """Objects without sharp edges, whose exact equilibrium converges as the mesh becomes finer."""
 
@@ -26,23 +25,15 @@ LARGEST_TILT_RAD = 0.14  # 8°; chosen
 
 @dataclass(frozen=True)
 class Press:
-    """One object pressed to one depth.
+    """One object pressed to one depth."""
 
-    Attributes
-    ----------
-    object_name : str
-    depth_m : float
-        How far beyond first touch, along −z of B.
-    held_out : bool
-    """
-
-    object_name: str
-    depth_m: float
+    object_name: str  # as of `made`
+    depth_m: float  # how far beyond first touch, along −z of B
     held_out: bool
 
     def pose(self, mesh: MembraneMesh, seed: int) -> np.ndarray:
         """T_B_O (4, 4): any turn, up to 8 mm off the axis and 8° of tilt, all from the seed."""
-        text = f"{self.object_name} {round(1e6 * self.depth_m)}"
+        text = f"{Path(self.object_name).stem} {round(1e6 * self.depth_m)}"
         random = np.random.default_rng([seed, *text.encode()])
         turn, heading, aside = random.uniform(0.0, 2.0 * np.pi, 3)
         tilt = LARGEST_TILT_RAD * random.random()
@@ -57,12 +48,12 @@ class Press:
 
 
 def made(name: str) -> RigidObject:
-    """Object of a generator's name."""
-    generator = getattr(object_shapes, name)
-    obj: RigidObject = generator()
-    return obj
+    """Object of a name: one of the studies' own (a cross, a bar, a puck), a preset, or a file."""
+    own = Path(__file__).with_name("objects"), presets_folder("objects")
+    paths = [*(folder / f"{name}.ply" for folder in own), Path(name)]
+    return load_object(next((path for path in paths if path.is_file()), name))
 
 
 def presses(names: tuple[str, ...], depths_m: tuple[float, ...]) -> list[Press]:
     """Every object at every depth."""
-    return [Press(n, d, n in HELD_OUT_OBJECTS + EDGE_OBJECTS) for n in names for d in depths_m]
+    return [Press(n, d, n in HELD_OUT_OBJECTS) for n in names for d in depths_m]

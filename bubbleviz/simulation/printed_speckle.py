@@ -22,24 +22,12 @@ _NOISE_STREAM = 3  # of the seed; those of `DepthNoise` come before
 
 @dataclass(frozen=True)
 class Speckle:
-    """How the membrane is printed and seen.
+    """How the membrane is printed and seen."""
 
-    Attributes
-    ----------
-    blot_m : float or None
-        Size of a blot, m; by default 8 pixels wide in the image.
-    noise : float
-        σ of the grey levels (0 … 255).
-    shaded : bool
-        Brightest where the membrane faces the camera, with its light.
-    seed : int
-        Of print and noise.
-    """
-
-    blot_m: float | None = None
-    noise: float = 2.0
-    shaded: bool = True
-    seed: int = 0
+    blot_m: float | None = None  # size of a blot, m; by default 8 pixels wide in the image
+    noise: float = 2.0  # σ of the grey levels (0 … 255)
+    shaded: bool = True  # brightest where the membrane faces the camera, with its light
+    seed: int = 0  # of print and noise
 
     def __post_init__(self) -> None:
         if self.blot_m is not None and not 0.0 < self.blot_m < 0.1:
@@ -49,29 +37,23 @@ class Speckle:
 
 
 class PrintedMembrane:
-    """Renders the speckle, which is fixed to the material, on the deformed membrane.
+    """Renders the speckle, which is fixed to the material, on the deformed membrane."""
 
-    Parameters
-    ----------
-    speckle : Speckle
-    view : MembraneView
-        Of the mesh at rest, which is printed on.
-    """
-
-    def __init__(self, speckle: Speckle, view: MembraneView) -> None:
+    def __init__(
+        self,
+        speckle: Speckle,
+        view: MembraneView,  # of the mesh at rest, which is printed on
+    ) -> None:
         self._speckle, self._view = speckle, view
         middle_m = np.linalg.norm(view.mesh.nodes.mean(axis=0) - view.camera.center)
         self._blot_m = speckle.blot_m or _BLOT_PX * middle_m / view.camera.intrinsics.fx
 
-    def image(self, displacement_m: np.ndarray, index: int) -> np.ndarray:
-        """Grey image (H, W), uint8, of a displacement as of `MembraneMesh.deformed`.
-
-        Parameters
-        ----------
-        displacement_m : (n,) or (n, 3) array
-        index : int
-            Of the frame, for its noise.
-        """
+    def image(
+        self,
+        displacement_m: np.ndarray,  # (n,) or (n, 3) array
+        index: int,  # of the frame, for its noise
+    ) -> np.ndarray:
+        """Grey image (H, W), uint8, of a displacement as of `MembraneMesh.deformed`."""
         mesh = self._view.mesh
         hits = self._view.hits(displacement_m)
         corners = mesh.triangles[hits.triangle]

@@ -25,8 +25,7 @@ from bubbleviz.rigid_object import RigidObject
 EDGE_RADIUS_M = 5e-4
 """Of objects' edges: those of printed and machined parts, about as thick as the rubber is."""
 
-_LEVELS = 4
-"""How often triangles are cut at most."""
+_LEVELS = 4  # how often triangles are cut at most
 
 
 class RefinedPress(NamedTuple):
@@ -37,25 +36,14 @@ class RefinedPress(NamedTuple):
 
 
 def refined_press(
+    # the membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little
     rubber_on: Callable[[MembraneMesh], RubberMembrane],
-    gas_on: Callable[[MembraneMesh], Gas],
-    mesh: MembraneMesh,
+    gas_on: Callable[[MembraneMesh], Gas],  # the gas behind it
+    mesh: MembraneMesh,  # to begin with
     obj: RigidObject,
-    T_B_O: np.ndarray,
+    T_B_O: np.ndarray,  # (4, 4)
 ) -> RefinedPress:
-    """Press an object; the contact may not have converged.
-
-    Parameters
-    ----------
-    rubber_on : function
-        The membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little.
-    gas_on : function
-        The gas behind it.
-    mesh : MembraneMesh
-        To begin with.
-    obj : RigidObject
-    T_B_O : (4, 4) array
-    """
+    """Press an object; the contact may not have converged."""
 
     def forward_on(mesh: MembraneMesh) -> RubberForward:
         rubber = rubber_on(mesh)

@@ -23,48 +23,28 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.refined_press import refined_press
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 
-PRESTRETCH = 1.2
-"""λ of sensors whose file has none: that of the real one (`identify`)."""
+PRESTRETCH = 1.2  # λ of sensors whose file has none: that of the real one (`identify`)
 
 TRUTH_NODES = 2_600
 """Before it is refined: other nodes than the estimator's, and as coarse where nothing touches."""
 
 
 class RubberTruth(NamedTuple):
-    """A press as the camera would see it without noise.
+    """A press as the camera would see it without noise."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    mesh : MembraneMesh
-    contact : Contact
-    range_m : (H, W) array
-        NaN where a ray misses the membrane.
-    """
-
-    T_B_O: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
     mesh: MembraneMesh
     contact: Contact
-    range_m: np.ndarray
+    range_m: np.ndarray  # (H, W), NaN where a ray misses the membrane
 
 
 @dataclass(frozen=True)
 class RubberPresses:
-    """Presses objects into one exact membrane.
+    """Presses objects into one exact membrane."""
 
-    Attributes
-    ----------
-    camera : DepthCamera
-        That sees it.
-    mesh : MembraneMesh
-        Before it is refined.
-    rubber : callable
-        The membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little.
-    pneumatics : Pneumatics
-    """
-
-    camera: DepthCamera
-    mesh: MembraneMesh
+    camera: DepthCamera  # that sees it
+    mesh: MembraneMesh  # before it is refined
+    # the membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little
     rubber: Callable[[MembraneMesh], RubberMembrane]
     pneumatics: Pneumatics
 
@@ -78,10 +58,7 @@ class RubberPresses:
     def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
 
-        Raises
-        ------
-        SolveError
-            No equilibrium was found.
+        Raises SolveError: no equilibrium was found.
         """
         mesh, contact = refined_press(
             self.rubber, partial(Gas.of, self.pneumatics), self.mesh, model.obj, T_B_O

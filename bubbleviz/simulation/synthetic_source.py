@@ -29,11 +29,9 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
 from bubbleviz.simulation.truth import Truth
 
-Model = Literal["rubber", "linear"]
-"""The exact membrane, or the paper's linear one."""
+Model = Literal["rubber", "linear"]  # the exact membrane, or the paper's linear one
 
-FINER = 4
-"""Nodes of the simulation's mesh for every node of the estimator's."""
+FINER = 4  # nodes of the simulation's mesh for every node of the estimator's
 
 _LEVELS, _LOOKS = 3, 40
 """How often that mesh is refined under edges, and the number of poses looked at for them."""
@@ -44,31 +42,6 @@ class SyntheticSource:
 
     The membrane is solved on a mesh of its own, about four times finer than the estimator's, so
     that estimating is not merely undoing. Frame k depends on the seed and k alone.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    obj : RigidObject
-    poses : (F, 4, 4) array
-        T_B_O of every frame.
-    noise : DepthNoise, optional
-        None by default.
-    rate_hz : float
-    seed : int
-    times_s : (F,) array, optional
-        In place of `rate_hz`.
-    nodes : int, optional
-        Target number of nodes of the simulation's mesh.
-    sharp : bool
-        Refine that mesh where edges of the object press; see `sharpened`.
-    model : {"rubber", "linear"}, optional
-        Membrane to press into; the exact one where the sensor's pre-stretch is known, as it is
-        estimated with.
-    friction : float, optional
-        Coulomb's μ between object and membrane, which must be the exact one. Frames then follow
-        from those before.
-    texture : Speckle, optional
-        Printed on the membrane; frames have its image, made when it is asked for.
 
     Attributes
     ----------
@@ -82,16 +55,21 @@ class SyntheticSource:
         self,
         sensor: Sensor,
         obj: RigidObject,
-        poses: np.ndarray,
-        noise: DepthNoise | None = None,
+        poses: np.ndarray,  # (F, 4, 4), T_B_O of every frame
+        noise: DepthNoise | None = None,  # None by default
         rate_hz: float = 30.0,
         seed: int = 0,
         *,
-        times_s: np.ndarray | None = None,
-        nodes: int | None = None,
-        sharp: bool = False,
+        times_s: np.ndarray | None = None,  # (F,), in place of `rate_hz`
+        nodes: int | None = None,  # target number of nodes of the simulation's mesh
+        sharp: bool = False,  # refine that mesh where edges of the object press; see `sharpened`
+        # membrane to press into; the exact one where the sensor's pre-stretch is known, as it is
+        # estimated with
         model: Model | None = None,
+        # Coulomb's μ between object and membrane, which must be the exact one. Frames then follow
+        # from those before.
         friction: float = 0.0,
+        # printed on the membrane; frames have its image, made when it is asked for
         texture: Speckle | None = None,
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
@@ -230,16 +208,12 @@ def sharpened(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> Membra
     return mesh
 
 
-def default_press(sensor: Sensor, frames: int = 150, rate_hz: float = 30.0) -> SyntheticSource:
-    """Press of the built-in live sensor: approach, press, move and turn, withdraw.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    frames : int
-        Frames of one round, contact-free at both ends so that it loops.
-    rate_hz : float
-    """
+def default_press(
+    sensor: Sensor,
+    frames: int = 150,  # frames of one round, contact-free at both ends so that it loops
+    rate_hz: float = 30.0,
+) -> SyntheticSource:
+    """Press of the built-in live sensor: approach, press, move and turn, withdraw."""
     noise = DepthNoise(relative=sensor.camera.noise_relative)
     obj = load_object("two_legged_toy")
     height, width = dome_size(sensor)

@@ -14,8 +14,7 @@ from bubbleviz.patch.touching_share import touching_share
 if TYPE_CHECKING:
     from bubbleviz.membrane.forward_model import Contact
 
-SLIP_M = 1e-6
-"""Way over the object from one frame to the next beyond which a node slips."""
+SLIP_M = 1e-6  # way over the object from one frame to the next beyond which a node slips
 
 
 @dataclass(frozen=True)
@@ -93,6 +92,11 @@ class Truth:
             slip_m=slip,
             slip_share=_slip_share(slip, np.where(load > 0.0, areas, 0.0)),
         )
+
+    def force_error(self, force_n: np.ndarray) -> float:
+        """Distance of a force (3,) from the true one over its length; NaN where that is 0."""
+        size = float(np.linalg.norm(self.force_n))
+        return float(np.linalg.norm(force_n - self.force_n)) / size if size > 0.0 else float("nan")
 
 
 def _slip_share(slip_m: np.ndarray, touching_m2: np.ndarray) -> float:

@@ -26,8 +26,7 @@ from bubbleviz.simulation.rubber_truth import RubberTruth
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 from bubbleviz.simulation.truth import Truth
 
-TRUTH_NODES = 12_500
-"""Of the linear model, which costs little: about 15 times the estimator's 800."""
+TRUTH_NODES = 12_500  # of the linear model, which costs little: about 15 times the estimator's 800
 
 
 class Presses(Protocol):
@@ -51,13 +50,7 @@ class Presses(Protocol):
 
 @dataclass(frozen=True)
 class LinearPresses:
-    """Presses objects into the paper's linear membrane.
-
-    Attributes
-    ----------
-    model : SensorModel
-    nodes : int
-    """
+    """Presses objects into the paper's linear membrane."""
 
     model: SensorModel
     nodes: int = TRUTH_NODES
@@ -80,10 +73,7 @@ class LinearPresses:
     def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
 
-        Raises
-        ------
-        InputError, SolveError
-            The pose cuts the rim, or has no equilibrium.
+        Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
         """
         mesh = self.mesh
         forward = ForwardModel(mesh, self.model.tension_n_per_m, Gas.of(self.pneumatics, mesh))
@@ -98,59 +88,35 @@ class LinearPresses:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A press as the camera would see it without noise, and what is true of it.
-
-    Attributes
-    ----------
-    press : Press
-    mesh : MembraneMesh
-        Reference surface that the truth is on.
-    truth : Truth
-    range_m : (H, W) array
-        Range along each ray, NaN where it misses the membrane.
-    """
+    """A press as the camera would see it without noise, and what is true of it."""
 
     press: Press
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # reference surface that the truth is on
     truth: Truth
-    range_m: np.ndarray
+    range_m: np.ndarray  # (H, W), range along each ray, NaN where it misses the membrane
 
 
 class TruthBank:
-    """Solves presses and keeps what it has solved.
-
-    Parameters
-    ----------
-    presses : Presses
-    seed : int
-        Of the poses.
-    folder : Path, optional
-        Keeps the truths of one membrane and seed from run to run.
-    limit_s : float, optional
-        Wall time of a press, beyond which it counts as having no equilibrium.
-    """
+    """Solves presses and keeps what it has solved."""
 
     def __init__(
         self,
         presses: Presses,
-        seed: int,
-        folder: Path | None = None,
+        seed: int,  # of the poses
+        folder: Path | None = None,  # keeps the truths of one membrane and seed from run to run
+        # wall time of a press, beyond which it counts as having no equilibrium
         limit_s: float | None = None,
     ) -> None:
         self._presses, self.seed, self._folder, self._limit_s = presses, seed, folder, limit_s
         self.camera, self.mesh = presses.camera, presses.mesh
-        rest = np.zeros_like(self.mesh.nodes)
-        self.rest_range_m = MembraneView(self.camera, self.mesh).range_image(rest)
+        self.rest_range_m = MembraneView(self.camera, self.mesh).rest_range
         self.rest_pressure_pa = presses.pneumatics.reference_pressure_pa
         self._sightings: dict[Press, Sighting] = {}
 
     def sighting(self, press: Press) -> Sighting:
         """Solve a press, or remember it.
 
-        Raises
-        ------
-        InputError, SolveError
-            The pose cuts the rim, or has no equilibrium.
+        Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
         """
         if press not in self._sightings:
             self._sightings[press] = self._kept(press)
@@ -180,7 +146,8 @@ class TruthBank:
     def _kept(self, press: Press) -> Sighting:
         if self._folder is None:
             return self._sighting(press, self._made(press))
-        path = self._folder / f"{press.object_name}_{round(1e6 * press.depth_m)}um_{self.seed}.npz"
+        name = Path(press.object_name).stem
+        path = self._folder / f"{name}_{round(1e6 * press.depth_m)}um_{self.seed}.npz"
         if not path.exists():
             _save(self._sighting(press, self._made(press)), path)
         return _load(press, path)

@@ -30,12 +30,6 @@ class OtherTruthError(InputError):
 class KnownRecording:
     """A recording of a simulation with the truth about its frames.
 
-    Parameters
-    ----------
-    recording : Recording
-        Closed with this one.
-    truth_file : Path
-
     Attributes
     ----------
     name : str
@@ -48,7 +42,11 @@ class KnownRecording:
         The truth cannot be read, or is of another recording.
     """
 
-    def __init__(self, recording: Recording, truth_file: Path) -> None:
+    def __init__(
+        self,
+        recording: Recording,  # closed with this one
+        truth_file: Path,
+    ) -> None:
         self._recording, self._truth = recording, read_truth(truth_file)
         self.name, self.path, self.times_s = recording.name, recording.path, recording.times_s
         times, masks = self._truth["time_s"], self._truth["patch_mask"]
@@ -84,10 +82,7 @@ class KnownRecording:
 def read_truth(path: Path) -> dict[str, np.ndarray]:
     """Arrays of a TRUTH.npz by `KEYS` and as many of `MORE` as it has, each with a row a frame.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, or is no truth of a simulation.
+    Raises InputError: it cannot be read, or is no truth of a simulation.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -16,7 +16,7 @@ from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.simulation.truth import Truth
 
 BALANCE = 1e-3  # largest residual of membrane balance and gas law over their largest term
-KKT = {"osqp": 5e-2, "osqp-cold": 5e-2}  # largest, of solvers that stop early; 1e-3 of others
+KKT = {"paper": 5e-2}  # largest, of a solver that stops early; 1e-3 of others
 FORCE_RELATIVE = 0.2  # of the true force; chosen as a gross error
 FORCE_PER_EDGE = 20.0  # relative error per m of mesh edge: coarse meshes are worse
 FORCE_PER_NOISE = 2.5  # of γ0 × noise: the force that noise alone makes

@@ -6,21 +6,23 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from trimesh.convex import convex_hull
 
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.rigid_object import RigidObject
-from bubbleviz.simulation.object_shapes import lathe, sphere
+from bubbleviz.simulation.presses import made
 from bubbleviz.study.stability_trial import Alter
 
 
 def _stack(name: str, sections: list[tuple[float, float, float]]) -> RigidObject:
     """Rectangles of half widths x, y at heights z, joined."""
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
-    return lathe(name, [(corners * [x, y], z) for x, y, z in sections])
+    signs = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float)
+    hull = convex_hull(np.concatenate([signs * section for section in sections]))
+    return RigidObject(name, np.array(hull.vertices), np.array(hull.faces, np.int64))
 
 
 def _ball(name: str, radius_m: float) -> RigidObject:
-    ball = sphere()
+    ball = made("sphere")
     return RigidObject(name, ball.vertices * (radius_m / 0.015), ball.triangles)
 
 

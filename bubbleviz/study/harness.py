@@ -147,10 +147,7 @@ class Study:
     def run(self, out: Path | None = None) -> Report:
         """Run every case and write the report into a folder.
 
-        Raises
-        ------
-        InputError
-            The folder has a report already, or parts of a study with other settings.
+        Raises InputError: the folder has a report already, or parts of a study with other settings.
         """
         for suffix in ("csv", "json", "png"):
             if out is not None:  # before the long work

@@ -52,10 +52,7 @@ def attempt_named(name: str) -> list[CaseResult]:
 def stability_study(pattern: str = "", *, quick: bool = False) -> Study:
     """Shipped cases with a pattern in their name, each within its limit of time.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises InputError: there is none.
     """
     chosen = [c for c in stability_cases.all_cases() if pattern in c.name and c.quick >= quick]
     if not chosen:

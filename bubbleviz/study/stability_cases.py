@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from bubbleviz.files.ply_writer import write_ply
 from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import RUBBER
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.rigid_object import RigidObject
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz.study import extreme_inputs as shapes
 from bubbleviz.study.stability_trial import TYPICAL_RANGE_M, Case, Must, Trial
 
@@ -86,7 +85,7 @@ def _mesh_trial(degrees: float | None) -> Callable[[], str]:
             mesh, gas = shapes.with_slivers(mesh, np.deg2rad(degrees)), {"tension_n_per_m": 105.0}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "slivers.ply"
-            path.write_bytes(ply_bytes(RigidObject("surface", mesh.nodes, mesh.triangles)))
+            write_ply(path, mesh.nodes, {}, mesh.triangles)
             membrane = {"shape": "mesh", "mesh_file": str(path)}
             return Trial({"membrane": membrane, "pneumatics": gas})()
 
@@ -247,11 +246,10 @@ def _solvers() -> Iterator[Case]:
         "tension 1e6 N/m": {"tension_n_per_m": 1e6},
         "chamber 1e-7 m³": {"chamber_volume_m3": 1e-7},
     }
-    for solver in ("osqp", "osqp-cold", "clarabel"):
-        options = EstimatorOptions(solver=solver)
-        for name, values in extremes.items():
-            must: Must = "either" if values else "solve"
-            yield Case(f"{solver}, {name}", Trial({"pneumatics": values}, options=options), must)
+    options = EstimatorOptions(solver="paper")
+    for name, values in extremes.items():
+        must: Must = "either" if values else "solve"
+        yield Case(f"paper, {name}", Trial({"pneumatics": values}, options=options), must)
 
 
 def _rubber_trial(

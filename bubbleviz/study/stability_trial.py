@@ -150,10 +150,7 @@ def _found(result: Result, truth: Truth | None) -> str:
 def varied_sensor(changes: dict[str, dict[str, Any]], name: str = "pico_flexx_75mm") -> Sensor:
     """Preset with some keys changed (None removes one), read back from a TOML file.
 
-    Raises
-    ------
-    InputError
-        The file breaks the schema.
+    Raises InputError: the file breaks the schema.
     """
     data = copy.deepcopy(load_sensor(name).model_dump(mode="json", exclude_none=True))
     for section, values in changes.items():

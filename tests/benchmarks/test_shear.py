@@ -1,10 +1,7 @@
 """The shear study tells what it measured, in files, too."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ from benchmarks.shear import ShearTrial, targets
 from benchmarks.slip import SlipTrial, report_of
 
 
-def trial(**changed: object) -> ShearTrial:
+def trial(**changed):
     """A good frame but for what is changed."""
     values = dict.fromkeys(ShearTrial.__dataclass_fields__, 0.0)
     words = {
@@ -25,13 +22,13 @@ def trial(**changed: object) -> ShearTrial:
         "status": "ok",
         "flow_sigma_px": 0.03,
     }
-    return ShearTrial(**(values | words | changed))  # type: ignore[arg-type]
+    return ShearTrial(**(values | words | changed))
 
 
-def slip(**changed: float) -> SlipTrial:
+def slip(**changed):
     """A contact whose slip is found at once, but for what is changed."""
     values = {"judged": 10, "alarms": 0, "found_in": 1.0} | changed
-    return SlipTrial(5e-3, "0.03 px", 20, **values)  # type: ignore[arg-type]
+    return SlipTrial(5e-3, "0.03 px", 20, **values)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +45,7 @@ def slip(**changed: float) -> SlipTrial:
         ({"torque_error": np.nan}, set()),
     ],
 )
-def test_the_worst_frame_is_judged(bad: dict[str, object], missed: set[str]) -> None:
+def test_the_worst_frame_is_judged(bad, missed):
     found = targets([trial(), trial(**bad), *[trial()] * 3])
     assert {target.name for target in found if not target.met} == missed
 
@@ -61,13 +58,13 @@ def test_the_worst_frame_is_judged(bad: dict[str, object], missed: set[str]) -> 
         ({"alarms": 2}, {"false slip, share of frames"}),
     ],
 )
-def test_slip_of_the_worst_contact_is_judged(bad: dict[str, float], missed: set[str]) -> None:
+def test_slip_of_the_worst_contact_is_judged(bad, missed):
     found = report_of([slip(), slip(**bad)]).targets
     assert {target.name for target in found if not target.met} == missed
 
 
 @pytest.mark.long
-def test_quick_study(tmp_path: Path) -> None:
+def test_quick_study(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     out = tmp_path / "study"
     found = CliRunner().invoke(benchmarks, ["shear", "--quick", "--out", str(out)])

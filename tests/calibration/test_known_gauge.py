@@ -57,6 +57,13 @@ def dome(request):
     return twin() if request.param == "twin" else rubber_truth("dome_ball")
 
 
+def told(camera=SMALL, **pneumatics):
+    """A sensor file that says so of its pressures."""
+    sensor = dome_sensor(camera)
+    section = sensor.pneumatics.model_copy(update=pneumatics)
+    return sensor.model_copy(update={"pneumatics": section})
+
+
 def shown(dome, shape_m, gauge_pa, seed):
     return render("dome", SMALL, at_rest(shape_m, FRAMES), dome["triangles"], gauge_pa, seed=seed)
 
@@ -71,9 +78,7 @@ def identified(dome):
     ]
 
     def of(vented=None, **pneumatics):
-        sensor = dome_sensor(SMALL)
-        section = sensor.pneumatics.model_copy(update=pneumatics)
-        sensor = sensor.model_copy(update={"pneumatics": section})
+        sensor = told(**pneumatics)
         found = identify(rest, sensor, range(FRAMES), nodes=NODES)
         return with_rubber(found, [collect(each, sensor, range(FRAMES)) for each in levels], vented)
 
@@ -153,20 +158,14 @@ def test_force_of_presses_after_levels(tmp_path):
     rest, low, high = (
         render("dome", camera, at_rest(shape, FRAMES), dome["triangles"], pressure, seed=k)
         for k, (shape, pressure) in enumerate(
-            [
-                (dome["rest_m"], GAUGE_PA),
-                (dome["level_m"][0], dome["level_pa"][0]),
-                (dome["level_m"][1], dome["level_pa"][1]),
-            ]
+            [(dome["rest_m"], GAUGE_PA), *zip(dome["level_m"], dome["level_pa"], strict=True)]
         )
     )
     presses = render(
         "press", camera, dome["nodes_m"], dome["triangles"], dome["gauge_pressure_pa"], seed=9
     )
-    given = dome_sensor(camera)
     for sigma in (0.01 * GAUGE_PA, None):
-        section = given.pneumatics.model_copy(update={"gauge_sigma_pa": sigma})
-        sensor = given.model_copy(update={"pneumatics": section})
+        sensor = told(camera, gauge_sigma_pa=sigma)
         found = identify(rest, sensor, range(FRAMES), nodes=1000)
         levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
         saved = write_sensor(with_rubber(found, levels), tmp_path / f"{sigma}.toml")
@@ -187,12 +186,6 @@ def test_force_of_presses_after_levels(tmp_path):
 def rest_samples():
     dome = twin()
     return collect(shown(dome, dome["rest_m"], GAUGE_PA, 1), dome_sensor(SMALL), range(FRAMES))
-
-
-def told(**pneumatics):
-    sensor = dome_sensor(SMALL)
-    section = sensor.pneumatics.model_copy(update=pneumatics)
-    return sensor.model_copy(update={"pneumatics": section})
 
 
 def test_gauge_pressure_at_rest_and_how_well_it_is_known(rest_samples):

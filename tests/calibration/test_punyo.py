@@ -84,8 +84,6 @@ def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
     assert gauge.half_width < 0.15 * gauge.value
     assert gauge.low < np.mean(found.samples.gas_pressure_pa) - 98_700.0 < gauge.high
     assert told.rubber.prestretch is not None
-    assert 0.0 < told.sensitivity.per_gauge_n_per_pa < 1e-3
-    assert told.sensitivity.per_prestretch_n < 0.0
 
 
 @needs_press

@@ -23,17 +23,18 @@ def cap(axes, rotation=None, outliers=0.0, noise=1e-4, count=6000, seed=1):
     return points + np.array([0.01, -0.02, 0.03])
 
 
-def test_sphere_survives_outliers():
-    fit = fit_sphere(cap(np.full(3, 0.08), outliers=0.1))
-    np.testing.assert_allclose(fit.ellipsoid.semi_axes_m, 0.08, atol=1e-4)
-    np.testing.assert_allclose(fit.ellipsoid.centre_m, (0.01, -0.02, 0.03), atol=1e-4)
-    assert fit.sigma_m == pytest.approx(1e-4, rel=0.2)
-
-
-def test_aligned_ellipsoid_survives_outliers():
-    fit = fit_ellipsoid(cap(AXES, outliers=0.1), np.eye(3))
-    np.testing.assert_allclose(fit.ellipsoid.semi_axes_m, AXES, atol=3e-4)
-    np.testing.assert_allclose(fit.ellipsoid.centre_m, (0.01, -0.02, 0.03), atol=3e-4)
+@pytest.mark.parametrize(
+    ("fit", "axes", "within"),
+    [
+        (fit_sphere, np.full(3, 0.08), 1e-4),
+        (lambda points: fit_ellipsoid(points, np.eye(3)), AXES, 3e-4),
+    ],
+)
+def test_fits_survive_outliers(fit, axes, within):
+    found = fit(cap(axes, outliers=0.1))
+    np.testing.assert_allclose(found.ellipsoid.semi_axes_m, axes, atol=within)
+    np.testing.assert_allclose(found.ellipsoid.centre_m, (0.01, -0.02, 0.03), atol=within)
+    assert found.sigma_m == pytest.approx(1e-4, rel=0.2)
 
 
 def test_tilted_ellipsoid_finds_its_tilt():

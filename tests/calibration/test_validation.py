@@ -1,9 +1,8 @@
-"""A known press: predicted by a right sensor and by wrong ones; γ0 from its wrench."""
+"""A known press: predicted by a right sensor and by wrong ones."""
 
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.tension.wrench_tension import tension_by_wrench
 from bubbleviz.calibration.validation import mean_frame, validate
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
@@ -14,27 +13,6 @@ from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 
 TENSION = 105.0
-
-
-class WithWrench:
-    """A simulated press whose force/torque sensor is turned and has a bias."""
-
-    name = "press"
-
-    def __init__(self, source):
-        self.source, self.times_s = source, source.times_s
-
-    def __len__(self):
-        return len(self.source)
-
-    def __getitem__(self, k):
-        from dataclasses import replace
-
-        force = self.source.truth(k).force_n[[1, 2, 0]] + (0.4, -0.6, 0.5)
-        return replace(self.source[k], wrench=np.concatenate([force, np.zeros(3)]))
-
-    def close(self):
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -87,25 +65,6 @@ def test_several_frames_average_their_noise(model, press):
     assert validate(model, frames, press.obj, press.poses[11]).rms_m < 0.3e-3
     with pytest.raises(InputError, match="no frames"):
         validate(model, [], press.obj, press.poses[11])
-
-
-def test_wrench_finds_the_tension_it_was_not_told(model, press):
-    start = model.with_tension(130.0)
-    found = tension_by_wrench(WithWrench(press), start, range(4), (5, 7, 9, 11), (6, 8, 10))
-    assert found.tension_n_per_m == pytest.approx(TENSION, rel=0.12)
-    assert not found.at_limit
-    assert found.tested_rms_n < found.given_rms_n
-    assert found.tested_rms_n < 0.1 * found.measured_n.mean()
-    truth = [np.linalg.norm(press.truth(k).force_n) for k in (6, 8, 10)]
-    np.testing.assert_allclose(found.measured_n, truth, rtol=1e-6)
-    np.testing.assert_allclose(found.predicted_n, truth, rtol=0.15)
-
-
-def test_wrench_needs_a_wrench_and_two_parts(model, press):
-    with pytest.raises(InputError, match="no wrench"):
-        tension_by_wrench(press, model, range(2), (5,), (6,))
-    with pytest.raises(InputError, match="others to test"):
-        tension_by_wrench(WithWrench(press), model, range(2), (5, 6), (6,))
 
 
 def test_the_mean_of_frames_leaves_out_what_most_did_not_see():

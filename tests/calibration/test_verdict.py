@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.reports.verdict import judge, validation_advice, wrench_advice
+from bubbleviz.calibration.reports.verdict import judge, validation_advice
 from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.simulation.depth_noise import DepthNoise
 
@@ -130,12 +129,3 @@ def test_a_known_press_that_is_less_than_half_predicted_is_to_be_checked(left, c
     (line,) = validation_advice(press)
     assert "4.00 mm rms from the untouched" in line and f"{1e3 * left:.2f} mm rms are not" in line
     assert ("check the pose" in line) is check
-
-
-@pytest.mark.parametrize("at_limit", [False, True])
-def test_gamma_by_force_is_told_unless_no_tension_explains_the_force(at_limit):
-    measured = np.array([2.0, 4.0])
-    (line,) = wrench_advice(WrenchTension(90.0, at_limit, 0.1, 0.2, 0.3, measured, measured), 80.0)
-    assert "γ0 = 80.0 N/m predicts" in line and "force of 3.00 N with an error of 0.30 N" in line
-    assert ("check the scale" in line) is at_limit
-    assert ("γ0 by force is 90.0 N/m, with 0.20 N rms" in line) is not at_limit

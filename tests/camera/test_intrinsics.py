@@ -1,7 +1,5 @@
 """Pixels to rays and back, against the published distortion formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """Ray casting, the operators S and D, and block residuals, against geometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from bubbleviz.camera.block_squares import BlockSquares
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.camera.observer import Misfit, RangeObserver, facet_error
+from bubbleviz.camera.observer import RangeObserver, facet_error
 from bubbleviz.camera.operators import range_jacobian
 from bubbleviz.camera.pixel_model import PixelModel
 from bubbleviz.camera.raycast import RayCaster
@@ -23,14 +21,14 @@ MESH = build_mesh(SENSOR, 600)
 CAMERA = DepthCamera.of(SENSOR.camera)
 
 
-def smooth_dent(amplitude_m: float) -> np.ndarray:
+def smooth_dent(amplitude_m):
     """Displacement of a smooth dent off the apex, 0 on the rim."""
     x, y, _ = MESH.nodes.T
     bump = np.exp(-((x - 0.012) ** 2 + (y + 0.006) ** 2) / 0.02**2)
     return np.where(MESH.rim, 0.0, -amplitude_m * bump)
 
 
-def at(observer: RangeObserver, displacement: np.ndarray) -> np.ndarray:
+def at(observer, displacement):
     """Model of the block residuals at a displacement."""
     return observer.predict(observer.linearise(displacement), displacement)
 
@@ -89,7 +87,7 @@ def test_the_operators_reproduce_points_and_differences():
     hits = cast(base)
     corners = MESH.triangles[hits.triangle]
 
-    def interpolated(field: np.ndarray) -> np.ndarray:
+    def interpolated(field):
         return np.einsum("ij,ij...->i...", hits.barycentric, field[corners])
 
     points = CAMERA.center + hits.range_m[:, None] * CAMERA.directions[hits.ray]
@@ -111,7 +109,7 @@ def test_linearisation_is_exact_to_second_order():
     observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
     base, change = smooth_dent(0.01), smooth_dent(0.001)
 
-    def error(fraction: float) -> float:
+    def error(fraction):
         linear = observer.linearise(base)
         target = base + fraction * change
         at_nodes = target[MESH.triangles[linear.hits.triangle]]
@@ -151,7 +149,7 @@ def test_outliers_count_little_once_the_model_is_known():
     depth = CAMERA.depth_image(noisy).astype(np.float32)
     truth = at(observer, displacement)
 
-    def bias(seen) -> float:
+    def bias(seen):
         return float(np.median((seen.residual_m - truth)[seen.weight > 0]))
 
     assert bias(observer.observe(depth)) > 0.003
@@ -186,7 +184,7 @@ def test_clean_pixels_keep_their_full_weight():
     assert with_model.weight == pytest.approx(observer.observe(depth).weight)
 
 
-def looked_at(noise: np.ndarray, sigma: float) -> tuple[RangeObserver, Misfit]:
+def looked_at(noise, sigma):
     """What is left of a dent's ranges with noise (H, W) by the model of that very dent."""
     displacement = smooth_dent(0.006)
     observer = RangeObserver(CAMERA, MESH, sigma, block=2)

@@ -1,7 +1,5 @@
 """First triangles of rays, against every triangle tried by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ def nearest(nodes, triangles, origin, rays):
 
 
 @pytest.mark.parametrize("shape", ["dome", "dented", "folded", "cut", "around", "beside"])
-def test_each_ray_finds_the_first_triangle_it_meets(shape: str) -> None:
+def test_each_ray_finds_the_first_triangle_it_meets(shape):
     mesh = mesh_cap(spherical_cap(0.04, 0.03), 300)
     nodes, triangles, rng = mesh.nodes.copy(), mesh.triangles, np.random.default_rng(0)
     origin = np.array([0.002, 0.001, -0.09])

@@ -1,9 +1,6 @@
 """The numbers of a frame that are plotted over time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from small_press import small_source, write_small_sensor
@@ -14,7 +11,7 @@ from bubbleviz.sensor import load_sensor
 
 
 @pytest.mark.parametrize("drift_pa", [0.0, 5.0])
-def test_gas_law_without_contact_is_no_change(tmp_path: Path, drift_pa: float) -> None:
+def test_gas_law_without_contact_is_no_change(tmp_path, drift_pa):
     """Boyle: nothing displaces gas; a measured drift does not turn up a dozenfold, negative."""
     path = write_small_sensor(tmp_path / "small.toml")
     frame, pipeline = small_source(path, heights=(0.06,))[0], Pipeline.of(load_sensor(path))
@@ -26,7 +23,7 @@ def test_gas_law_without_contact_is_no_change(tmp_path: Path, drift_pa: float) -
     assert numbers.gas_law_pa == 0.0
 
 
-def test_gas_law_in_a_press_is_what_the_gas_does(tmp_path: Path) -> None:
+def test_gas_law_in_a_press_is_what_the_gas_does(tmp_path):
     path = write_small_sensor(tmp_path / "small.toml")
     source, pipeline = small_source(path, heights=(0.06, 0.042)), Pipeline.of(load_sensor(path))
     for index in range(2):

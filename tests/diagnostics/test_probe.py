@@ -1,7 +1,5 @@
 """A place seen three ways, against rays and distances reckoned here."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +9,6 @@ import pytest
 
 from bubbleviz.diagnostics.probe import Probe
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.result import Result
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ui"))
 from fakes import FRAMES, DentSource, small_sensor
@@ -21,30 +18,28 @@ SENSOR = small_sensor()
 
 
 @pytest.fixture(scope="module")
-def pipeline() -> Pipeline:
+def pipeline():
     return Pipeline.of(SENSOR)
 
 
 @pytest.fixture(scope="module")
-def result(pipeline: Pipeline) -> Result:
+def result(pipeline):
     return pipeline.process(DentSource(SENSOR)[FRAMES - 1], frozenset({"estimate"}))
 
 
-def ray_of(pixel: tuple[int, int]) -> np.ndarray:
+def ray_of(pixel):
     """Direction in B at unit depth; the camera looks along +z and is not turned."""
     camera, (row, column) = SENSOR.camera, pixel
     return np.array([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0])
 
 
-def nodes_of(pipeline: Pipeline, result: Result) -> np.ndarray:
+def nodes_of(pipeline, result):
     assert result.estimate is not None
     return pipeline.mesh.nodes + result.estimate.displacement_m[:, None] * pipeline.mesh.normals
 
 
 @pytest.mark.parametrize("pixel", PIXELS)
-def test_a_pixel_is_its_point_and_the_node_nearest_to_it(
-    pipeline: Pipeline, result: Result, pixel: tuple[int, int]
-) -> None:
+def test_a_pixel_is_its_point_and_the_node_nearest_to_it(pipeline, result, pixel):
     found = Probe(pipeline.camera, pipeline.mesh).at_pixel(pixel, result)
     assert found is not None and found.pixel == pixel
     depth = float(result.frame.depth_m[pixel])
@@ -62,9 +57,7 @@ def test_a_pixel_is_its_point_and_the_node_nearest_to_it(
 
 
 @pytest.mark.parametrize("pixel", PIXELS)
-def test_a_pixel_without_a_return_is_the_node_nearest_to_its_ray(
-    pipeline: Pipeline, result: Result, pixel: tuple[int, int]
-) -> None:
+def test_a_pixel_without_a_return_is_the_node_nearest_to_its_ray(pipeline, result, pixel):
     depth = result.frame.depth_m.copy()
     depth[pixel] = np.nan
     blind = replace(result, frame=replace(result.frame, depth_m=depth))
@@ -75,7 +68,7 @@ def test_a_pixel_without_a_return_is_the_node_nearest_to_its_ray(
     assert found.node == from_ray.argmin()
 
 
-def test_a_point_of_the_view_is_the_pixel_that_sees_it(pipeline: Pipeline, result: Result) -> None:
+def test_a_point_of_the_view_is_the_pixel_that_sees_it(pipeline, result):
     probe = Probe(pipeline.camera, pipeline.mesh)
     for pixel in PIXELS:
         point = np.array(SENSOR.camera.position_m) + 0.13 * ray_of(pixel)
@@ -90,14 +83,14 @@ def test_a_point_of_the_view_is_the_pixel_that_sees_it(pipeline: Pipeline, resul
         assert probe.at_pixel(outside, result) is None
 
 
-def test_without_an_estimate_the_membrane_is_at_rest(pipeline: Pipeline, result: Result) -> None:
+def test_without_an_estimate_the_membrane_is_at_rest(pipeline, result):
     found = Probe(pipeline.camera, pipeline.mesh).at_pixel((30, 40), replace(result, estimate=None))
     assert found is not None
     np.testing.assert_array_equal(found.node_m, pipeline.mesh.nodes[found.node])
     assert np.isnan([found.displacement_m, found.pressure_pa]).all()
 
 
-def test_the_residual_is_that_of_the_pixel_or_of_one_close_by(pipeline: Pipeline) -> None:
+def test_the_residual_is_that_of_the_pixel_or_of_one_close_by(pipeline):
     """Else there is none: in a thinned cloud the next point can be anywhere."""
     products = frozenset({"estimate", "cloud", "residual"})
     whole = pipeline.process(DentSource(SENSOR)[FRAMES - 1], products)

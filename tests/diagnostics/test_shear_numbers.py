@@ -1,7 +1,5 @@
 """Numbers of a contact with friction, against forces put together by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

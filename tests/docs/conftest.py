@@ -1,9 +1,5 @@
 """What the tests of the pages share."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 from pages import REPOSITORY
 
@@ -11,7 +7,7 @@ REAL = REPOSITORY.parent / "shared" / "data" / "punyo_press_a"
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A new folder to work in, beside the data that this machine has."""
     work = tmp_path / "work"
     work.mkdir()

@@ -1,9 +1,6 @@
 """The programs of examples/, on simulated sources."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import figures
 import numpy as np
@@ -14,7 +11,6 @@ from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
-from bubbleviz.api.connecting import Stream
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
@@ -27,28 +23,28 @@ DEEPER = (0.060, 0.060, 0.048, 0.046, 0.044, 0.043, 0.042, 0.041, 0.040)
 class Recorded:
     """A robot that remembers what it was told."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.told: list[str] = []
 
-    def move(self, velocity_m_per_s: float, valid_s: float) -> None:
+    def move(self, velocity_m_per_s, valid_s):
         assert 0.0 < velocity_m_per_s <= 0.01 and valid_s <= 0.1
         self.told.append("move")
 
-    def stop(self) -> None:
+    def stop(self):
         self.told.append("stop")
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sensor(tmp_path_factory):
     return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
 
 
 @pytest.fixture(scope="module")
-def recording(sensor: Path) -> Path:
+def recording(sensor):
     return write_press(sensor.with_name("press.mcap"), sensor, DEEPER)
 
 
-def test_the_robot_stops_at_the_force_and_before_the_end(recording: Path, sensor: Path) -> None:
+def test_the_robot_stops_at_the_force_and_before_the_end(recording, sensor):
     every = np.linalg.norm(bv.estimate(bv.open(recording), sensor).force_n, axis=1)
     limit = 0.6 * every.max()
     robot = Recorded()
@@ -59,7 +55,7 @@ def test_the_robot_stops_at_the_force_and_before_the_end(recording: Path, sensor
     assert "move" in robot.told
 
 
-def test_the_robot_stops_when_there_is_no_number_to_trust(sensor: Path, tmp_path: Path) -> None:
+def test_the_robot_stops_when_there_is_no_number_to_trust(sensor, tmp_path):
     press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
     with RecordingWriter(tmp_path / "dark.mcap") as writer:
         dark = np.full_like(press[0].depth_m, np.nan)
@@ -72,7 +68,7 @@ def test_the_robot_stops_when_there_is_no_number_to_trust(sensor: Path, tmp_path
     assert robot.told == ["stop"]
 
 
-def test_the_robot_is_stopped_when_the_camera_dies(sensor: Path, tmp_path: Path) -> None:
+def test_the_robot_is_stopped_when_the_camera_dies(sensor, tmp_path):
     """It would else press on for as long as nobody looks."""
     press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
     with RecordingWriter(tmp_path / "dies.mcap") as writer:
@@ -89,7 +85,7 @@ def test_the_robot_is_stopped_when_the_camera_dies(sensor: Path, tmp_path: Path)
 
 
 @pytest.mark.long
-def test_the_figures_of_the_pages_can_be_made(tmp_path: Path, punyo_press: Path) -> None:
+def test_the_figures_of_the_pages_can_be_made(tmp_path, punyo_press):
     figures.gas_law(tmp_path / "gas.svg")
     figures.real_press(punyo_press, tmp_path / "press.svg")
     assert all(path.stat().st_size > 5_000 for path in tmp_path.iterdir())
@@ -98,16 +94,16 @@ def test_the_figures_of_the_pages_can_be_made(tmp_path: Path, punyo_press: Path)
 class UntilArrived:
     """The publisher, which ends the endless source once a topic has arrived elsewhere."""
 
-    def __init__(self, out: ZenohPublisher, stream: Stream, arrived: list[str]) -> None:
+    def __init__(self, out, stream, arrived):
         self.out, self.stream, self.arrived = out, stream, arrived
 
-    def put(self, topic: str, kind: str, payload: bytes, stamp_ns: int) -> None:
+    def put(self, topic, kind, payload, stamp_ns):
         self.out.put(topic, kind, payload, stamp_ns)
         if WRENCH in self.arrived:
             self.stream.close()
 
 
-def test_the_force_goes_out_as_a_ros_2_message(recording: Path, sensor: Path) -> None:
+def test_the_force_goes_out_as_a_ros_2_message(recording, sensor):
     """Another session, as `ros2 topic echo` has, gets the wrench."""
     place = f"tcp/127.0.0.1:{free_port()}"
     arrived: list[str] = []

@@ -1,7 +1,5 @@
 """The tutorials as notebooks, in a Jupyter kernel as readers run them."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import sys
@@ -10,7 +8,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from nbclient import NotebookClient
-from nbformat import NotebookNode
 from nbformat.v4 import new_code_cell
 from notebooks import TUTORIALS, notebook
 from pages import name_of
@@ -22,7 +19,7 @@ QUICK = ("first-press.md",)
 
 
 @pytest.fixture
-def programs(monkeypatch: pytest.MonkeyPatch) -> None:
+def programs(monkeypatch):
     """As in an environment that is activated, with the kernel's own pictures."""
     monkeypatch.delenv("MPLBACKEND")
     folders = [str(Path(sys.executable).parent), os.environ["PATH"]]
@@ -35,7 +32,7 @@ def programs(monkeypatch: pytest.MonkeyPatch) -> None:
     [pytest.param(p, marks=() if p.name in QUICK else pytest.mark.long) for p in TUTORIALS],
     ids=name_of,
 )
-def test_a_tutorial_runs_as_a_notebook(page: Path, request: pytest.FixtureRequest) -> None:
+def test_a_tutorial_runs_as_a_notebook(page, request):
     if page.name == "real-press.md":
         request.getfixturevalue("punyo_press")  # else skipped
     book, quick = notebook(page), "TEST_ALL" not in os.environ
@@ -55,7 +52,7 @@ def test_a_tutorial_runs_as_a_notebook(page: Path, request: pytest.FixtureReques
         assert len(pictures) == (".plot(" in cell.source), cell.source
 
 
-def checked(cell: NotebookNode) -> list[NotebookNode]:
+def checked(cell):
     """A cell, and another that fails where its command failed: Jupyter would go on."""
     if not cell.source.startswith("!"):
         return [cell]

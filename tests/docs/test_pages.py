@@ -1,7 +1,5 @@
 """README and pages: their blocks run, their commands exist, their links lead somewhere."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -10,14 +8,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from notebooks import TUTORIALS
-from pages import FENCE, KINDS, NEEDS, PAGES, REPOSITORY, Command, blocks, local_links, name_of
+from pages import FENCE, KINDS, NEEDS, PAGES, REPOSITORY, blocks, local_links, name_of
 from small_press import small_source, write_press, write_small_sensor
 
 from benchmarks.__main__ import benchmarks
@@ -38,7 +35,7 @@ PROGRAMS: dict[tuple[str, ...], click.Group] = {
 """What the commands of the pages begin with."""
 
 
-def program_of(command: Command) -> tuple[click.Group, list[str]] | None:
+def program_of(command):
     """The program of a command, and what it is given; None where it is none of ours."""
     words = [Path(command.words[0]).name, *command.words[1:]]
     for start, group in PROGRAMS.items():
@@ -47,11 +44,11 @@ def program_of(command: Command) -> tuple[click.Group, list[str]] | None:
     return None
 
 
-def pages_with(*kinds: str) -> list[Path]:
+def pages_with(*kinds):
     return [page for page in PAGES if blocks(page, *kinds)]
 
 
-def but_the_longest(pages: list[Path]) -> list[Any]:
+def but_the_longest(pages):
     """The page of all commands is of `make test-all`; that its options exist is always checked."""
     long = {page: pytest.mark.long for page in pages if page.name == "commands.md"}
     return [pytest.param(page, marks=long.get(page, ())) for page in pages]
@@ -64,7 +61,7 @@ FEW = {"--frames": "3"}
 
 
 @pytest.mark.parametrize("page", but_the_longest(IN_PROCESS), ids=name_of)
-def test_blocks_of_a_page_run(page: Path, folder: Path) -> None:
+def test_blocks_of_a_page_run(page, folder):
     names: dict[str, object] = {"__name__": "page"}
     for block in blocks(page, "python", "sh"):
         if block.kind == "python":
@@ -78,7 +75,7 @@ def test_blocks_of_a_page_run(page: Path, folder: Path) -> None:
                 run(command if full else replace(command, words=fewer(command)))
 
 
-def fewer(command: Command) -> list[str]:
+def fewer(command):
     """The words of a command, to do the same with a few frames."""
     words = command.words
     words = [FEW.get(before, word) for before, word in zip(["", *words], words, strict=False)]
@@ -86,7 +83,7 @@ def fewer(command: Command) -> list[str]:
     return [*words, "--frames", "78:82"] if real else words
 
 
-def run(command: Command) -> None:
+def run(command):
     """Run a command of ours."""
     ours = program_of(command)
     assert ours is not None, f"{command.place}: mark what this needs"
@@ -94,7 +91,7 @@ def run(command: Command) -> None:
     assert done.exit_code == 0, f"{command.place}: {' '.join(command.words)}\n{done.output}"
 
 
-def made(folder: Path) -> dict[str, str]:
+def made(folder):
     """Make what the commands of the pages are given; what stands for the words in capitals."""
     sensor = write_small_sensor(folder / "small.toml")
     write_press(folder / "press0.mcap", sensor, (*[0.060] * 24, *[0.044] * 6))
@@ -112,7 +109,7 @@ def made(folder: Path) -> dict[str, str]:
 
 @pytest.mark.timeout(3600)  # whole studies take a quarter of an hour, beside other work longer
 @pytest.mark.parametrize("page", but_the_longest(pages_with("console")), ids=name_of)
-def test_commands_of_a_page_run(page: Path, folder: Path) -> None:
+def test_commands_of_a_page_run(page, folder):
     """Each on files of its own; those are left out whose page says that they need more."""
     commands = [command for block in blocks(page, "console") for command in block.commands()]
     wanted = {None, "takes minutes"} if "TEST_ALL" in os.environ else {None}
@@ -131,13 +128,13 @@ SHORT = {"--minutes": "0.1"}
 """In place of what a page gives."""
 
 
-def on_screen() -> list[Command]:
+def on_screen():
     commands = (c for page in PAGES for b in blocks(page, "sh", "console") for c in b.commands())
     return [command for command in commands if command.needs == "needs a screen"]
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def simulated(tmp_path_factory):
     """A folder with a recording that fits a preset, its sensor file, and its truth."""
     folder = tmp_path_factory.mktemp("simulated")
     sensor = folder / "my.toml"
@@ -149,7 +146,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", on_screen(), ids=lambda command: command.place)
-def test_commands_that_open_the_window(command: Command, folder: Path, simulated: Path) -> None:
+def test_commands_that_open_the_window(command, folder, simulated):
     """What would stay open writes a picture and ends; measurements are cut short."""
     shutil.copytree(simulated, folder, dirs_exist_ok=True)
     ours = program_of(command)
@@ -178,7 +175,7 @@ def test_commands_that_open_the_window(command: Command, folder: Path, simulated
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_command_exists_with_its_options(page: Path) -> None:
+def test_every_command_exists_with_its_options(page):
     for command in (c for block in blocks(page, "sh", "console") for c in block.commands()):
         ours = program_of(command)
         if ours is None:
@@ -190,7 +187,7 @@ def test_every_command_exists_with_its_options(page: Path) -> None:
             pytest.fail(f"{command.place}: {' '.join(command.words)}: {error.format_message()}")
 
 
-def parse(command: click.Command, words: list[str], parent: click.Context | None = None) -> None:
+def parse(command, words, parent=None):
     """Parse a command line without running it; UsageError where it is wrong."""
     if isinstance(command, click.Group) and words and not words[0].startswith("-"):
         context = click.Context(command, parent=parent, info_name=command.name)
@@ -202,16 +199,16 @@ def parse(command: click.Command, words: list[str], parent: click.Context | None
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_block_says_what_it_is(page: Path) -> None:
+def test_every_block_says_what_it_is(page):
     assert not [f"{name_of(page)}:{b.line}" for b in blocks(page) if b.kind not in KINDS]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_code_is_in_blocks(page: Path) -> None:
+def test_code_is_in_blocks(page):
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     assert not re.findall(r"\n\n {4}(?!- |\d)\S.*", text), "indented code is not run"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_link_leads_to_a_file(page: Path) -> None:
+def test_every_link_leads_to_a_file(page):
     assert not [link for link in local_links(page) if not (page.parent / link).exists()]

@@ -1,10 +1,7 @@
 """Output files appear whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import os
-from pathlib import Path
 
 import pytest
 
@@ -12,7 +9,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import whole_file
 
 
-def test_it_appears_when_the_block_ends(tmp_path: Path) -> None:
+def test_it_appears_when_the_block_ends(tmp_path):
     path = tmp_path / "result.npz"
     with whole_file(path) as temporary:
         assert temporary.suffix == ".npz"  # numpy appends it otherwise
@@ -22,14 +19,14 @@ def test_it_appears_when_the_block_ends(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_its_permissions_are_the_usual(tmp_path: Path) -> None:
+def test_its_permissions_are_the_usual(tmp_path):
     (tmp_path / "plain").write_text("")
     with whole_file(tmp_path / "whole") as temporary:
         temporary.write_text("")
     assert (tmp_path / "whole").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
-def test_a_folder_appears_when_the_block_ends(tmp_path: Path) -> None:
+def test_a_folder_appears_when_the_block_ends(tmp_path):
     with whole_file(tmp_path / "report") as temporary:
         temporary.mkdir()
         (temporary / "a.csv").write_text("1")
@@ -39,9 +36,7 @@ def test_a_folder_appears_when_the_block_ends(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("folder", [False, True])
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_nothing_remains_of_a_failure(
-    tmp_path: Path, error: type[BaseException], folder: bool
-) -> None:
+def test_nothing_remains_of_a_failure(tmp_path, error, folder):
     with pytest.raises(error), whole_file(tmp_path / "out") as temporary:
         if folder:
             temporary.mkdir()
@@ -52,7 +47,7 @@ def test_nothing_remains_of_a_failure(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_file_is_refused_before_any_work(tmp_path: Path) -> None:
+def test_an_existing_file_is_refused_before_any_work(tmp_path):
     path = tmp_path / "out"
     path.write_text("precious")
     with pytest.raises(InputError, match="exists already"), whole_file(path):
@@ -60,7 +55,7 @@ def test_an_existing_file_is_refused_before_any_work(tmp_path: Path) -> None:
     assert path.read_text() == "precious"
 
 
-def test_a_file_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
+def test_a_file_that_appears_meanwhile_is_kept(tmp_path):
     path = tmp_path / "out"
     with pytest.raises(InputError, match="exists already"), whole_file(path) as temporary:
         temporary.write_text("new")
@@ -69,8 +64,8 @@ def test_a_file_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
+def test_without_hard_links(tmp_path, monkeypatch):
+    def refuse(*_):
         raise OSError(errno.EPERM, "no hard links here")
 
     monkeypatch.setattr(os, "link", refuse)
@@ -79,7 +74,7 @@ def test_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert (tmp_path / "out").read_text() == "new"
 
 
-def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path: Path) -> None:
+def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path):
     with pytest.raises(InputError, match="does not exist"), whole_file(tmp_path / "no" / "out"):
         pass
     with pytest.raises(InputError, match="No space left"), whole_file(tmp_path / "out"):
@@ -87,19 +82,19 @@ def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_name_as_long_as_the_disk_takes(tmp_path: Path) -> None:
+def test_a_name_as_long_as_the_disk_takes(tmp_path):
     path = tmp_path / f"{'a' * 251}.csv"
     with whole_file(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
 
 
-def test_a_folder_that_takes_no_file_is_an_input_error(tmp_path: Path) -> None:
+def test_a_folder_that_takes_no_file_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot be written"), whole_file(tmp_path / "out") as new:
         tmp_path.rmdir()  # as a share that is gone
         new.write_text("new")
 
 
-def test_a_missing_input_is_not_taken_for_the_output(tmp_path: Path) -> None:
+def test_a_missing_input_is_not_taken_for_the_output(tmp_path):
     with pytest.raises(FileNotFoundError), whole_file(tmp_path / "out"):
         (tmp_path / "input").read_text()

@@ -1,7 +1,5 @@
 """Poses as numbers and text."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bubbleviz.files.pose_reader import angles_of_pose, pose_of_angles
@@ -9,7 +7,7 @@ from bubbleviz.files.pose_reader import angles_of_pose, pose_of_angles
 QUARTER = np.pi / 2
 
 
-def test_angles_turn_about_fixed_x_then_y_then_z() -> None:
+def test_angles_turn_about_fixed_x_then_y_then_z():
     T = pose_of_angles(np.array([0.1, 0.2, 0.3]), np.array([QUARTER, 0.0, QUARTER]))
     # y turns to z about x, and z stays where it is about z
     np.testing.assert_allclose(T @ [0.0, 1.0, 0.0, 1.0], [0.1, 0.2, 1.3, 1.0], atol=1e-12)
@@ -17,6 +15,6 @@ def test_angles_turn_about_fixed_x_then_y_then_z() -> None:
     np.testing.assert_allclose(T @ [1.0, 0.0, 0.0, 1.0], [0.1, 1.2, 0.3, 1.0], atol=1e-12)
 
 
-def test_angles_of_a_pose_are_those_it_was_made_of() -> None:
+def test_angles_of_a_pose_are_those_it_was_made_of():
     angles = np.array([0.3, -0.7, 2.9])
     np.testing.assert_allclose(angles_of_pose(pose_of_angles(np.zeros(3), angles)), angles)

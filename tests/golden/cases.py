@@ -4,12 +4,9 @@ Status, force, area and pose of the real press and of three simulated ones. On t
 with the libraries that they were made with, they are equal to the last digit.
 """
 
-from __future__ import annotations
-
 import json
 import platform
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy
@@ -31,18 +28,18 @@ SIMULATED = {
 }
 
 
-def made_with() -> str:
+def made_with():
     """Processor and libraries, on which the last digits depend."""
     kernels = sorted({str(pool.get("architecture")) for pool in threadpool_info()})
     return " ".join([platform.machine(), *kernels, np.__version__, scipy.__version__])
 
 
-def real_press() -> list[dict[str, Any]]:
+def real_press():
     """Rows of the real press, frames 0 to 89 played."""
     return _rows(bv.estimate(bv.open(PRESS)[:90], "punyo_oval_d405"))
 
 
-def simulated(name: str) -> list[dict[str, Any]]:
+def simulated(name):
     """Rows of a simulated press; the cylinder's have its pose."""
     sensor, obj, pose, options = SIMULATED[name]
     frames = 10 if "drag_m" in options else 4
@@ -52,7 +49,7 @@ def simulated(name: str) -> list[dict[str, Any]]:
     return _rows(bv.estimate(press, sensor))
 
 
-def _rows(run: Any) -> list[dict[str, Any]]:
+def _rows(run):
     rows = []
     for each in run:
         row = {"status": each.status, "force_n": each.force_n.tolist()}
@@ -63,7 +60,7 @@ def _rows(run: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def main() -> None:
+def main():
     answers = {name: simulated(name) for name in SIMULATED}
     golden = {"made_with": made_with(), "real": real_press(), **answers}
     FILE.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")

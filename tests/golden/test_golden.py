@@ -1,7 +1,5 @@
 """Answers of the real press and three simulated ones are those of `golden.json`."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

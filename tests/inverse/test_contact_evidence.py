@@ -18,27 +18,22 @@ MESH = mesh_cap(spherical_cap(0.045, 0.02), 800)
 OUT = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
 
 
+def contact_of(pressure, variances):
+    """A solution with these pressures (n,), of which the variances (k,) are known where any is."""
+    nodes = np.flatnonzero(pressure)
+    return ContactPressure(
+        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, nodes,
+        np.zeros(0), np.diag(variances),
+    )  # fmt: skip
+
+
 def two_parts(share, sigma):
     """A contact in the middle and a node beside it with a share of the load; σ over its load."""
     pressure = np.where(OUT < 0.008, 5e3, 0.0)
     beside = np.argmin(np.hypot(MESH.nodes[:, 0] - 0.03, MESH.nodes[:, 1]))
     load = MESH.areas @ pressure
     pressure[beside] = share / (1.0 - share) * load / MESH.areas[beside]
-    nodes = np.flatnonzero(pressure)
-    covariance = np.diag((sigma * pressure[nodes]) ** 2)
-    contact = ContactPressure(
-        pressure > 0.0,
-        pressure,
-        np.zeros_like(MESH.nodes),
-        pivots=0,
-        converged=True,
-        complete=True,
-        kkt_residual=0.0,
-        nodes=nodes,
-        amplitudes=np.zeros(0),
-        covariance=covariance,
-    )
-    return contact, beside
+    return contact_of(pressure, (sigma * pressure[pressure > 0.0]) ** 2), beside
 
 
 @pytest.mark.parametrize(
@@ -57,11 +52,7 @@ def test_a_single_contact_is_one_however_weak():
     contact, beside = two_parts(1e-6, 10.0)
     weak = np.zeros_like(contact.pressure)
     weak[beside] = 1.0
-    alone = ContactPressure(
-        weak > 0, weak, contact.motion, 0, True, True, 0.0, np.array([beside]), np.zeros(0),
-        np.array([[1e6]]),
-    )  # fmt: skip
-    np.testing.assert_array_equal(evident(MESH, alone), weak > 0.0)
+    np.testing.assert_array_equal(evident(MESH, contact_of(weak, [1e6])), weak > 0.0)
 
 
 @pytest.mark.parametrize("frame", [64, 65, 66, 67])
@@ -85,9 +76,5 @@ def test_many_equal_contacts_are_all_contacts():
     for place in around:
         node = np.argmin(np.abs(there - place))
         pressure[node] = 1e-2 / MESH.areas[node]
-    nodes = np.flatnonzero(pressure)
-    contact = ContactPressure(
-        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, nodes,
-        np.zeros(0), np.diag((0.01 * pressure[nodes]) ** 2),
-    )  # fmt: skip
+    contact = contact_of(pressure, (0.01 * pressure[pressure > 0.0]) ** 2)
     np.testing.assert_array_equal(evident(MESH, contact), pressure > 0.0)

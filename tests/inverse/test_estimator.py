@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.estimator import MAX_NODES, Estimator, EstimatorOptions
+from bubbleviz.inverse import problem
+from bubbleviz.inverse.estimator import MAX_LINEAR_NODES, Estimator, EstimatorOptions
 from bubbleviz.inverse.plausibility import GAS_NOISE
-from bubbleviz.inverse.solvers import active_set
+from bubbleviz.inverse.solvers.inverse_solver import SOLVERS
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.reference_mesh import build_mesh
-from tests.inverse.conftest import CAMERA, SENSOR, TENSION, estimator, first, press
+from tests.inverse.conftest import SENSOR, TENSION, estimator, first, press
+from tests.oracles.interior_point import InteriorPoint
 
 
 def force_of(solver, estimate):
@@ -54,9 +56,16 @@ def test_measured_gas_pressure_is_taken_as_it_is(sphere):
     assert first(solver, sphere.depth(0.0), measured).gas_pressure_change_pa == pytest.approx(300)
 
 
-@pytest.mark.parametrize("solver", ["osqp", "osqp-cold", "clarabel"])
+@pytest.fixture
+def referee(monkeypatch):
+    """An interior-point method, known as a solver by this name."""
+    monkeypatch.setitem(SOLVERS, "referee", lambda eq, *_: InteriorPoint(eq))
+    return "referee"
+
+
+@pytest.mark.parametrize("solver", ["paper", "referee"])
 @pytest.mark.parametrize("gas_is_measured", [False, True])
-def test_every_solver_finds_the_same_contact(sphere, solver, gas_is_measured):
+def test_every_solver_finds_the_same_contact(sphere, solver, gas_is_measured, referee):
     depth = sphere.depth(0.01)
     ours, other = estimator(300), estimator(300, solver)
     gas = None
@@ -70,24 +79,21 @@ def test_every_solver_finds_the_same_contact(sphere, solver, gas_is_measured):
     assert np.max(np.abs(a.displacement_m - b.displacement_m)) < 2e-4
 
 
-def test_an_interior_point_certifies_the_active_set(sphere):
+def test_an_interior_point_certifies_the_active_set(sphere, referee):
     depth = sphere.depth(0.01)
-    a, b = (first(estimator(300, solver), depth) for solver in ("linear", "clarabel"))
+    a, b = (first(estimator(300, solver), depth) for solver in ("linear", referee))
     top = np.max(b.contact_pressure_pa)
     assert np.max(np.abs(a.contact_pressure_pa - b.contact_pressure_pa)) < 0.02 * top
 
 
-def test_landmarks_change_the_way_and_not_the_answer(sphere, monkeypatch):
-    """A fine mesh has a model Hessian of few columns; the KKT conditions are the same."""
-    with monkeypatch.context() as patch:
-        patch.setattr(active_set, "LandmarkHessian", lambda *_: pytest.fail("900 nodes are few"))
-        whole = estimator(900)
-    monkeypatch.setattr(active_set, "DENSE_LIMIT", 10)
-    monkeypatch.setattr(active_set, "ReducedHessian", lambda *_: pytest.fail("too large"))
-    landmarks = estimator(900)
+def test_a_fine_mesh_changes_the_way_and_not_the_answer(sphere, monkeypatch):
+    """Its Hessian is formed where it is asked for; the KKT conditions are the same."""
+    whole = estimator(900)
+    monkeypatch.setattr(problem, "DENSE_LIMIT", 10)
+    parts = estimator(900)
     for seed in range(2):
         depth = sphere.depth(0.01, seed)
-        a, b = first(whole, depth), first(landmarks, depth)
+        a, b = first(whole, depth), first(parts, depth)
         assert b.status == "ok" and b.kkt_residual <= 1e-3
         top = np.max(a.contact_pressure_pa)
         assert np.max(np.abs(a.contact_pressure_pa - b.contact_pressure_pa)) < 0.02 * top
@@ -105,12 +111,13 @@ def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
     assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
 
 
-def test_what_the_solver_did_not_finish_is_said(sphere):
-    mesh = build_mesh(SENSOR, 200)
-    observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
-    never = EstimatorOptions(tolerance=1e-30)
-    solver = Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, never)
-    assert first(solver, sphere.depth(0.002)).status == "not_converged"
+def test_what_the_solver_did_not_finish_is_said(sphere, monkeypatch):
+    class Unfinished(InteriorPoint):
+        def refine(self, problem, start):
+            return replace(super().refine(problem, start), converged=False)
+
+    monkeypatch.setitem(SOLVERS, "unfinished", lambda eq, *_: Unfinished(eq))
+    assert first(estimator(200, "unfinished"), sphere.depth(0.002)).status == "not_converged"
 
 
 def test_a_frame_like_the_last_one_costs_a_pivot_or_two(sphere):
@@ -196,6 +203,14 @@ def test_an_unknown_solver_is_refused_by_name():
         estimator(solver="gurobi")
 
 
+@pytest.mark.parametrize(
+    ("name", "instead"), [("osqp", "use paper"), ("osqp-cold", "use"), ("clarabel", "use linear")]
+)
+def test_a_dropped_solver_says_since_when_and_what_to_use(name, instead):
+    with pytest.raises(InputError, match=rf"{name}: .*since 0\.3.*{instead}"):
+        EstimatorOptions.named(name)
+
+
 @pytest.mark.parametrize("noise", [0.03, 0.08])
 def test_more_noise_than_the_sensor_file_says_is_noticed(sphere, untouched, noise):
     """The file says 1 %; a noisier camera must not see contact where there is none."""
@@ -243,7 +258,7 @@ def test_contact_is_measured_by_what_the_tension_holds(sphere):
 
 def test_a_mesh_finer_than_the_noise_can_use_is_refused():
     """Before anything is computed on it."""
-    mesh = SimpleNamespace(nodes=np.zeros((MAX_NODES + 1, 3)))
+    mesh = SimpleNamespace(nodes=np.zeros((MAX_LINEAR_NODES + 1, 3)))
     with pytest.raises(InputError, match="nodes are too many"):
         Estimator(SimpleNamespace(mesh=mesh), Gas.of(SENSOR.pneumatics, build_mesh(SENSOR)), 1.0)
 

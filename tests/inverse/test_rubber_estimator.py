@@ -18,7 +18,6 @@ from bubbleviz.inverse.rubber_estimator import RubberEstimator
 from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.patch.patch_finder import PatchFinder
@@ -65,15 +64,7 @@ def seen(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
 def oracle(depth, ball):
     """A press by the meridian's equations, and the surface that the camera sees of it."""
     exact = AxialRubber.dome(A, H, 1.2, GAUGE).press(depth, ball)
-    r, z = (np.concatenate([[v[0]], v]) for v in (exact.meridian.r_m, exact.meridian.z_m))
-    r[0] = 0.0
-    fine = mesh_cap(spherical_cap(A, H), 8_000)
-    out = np.hypot(*fine.nodes[:, :2].T)
-    # As dense along the meridian as the cap; the surface and not its nodes is what is seen.
-    height = np.interp(out, r, z)
-    height[fine.rim] = 0.0
-    surface = MembraneMesh(np.column_stack([fine.nodes[:, :2], height]), fine.triangles, fine.rim)
-    return exact, surface
+    return exact, exact.surface(A, H)
 
 
 @cache
@@ -343,8 +334,7 @@ def test_the_patch_is_as_large_as_by_the_equations_of_the_meridian():
             exact, surface = oracle(depth, BALL)
             image = seen(surface, np.zeros(len(surface.nodes)), noise_m)
             patch = finder.find(solver.estimate(image)[0])
-            s = np.interp(exact.contact_radius_m, exact.meridian.r_m, exact.meridian.s_m)
-            errors.append(patch.area_m2 / (2 * np.pi * R**2 * (1 - np.cos(s / R))) - 1)
+            errors.append(patch.area_m2 / exact.contact_area_m2(R) - 1)
         assert abs(np.mean(errors)) < 0.06
 
 

@@ -3,7 +3,8 @@
 import clarabel
 import numpy as np
 import pytest
-from plate import plate
+from domes import plate
+from domes import pose as posed
 from scipy import sparse
 from scipy.optimize import brentq
 
@@ -35,9 +36,7 @@ def gas_of(mesh, *, chamber=2.2e-3, model="exact", gauge=2585.5):
 
 
 def at(x=0.0, y=0.0, z=H):
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
+    return posed(x, y, z)
 
 
 def assert_equilibrium(contact):
@@ -242,15 +241,9 @@ def test_joint_and_bracketed_gas_law_agree_at_every_stiffness(mesh, tension, cha
     np.testing.assert_allclose(bracket.displacement_m, joint.displacement_m, atol=2e-7)
 
 
-def test_relaxed_iteration_converges_for_the_papers_volume_and_reports_divergence(mesh):
-    obj, pose = load_object("frustum"), at(z=0.033)
-    paper = gas_of(mesh, model="paper")
-    relaxed = ForwardModel(mesh, TENSION, paper, outer="relaxed").press(obj, pose)
-    joint = ForwardModel(mesh, TENSION, paper).press(obj, pose)
-    assert relaxed.converged
-    assert relaxed.gas_pressure_change_pa == pytest.approx(joint.gas_pressure_change_pa, rel=1e-4)
-    exact = ForwardModel(mesh, TENSION, gas_of(mesh), outer="relaxed").press(obj, pose)
-    assert not exact.converged
+def test_the_papers_fixed_point_is_gone(mesh):
+    with pytest.raises(InputError, match=r"gone since 0\.3"):
+        ForwardModel(mesh, TENSION, gas_of(mesh), outer="relaxed")
 
 
 def test_paper_volume_model_reports_a_third_for_a_stiff_chamber(mesh):

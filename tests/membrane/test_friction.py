@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from plate import plate
+from domes import AIR, GAUGE, A, H, dome, plate, pose
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model import friction_forward
@@ -13,26 +12,8 @@ from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.object_shapes import puck
+from bubbleviz.simulation.presses import made
 from tests.oracles.rubber_oracle import AxialRubber
-
-A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
-TENSION = GAUGE * (A**2 + H**2) / (4 * H)
-STRETCH = 1.2
-
-
-def pose(x=0.0, z=0.0, twist=0.0):
-    c, s = np.cos(twist), np.sin(twist)
-    T = np.eye(4)
-    T[:2, :2] = [[c, -s], [s, c]]
-    T[:3, 3] = x, 0.0, z
-    return T
-
-
-def dome(nodes):
-    mesh = mesh_cap(spherical_cap(A, H), nodes)
-    gas = Gas(AIR + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)
-    return RubberMembrane.uniform(mesh, GAUGE, TENSION, STRETCH), gas
 
 
 def force(contact):
@@ -87,7 +68,7 @@ def flat_sheet(sectors, rings, prestretch):
 
 def moved_by_a_disc(model, x, twist):
     """Change of force and torque as a cylinder's end that sticks 0.1 mm deep moves by a little."""
-    poses = [pose(z=-1e-4), pose(x, -1e-4, twist)]
+    poses = [pose(z=-1e-4), pose(x, 0.0, -1e-4, twist)]
     before, after = model.follow(load_object("cylinder"), poses)
     assert_equilibrium(after)
     assert after.slip_m.max() == 0.0
@@ -164,7 +145,7 @@ def test_a_stuck_disc_is_dragged_through_a_flat_sheet_as_through_an_annulus(pres
 def test_a_plate_that_sticks_to_a_pressed_dome_twists_its_free_part():
     """T = 2π μh θ / ∫ ds/(r₀ r²) over the free meridian of the exact press without friction."""
     depth, twist = 0.006, np.radians(1.0)
-    axial = AxialRubber.dome(A, H, STRETCH, GAUGE)
+    axial = AxialRubber.dome(A, H, 1.2, GAUGE)
     exact = axial.press(depth)
     line, sphere = exact.meridian, (A**2 + H**2) / (2 * H)
     free = line.r_m >= exact.contact_radius_m - 1e-9
@@ -184,9 +165,9 @@ def test_a_plate_that_sticks_to_a_pressed_dome_twists_its_free_part():
 
 def test_without_friction_it_is_the_press_that_was():
     membrane, gas = dome(300)
-    poses = [pose(0.003, H - depth) for depth in (0.002, 0.004, 0.006)]
-    free = RubberForward(membrane, gas).press(puck(), poses[-1])
-    *_, slippery = FrictionForward(membrane, gas, 1e-4).follow(puck(), poses)
+    poses = [pose(0.003, 0.0, H - depth) for depth in (0.002, 0.004, 0.006)]
+    free = RubberForward(membrane, gas).press(made("puck"), poses[-1])
+    *_, slippery = FrictionForward(membrane, gas, 1e-4).follow(made("puck"), poses)
     assert_equilibrium(slippery)
     difference = slippery.displacement_3d_m - free.displacement_3d_m
     assert np.abs(difference).max() < 1e-6
@@ -197,7 +178,7 @@ def test_a_sliding_plate_is_dragged_by_mu_times_its_load():
     """Everything slips: |t| = μ f_n at each node, and the whole drags on against the motion."""
     membrane, gas = dome(300)
     friction = 0.2
-    poses = [pose(z=H - 0.005), *(pose(1e-3 * k, H - 0.005) for k in range(1, 9))]
+    poses = [pose(z=H - 0.005), *(pose(1e-3 * k, 0.0, H - 0.005) for k in range(1, 9))]
     *_, contact = FrictionForward(membrane, gas, friction).follow(plate(), poses)
     assert_equilibrium(contact)
     pushed = -contact.nodal_force_n[:, 2]
@@ -214,9 +195,9 @@ def test_a_sliding_plate_is_dragged_by_mu_times_its_load():
 def test_sticking_and_slipping_takes_few_factorisations():
     """Newton's method with the friction's own derivative: 75 here, 110 with that of another law."""
     membrane, gas = dome(300)
-    pressed, turned = pose(z=H - 0.005), pose(1e-3, H - 0.005, np.radians(3.0))
-    poses = [pressed, turned, pose(3e-3, H - 0.006, np.radians(9.0))]
-    contacts = list(FrictionForward(membrane, gas, 0.5).follow(puck(), poses))
+    pressed, turned = pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0))
+    poses = [pressed, turned, pose(3e-3, 0.0, H - 0.006, np.radians(9.0))]
+    contacts = list(FrictionForward(membrane, gas, 0.5).follow(made("puck"), poses))
     for contact in contacts:
         assert_equilibrium(contact)
     assert sum(contact.iterations for contact in contacts) < 90
@@ -226,8 +207,8 @@ def test_a_sticking_object_takes_the_membrane_along():
     """Nodes that touched before move as the object does, while |t| ≤ μ f_n at all of them."""
     membrane, gas = dome(300)
     model = FrictionForward(membrane, gas, 5.0)
-    before, after = (pose(z=H - 0.005), pose(1e-3, H - 0.005, np.radians(3.0)))
-    pressed, moved = model.follow(puck(), [before, after])
+    before, after = (pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0)))
+    pressed, moved = model.follow(made("puck"), [before, after])
     assert_equilibrium(moved)
     assert moved.dissipated_j < 0.05 * -force(pressed)[2] * 1e-3
     held = (pressed.contact_pressure_pa > 0.0) & (moved.contact_pressure_pa > 0.0)
@@ -249,10 +230,10 @@ def test_work_of_the_object_is_stored_or_lost_to_slip(friction, lost):
     z = H - 0.005
     poses = [
         pose(z=z),
-        *(pose(1e-4 * k, z) for k in range(1, 26)),
-        *(pose(2.5e-3, z, np.radians(k)) for k in range(1, 13)),
+        *(pose(1e-4 * k, 0.0, z) for k in range(1, 26)),
+        *(pose(2.5e-3, 0.0, z, np.radians(k)) for k in range(1, 13)),
     ]
-    contacts = list(model.follow(puck(), poses))
+    contacts = list(model.follow(made("puck"), poses))
     for contact in contacts:
         assert_equilibrium(contact)
     work = 0.0
@@ -275,7 +256,7 @@ def test_a_twisted_puck_slips_at_its_outer_ring_first():
     membrane, gas = dome(600)
     model = FrictionForward(membrane, gas, 0.5)
     depth = H - 0.004
-    *_, contact = model.follow(puck(), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))])
+    *_, contact = model.follow(made("puck"), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))])
     assert_equilibrium(contact)
     radius = np.hypot(*model.mesh.deformed(contact.displacement_3d_m)[:, :2].T)
     touching = contact.contact_pressure_pa > 0.0
@@ -293,7 +274,7 @@ def test_shorter_steps_and_finer_meshes_change_little():
 
     def dragged(nodes, frames):
         membrane, gas = dome(nodes)
-        poses = [pose(z=H - 0.006), *(pose(x, H - 0.006) for x in np.linspace(0, way, frames))]
+        poses = [pose(z=H - 0.006), *(pose(x, 0.0, H - 0.006) for x in np.linspace(0, way, frames))]
         *_, contact = FrictionForward(membrane, gas, 0.5).follow(load_object("sphere"), poses)
         assert_equilibrium(contact)
         return force(contact)[[0, 2]]

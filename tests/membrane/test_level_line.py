@@ -1,7 +1,5 @@
 """The line where a nodal field has a level, against fields whose lines are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ RADIUS_M = float(np.linalg.norm(MESH.nodes[MESH.rim][:, :2], axis=1).max())
 
 
 @pytest.mark.parametrize("share", [0.05, 0.4, -0.7])
-def test_a_linear_field_has_its_level_all_along_one_line(share: float) -> None:
+def test_a_linear_field_has_its_level_all_along_one_line(share):
     across = np.array([0.6, 0.8, 0.0])
     pieces = level_line(MESH.nodes, MESH.corners, MESH.nodes @ across, share * RADIUS_M)
     np.testing.assert_allclose(pieces @ across, share * RADIUS_M, atol=1e-12)
@@ -24,12 +22,12 @@ def test_a_linear_field_has_its_level_all_along_one_line(share: float) -> None:
     assert sorted(count)[:3] == [1, 1, 2] and count.max() == 2
 
 
-def test_a_circle_is_as_long_as_it_is() -> None:
+def test_a_circle_is_as_long_as_it_is():
     radius = np.linalg.norm(MESH.nodes[:, :2], axis=1)
     pieces = level_line(MESH.nodes, MESH.corners, radius, 0.5 * RADIUS_M)
     length = np.linalg.norm(pieces[:, 1, :2] - pieces[:, 0, :2], axis=1).sum()
     assert length == pytest.approx(np.pi * RADIUS_M, rel=5e-3)
 
 
-def test_a_field_that_does_not_reach_the_level_has_no_line() -> None:
+def test_a_field_that_does_not_reach_the_level_has_no_line():
     assert level_line(MESH.nodes, MESH.corners, MESH.nodes[:, 0], 1.0).shape == (0, 2, 3)

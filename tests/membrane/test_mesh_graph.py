@@ -1,7 +1,5 @@
 """Sets of nodes on the graph of a mesh's edges, against SciPy's graphs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -19,7 +17,7 @@ for a, b, c in MESH.triangles:
 EDGES = ((EDGES + EDGES.T) > 0).tocsr()
 
 
-def some_nodes(share: float) -> np.ndarray:
+def some_nodes(share):
     return np.random.default_rng(2).random(len(MESH.nodes)) < share
 
 

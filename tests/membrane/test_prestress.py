@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from plate import plate
+from domes import GAUGE, A, H, force, gas_of, plate, pose
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.reference_mesh import (
     build_mesh,
@@ -25,7 +24,6 @@ from bubbleviz.sensor import load_sensor
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.rubber_oracle import AxialRubber
 
-A, H, GAUGE = 0.045, 0.020, 2500.0
 BALL = 0.015  # of the preset
 TRUTHS = {
     "dome": AxialRubber.dome(A, H, 1.2, GAUGE),
@@ -72,15 +70,19 @@ def test_force_of_a_press(name, ball):
     truth = TRUTHS[name]
     depth = 0.35 * truth.height_m
     mesh = swept_mesh(truth.rest, 1200)
-    gas = Gas(101_325.0 + GAUGE, 3e-4 + mesh.cap_volume(), mesh.areas)
     membrane = prestressed(mesh, GAUGE, truth.mu_h_n_per_m)
-    pose = np.eye(4)
-    pose[2, 3] = truth.height_m - depth
     obj = load_object("sphere") if np.isfinite(ball) else plate()
-    contact = RubberForward(membrane, gas).press(obj, pose)
+    contact = RubberForward(membrane, gas_of(mesh)).press(obj, pose(z=truth.height_m - depth))
     assert contact.converged
-    pressed = -contact.nodal_force_n.sum(axis=0)[2]
-    assert pressed == pytest.approx(truth.press(depth, ball).force_n, rel=0.01)
+    assert force(contact) == pytest.approx(truth.press(depth, ball).force_n, rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def punyo():
+    """The preset, its mesh and γ0."""
+    sensor = load_sensor("punyo_oval_d405")
+    mesh = build_mesh(sensor)
+    return sensor, mesh, reference_tension(sensor, mesh)
 
 
 def oval(nodes):
@@ -166,11 +168,10 @@ def test_zernike_polynomials_are_orthonormal_over_the_disc():
     np.testing.assert_allclose(values.T @ (weight[:, None] * values), np.eye(45), atol=1e-12)
 
 
-def test_the_gauge_pressure_is_counted_once_in_what_is_not_known():
+def test_the_gauge_pressure_is_counted_once_in_what_is_not_known(punyo):
     """γ0's interval holds what the gauge pressure's does: together the variants spread as it."""
-    sensor = load_sensor("punyo_oval_d405")
-    mesh, known = build_mesh(sensor), sensor.calibration
-    tension = reference_tension(sensor, mesh)
+    sensor, mesh, tension = punyo
+    known = sensor.calibration
     usual = build_rubber(sensor, mesh, tension).mean_tension
     varied = varied_rubber(sensor, mesh, tension)
     moved = [each.mean_tension - usual for each in varied[:2]]
@@ -178,11 +179,9 @@ def test_the_gauge_pressure_is_counted_once_in_what_is_not_known():
     assert np.hypot(*moved) == pytest.approx((high - low) / (2 * 1.96), rel=0.05)
 
 
-def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_stretch():
+def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_stretch(punyo):
     """Young–Laplace: the stress-free shape is that of their ratio."""
-    sensor = load_sensor("punyo_oval_d405")
-    mesh = build_mesh(sensor)
-    tension = reference_tension(sensor, mesh)
+    sensor, mesh, tension = punyo
     usual, by_gauge = build_rubber(sensor, mesh, tension), varied_rubber(sensor, mesh, tension)[1]
     low, high = sensor.calibration.gauge_interval_pa
     share = 1.0 + (high - low) / (2 * 1.96) / sensor.pneumatics.gauge_pressure_pa
@@ -191,11 +190,9 @@ def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_str
     np.testing.assert_allclose(by_gauge.stress_free_area, usual.stress_free_area, rtol=1e-3)
 
 
-def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration():
+def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration(punyo):
     """`gauge_sigma_pa` counts in place of the calibration's interval, too."""
-    sensor = load_sensor("punyo_oval_d405")
-    mesh = build_mesh(sensor)
-    tension = reference_tension(sensor, mesh)
+    sensor, mesh, tension = punyo
     section = sensor.pneumatics.model_copy(update={"gauge_sigma_pa": 700.0})
     told = sensor.model_copy(update={"pneumatics": section})
     plain = told.model_copy(update={"calibration": None})

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 
@@ -60,8 +62,6 @@ def test_tangent_is_the_derivative_of_the_residual(mesh, prestretch, slack, kind
 
 @pytest.mark.parametrize("prestretch", [1.1, None])
 def test_turning_and_moving_changes_nothing(mesh, prestretch):
-    from scipy.spatial.transform import Rotation
-
     membrane = RubberMembrane.uniform(mesh, GAUGE, TENSION, prestretch)
     x = mesh.nodes + moved(mesh, membrane, 1e-3, 6)
     R = Rotation.from_rotvec([0.4, -0.3, 1.0]).as_matrix()
@@ -74,8 +74,6 @@ def test_turning_and_moving_changes_nothing(mesh, prestretch):
 def test_energy_and_stress_are_those_of_the_constitutive_law():
     """One triangle stretched λ1, λ2 and turned: W = A₀ μh/2 (λ1² + λ2² + 1/(λ1λ2)² − 3),
     T1 = μh (λ1² − 1/(λ1λ2)²)/(λ1λ2)."""
-    from bubbleviz.membrane.mesh import MembraneMesh
-
     flat = np.array([[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.5e-3, 1.5e-3, 0.0]])
     mesh = MembraneMesh(flat, np.array([[0, 1, 2]]), np.array([True, False, False]))
     mu_h, area = 60.0, 0.5 * 2e-3 * 1.5e-3

@@ -21,27 +21,15 @@ from tests.oracles.stuck_press import ShearTruth
 
 @dataclass(frozen=True)
 class DraggedPress:
-    """One object pressed in on the axis or beside it, dragged along x, then twisted.
+    """One object pressed in on the axis or beside it, dragged along x, then twisted."""
 
-    Attributes
-    ----------
-    object_name : str
-        Of a generator in `object_shapes`.
-    depth_m : float
-        Beyond first touch, along −z of B.
-    drag_m, twist_rad : float
-        As of `press_path`.
-    friction : float
-        Coulomb's μ.
-    beside_m : (x, y)
-        Of the object from the axis before it is dragged, m.
-    """
-
-    object_name: str
-    depth_m: float
+    object_name: str  # as of `presses.made`
+    depth_m: float  # beyond first touch, along −z of B
+    # drag_m, twist_rad: as of `press_path`
     drag_m: float = 0.0
     twist_rad: float = 0.0
-    friction: float = 2.0
+    friction: float = 2.0  # Coulomb's μ
+    # (x, y), of the object from the axis before it is dragged, m
     beside_m: tuple[float, float] = (0.0, 0.0)
 
     def poses(self, mesh: MembraneMesh, frames: int) -> np.ndarray:
@@ -54,19 +42,11 @@ class DraggedPress:
 
 @dataclass(frozen=True)
 class DraggedTruth(ShearTruth):
-    """What is true of one frame.
+    """What is true of one frame."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    areas_m2 : (n,) array
-        Of the nodes that touch, as they are; 0 for others.
-    slipped_m : (n,) array
-        Way of each touching node over the object since it was touched, m; 0 for others.
-    """
-
-    T_B_O: np.ndarray
-    areas_m2: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    areas_m2: np.ndarray  # (n,), of the nodes that touch, as they are; 0 for others
+    # (n,), way of each touching node over the object since it was touched, m; 0 for others
     slipped_m: np.ndarray
 
     def slip_share(self, limit_m: float) -> float:
@@ -80,26 +60,16 @@ class DraggedTruth(ShearTruth):
 
 
 def dragged_truths(
+    # rubber_on, gas_on: the membrane, and the gas behind it, on a mesh whose nodes are on the
+    # facets of `mesh`
     rubber_on: Callable[[MembraneMesh], RubberMembrane],
     gas_on: Callable[[MembraneMesh], Gas],
-    mesh: MembraneMesh,
+    mesh: MembraneMesh,  # before it is cut
     press: DraggedPress,
-    frames: int,
-    levels: int = 1,
+    frames: int,  # 10 or more; as of `press_path`
+    levels: int = 1,  # how often the triangles that touch are cut in four, with those beside them
 ) -> Iterator[DraggedTruth]:
     """Frames of a press, one after the other, on a mesh cut finer where the object touches.
-
-    Parameters
-    ----------
-    rubber_on, gas_on : function
-        The membrane, and the gas behind it, on a mesh whose nodes are on the facets of `mesh`.
-    mesh : MembraneMesh
-        Before it is cut.
-    press : DraggedPress
-    frames : int
-        10 or more; as of `press_path`.
-    levels : int
-        How often the triangles that touch are cut in four, with those beside them.
 
     Raises
     ------

@@ -20,22 +20,13 @@ from bubbleviz.errors import SolveError
 
 @dataclass(frozen=True)
 class Bubble:
-    """A spherical-cap bubble at rest, whose tension follows from Young–Laplace.
-
-    Attributes
-    ----------
-    rim_radius_m, height_m : float
-    gauge_pressure_pa : float
-    atmospheric_pressure_pa : float
-    chamber_volume_m3 : float
-        Gas behind the rim plane, m³.
-    """
+    """A spherical-cap bubble at rest, whose tension follows from Young–Laplace."""
 
     rim_radius_m: float
     height_m: float
     gauge_pressure_pa: float
     atmospheric_pressure_pa: float
-    chamber_volume_m3: float
+    chamber_volume_m3: float  # gas behind the rim plane, m³
 
     @property
     def radius_m(self) -> float:
@@ -56,27 +47,13 @@ class Bubble:
 
 @dataclass(frozen=True)
 class AxialContact:
-    """Exact equilibrium of a bubble pressed on its axis.
+    """Exact equilibrium of a bubble pressed on its axis."""
 
-    Attributes
-    ----------
-    contact_radius_m : float
-        Radius of the circle where the film leaves the object, m.
-    gas_pressure_change_pa : float
-        p_v, Pa.
-    contact_pressure_pa : float
-        Uniform in the contact, Pa.
-    force_n : float
-        Force on the object along the axis, N.
-    profile_m : (k, 2) array
-        r and z of the free part from the contact to the rim, m.
-    """
-
-    contact_radius_m: float
-    gas_pressure_change_pa: float
-    contact_pressure_pa: float
-    force_n: float
-    profile_m: np.ndarray
+    contact_radius_m: float  # radius of the circle where the film leaves the object, m
+    gas_pressure_change_pa: float  # p_v, Pa
+    contact_pressure_pa: float  # uniform in the contact, Pa
+    force_n: float  # force on the object along the axis, N
+    profile_m: np.ndarray  # (k, 2), r and z of the free part from the contact to the rim, m
 
 
 def axial_contact(bubble: Bubble, depth_m: float, ball_radius_m: float = np.inf) -> AxialContact:

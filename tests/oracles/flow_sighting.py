@@ -12,20 +12,13 @@ from bubbleviz.colour.optical_flow import BLOCK_PX, FlowField
 from bubbleviz.simulation.depth_noise import DepthNoise
 from tests.oracles.stuck_press import ShearTruth
 
-_HIDDEN_M = 1e-3
-"""How far behind the membrane that a pixel sees a point must be to be hidden by it."""
+_HIDDEN_M = 1e-3  # how far behind the membrane that a pixel sees a point must be to be hidden by it
 
 
 class FlowSighting(NamedTuple):
-    """A frame of both cameras, which are one.
+    """A frame of both cameras, which are one."""
 
-    Attributes
-    ----------
-    depth_m : (H, W) float32 array
-    flow : FlowField
-    """
-
-    depth_m: np.ndarray
+    depth_m: np.ndarray  # (H, W) float32
     flow: FlowField
 
 

@@ -1,4 +1,7 @@
-"""A bulged round sheet by the equations of its meridian, which share nothing with our membrane."""
+"""A bulged round sheet by its meridian's equations, which share nothing with our membrane.
+
+And any inflated sheet on other meshes.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ from functools import partial
 
 import numpy as np
 
+from bubbleviz.camera.triangle_scene import TriangleScene
+from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
 from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.rubber_model.inflation import Inflation
+from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
 from bubbleviz.simulation.inflated_rubber import InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.rubber_oracle import AxialRubber
@@ -33,3 +40,28 @@ def round_sheet(
 
 def _swept(axial: AxialRubber, pressure_pa: float) -> MembraneMesh:
     return swept_mesh(replace(axial, gauge_pressure_pa=pressure_pa).rest, _NODES)
+
+
+def rubber_on(sheet: InflatedRubber, mesh: MembraneMesh) -> RubberMembrane:
+    """A sheet in equilibrium at rest, on a mesh with its nodes on the facets of `rest`."""
+    place = TriangleScene(sheet.rest.nodes, sheet.rest.triangles).closest(mesh.nodes)
+    corners = sheet.sheet.nodes[sheet.sheet.triangles[place.triangle]]
+    flat = replace(mesh, nodes=np.einsum("ij,ijk->ik", place.barycentric, corners))
+    free = sheet.sheet_stretch**2 * inverse_metric(flat)
+    material = sheet.gauge_pressure_pa, free, sheet.mu_h_n_per_m
+    inflation = Inflation(RubberMembrane(mesh, *material), np.zeros_like(mesh.nodes))
+    bulged = replace(mesh, nodes=inflation.at(sheet.gauge_pressure_pa, mesh.nodes))
+    return RubberMembrane(bulged, *material)
+
+
+def resting(sheet: InflatedRubber, nodes: int) -> MembraneMesh:
+    """Another mesh of a sheet at rest, of about so many nodes, all on its facets."""
+    height = float(sheet.rest.nodes[:, 2].max())
+    mesh = mesh_cap(EllipsoidalCap.of(sheet.rim_semi_axes_m, height), nodes)
+    inner = ~mesh.rim
+    rays = np.zeros((int(inner.sum()), 6))
+    rays[:, :2], rays[:, 2], rays[:, 5] = mesh.nodes[inner, :2], 1.0, -1.0
+    met = TriangleScene(sheet.rest.nodes, sheet.rest.triangles).cast(rays)
+    points = mesh.nodes.copy()
+    points[inner, 2] = 1.0 - met.distance
+    return replace(mesh, nodes=points)

@@ -15,7 +15,7 @@ Round a sharp edge ψ jumps and T1 does not: without friction the edge's line lo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import acos, asin, cos, pi, sin
 from typing import Any
@@ -25,6 +25,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from bubbleviz.errors import SolveError
+from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane.mesh import MembraneMesh
 
 _START = 1e-5
 """Share of the meridian at which integration begins, where the apex is still isotropic."""
@@ -32,77 +34,54 @@ _START = 1e-5
 
 @dataclass(frozen=True)
 class Meridian:
-    """A solution along the meridian, from the axis to the rim.
+    """A solution along the meridian, from the axis to the rim."""
 
-    Attributes
-    ----------
-    s_m : (k,) array
-        Arc length on the sheet or dome that the stretches are measured from, m.
-    r_m, z_m : (k,) array
-        m.
-    stretches : (k, 2) array
-        λ1 and λ2 over the stress-free material.
-    tensions_n_per_m : (k, 2) array
-        T1 and T2.
-    volume_m3 : float
-        Under the membrane, m³.
-    """
-
-    s_m: np.ndarray
+    s_m: np.ndarray  # (k,), arc length on the sheet or dome that the stretches are measured from, m
+    # r_m, z_m: (k,), m
     r_m: np.ndarray
     z_m: np.ndarray
-    stretches: np.ndarray
-    tensions_n_per_m: np.ndarray
-    volume_m3: float
+    stretches: np.ndarray  # (k, 2), λ1 and λ2 over the stress-free material
+    tensions_n_per_m: np.ndarray  # (k, 2), T1 and T2
+    volume_m3: float  # under the membrane, m³
 
 
 @dataclass(frozen=True)
 class RubberPress:
-    """Exact equilibrium of a rubber membrane pressed on its axis.
-
-    Attributes
-    ----------
-    meridian : Meridian
-    contact_radius_m : float
-        Of the circle where the membrane leaves the object, m.
-    gas_pressure_change_pa : float
-        p_v, Pa.
-    force_n : float
-        On the object along the axis, N.
-    """
+    """Exact equilibrium of a rubber membrane pressed on its axis."""
 
     meridian: Meridian
-    contact_radius_m: float
-    gas_pressure_change_pa: float
-    force_n: float
+    contact_radius_m: float  # of the circle where the membrane leaves the object, m
+    gas_pressure_change_pa: float  # p_v, Pa
+    force_n: float  # on the object along the axis, N
+
+    def contact_area_m2(self, radius_m: float) -> float:
+        """Of the contact on the spherical surface at rest, m²."""
+        s = np.interp(self.contact_radius_m, self.meridian.r_m, self.meridian.s_m)
+        return float(2.0 * pi * radius_m**2 * (1.0 - cos(s / radius_m)))
+
+    def surface(self, rim_m: float, height_m: float, nodes: int = 8_000) -> MembraneMesh:
+        """What a camera sees of it: a mesh as dense along the meridian as the cap's."""
+        r, z = (np.concatenate([[v[0]], v]) for v in (self.meridian.r_m, self.meridian.z_m))
+        r[0] = 0.0
+        cap = mesh_cap(spherical_cap(rim_m, height_m), nodes)
+        height = np.interp(np.hypot(*cap.nodes[:, :2].T), r, z)
+        height[cap.rim] = 0.0
+        return replace(cap, nodes=np.column_stack([cap.nodes[:, :2], height]))
 
 
 @dataclass(frozen=True)
 class AxialRubber:
-    """A round rubber membrane under gauge pressure, at rest.
-
-    Attributes
-    ----------
-    rim_radius_m : float
-    mu_h_n_per_m : float
-    prestretch : float
-        λ of the dome at rest, or of the flat sheet before it is inflated.
-    gauge_pressure_pa : float
-    dome_height_m : float or None
-        Height of a dome whose tension is the same everywhere at rest, so that
-        G R / 2 = μh (1 − λ⁻⁶); None: a sheet that was flat before G bulged it.
-    atmospheric_pressure_pa : float
-    chamber_volume_m3 : float
-        Gas behind the rim plane, m³.
-    """
+    """A round rubber membrane under gauge pressure, at rest."""
 
     rim_radius_m: float
     mu_h_n_per_m: float
-    prestretch: float
+    prestretch: float  # λ of the dome at rest, or of the flat sheet before it is inflated
     gauge_pressure_pa: float
+    # height of a dome whose tension is the same everywhere at rest, so that G R / 2 = μh (1 − λ⁻⁶);
+    # None: a sheet that was flat before G bulged it
     dome_height_m: float | None = None
     atmospheric_pressure_pa: float = 101_325.0
-    chamber_volume_m3: float = 3e-4
+    chamber_volume_m3: float = 3e-4  # gas behind the rim plane, m³
 
     @classmethod
     def dome(
@@ -144,15 +123,12 @@ class AxialRubber:
         return float(self.rest.z_m[0])
 
     def press(
-        self, depth_m: float, ball_radius_m: float = np.inf, face_radius_m: float = np.inf
+        self,
+        depth_m: float,
+        ball_radius_m: float = np.inf,
+        face_radius_m: float = np.inf,  # of the sharp edge that ends ball or plate
     ) -> RubberPress:
         """Press a ball, or a plate where the radius is infinite, `depth_m` below the apex.
-
-        Parameters
-        ----------
-        depth_m, ball_radius_m : float
-        face_radius_m : float, optional
-            Of the sharp edge that ends ball or plate.
 
         Raises
         ------

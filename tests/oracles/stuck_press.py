@@ -26,33 +26,19 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.press_path import touching_height
 from bubbleviz.simulation.presses import made
 
-BESIDE_M = (0.005, -0.003)
-"""Of the objects from the axis, m; chosen."""
-_LONGEST_M = 5e-4
-"""Step of the object's motion at its patch's edge."""
-_BALANCED = 1e-8
-"""Force left at a node over the largest load."""
+BESIDE_M = (0.005, -0.003)  # of the objects from the axis, m; chosen
+_LONGEST_M = 5e-4  # step of the object's motion at its patch's edge
+_BALANCED = 1e-8  # force left at a node over the largest load
 
 
 @dataclass(frozen=True)
 class ShearTruth:
-    """Equilibrium of a membrane with an object that sticks to it, or slips over it.
+    """Equilibrium of a membrane with an object that sticks to it, or slips over it."""
 
-    Attributes
-    ----------
-    mesh : MembraneMesh
-        At rest.
-    displacement_m : (n, 3) array
-    nodal_force_n : (n, 3) array
-        Of the object on the membrane; 0 where it does not touch.
-    normals : (n, 3) array
-        Current unit normals, outward.
-    """
-
-    mesh: MembraneMesh
-    displacement_m: np.ndarray
-    nodal_force_n: np.ndarray
-    normals: np.ndarray
+    mesh: MembraneMesh  # at rest
+    displacement_m: np.ndarray  # (n, 3)
+    nodal_force_n: np.ndarray  # (n, 3), of the object on the membrane; 0 where it does not touch
+    normals: np.ndarray  # (n, 3), current unit normals, outward
 
     @property
     def force_n(self) -> np.ndarray:
@@ -78,34 +64,16 @@ class ShearTruth:
 
 @dataclass(frozen=True)
 class Motion:
-    """How far an object was moved since it was pressed in.
+    """How far an object was moved since it was pressed in."""
 
-    Attributes
-    ----------
-    drag_m : (3,) array
-    twist_rad : float
-        About z through the middle of its contact.
-    lost : (n,) array or None
-        Share of the motion that nodes do not follow because they slip; 0 where None.
-    """
-
-    drag_m: np.ndarray
-    twist_rad: float = 0.0
+    drag_m: np.ndarray  # (3,)
+    twist_rad: float = 0.0  # about z through the middle of its contact
+    # (n,), share of the motion that nodes do not follow because they slip; 0 where None
     lost: np.ndarray | None = None
 
 
 class StuckPress:
     """An object that a membrane sticks to.
-
-    Parameters
-    ----------
-    rubber : RubberMembrane
-    gas : Gas
-        Behind the membrane at rest.
-    displacement_m : (n, 3) array
-        Of an equilibrium with the object.
-    touching : (n,) bool array
-        Nodes that touch it.
 
     Attributes
     ----------
@@ -115,7 +83,11 @@ class StuckPress:
     """
 
     def __init__(
-        self, rubber: RubberMembrane, gas: Gas, displacement_m: np.ndarray, touching: np.ndarray
+        self,
+        rubber: RubberMembrane,
+        gas: Gas,  # behind the membrane at rest
+        displacement_m: np.ndarray,  # (n, 3), of an equilibrium with the object
+        touching: np.ndarray,  # (n,) bool, nodes that touch it
     ) -> None:
         self._rubber, self._gas, self.touching = rubber, gas, touching
         self.pressed_m = rubber.mesh.nodes + displacement_m

@@ -14,10 +14,11 @@ from bubbleviz.pose.registration import Precision, Prior, Registration
 from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
 from bubbleviz.pose.start_finder import StartFinder
 from bubbleviz.simulation.presses import made
-from tests.membrane.plate import plate
+from tests.membrane.domes import plate
 
 PRECISION = Precision(1e12, 3e-3)
 WEAK = 1e-3 * np.eye(6)
+MIDDLE = np.array([0.0, 0.0, 0.015])
 
 
 def contact_of(points, normals, free=None):
@@ -141,37 +142,50 @@ def surface_information(points, normals, center):
     return 1e10 * J.T @ J
 
 
-def disc(count=200):
-    a = np.random.default_rng(0).uniform(-0.01, 0.01, (count, 2))
-    return np.column_stack([a, np.zeros(count)])
+def touched(shape):
+    """Points and normals where a plane, a ball of 15 mm or a rod along x of 10 mm touches."""
+    if shape == "rod":
+        a, x = np.random.default_rng(1).uniform([-0.8, -0.02], [0.8, 0.02], (300, 2)).T
+        normals = np.column_stack([np.zeros(300), np.sin(a), -np.cos(a)])
+        return np.column_stack([x, 0.01 * np.sin(a), -0.01 * np.cos(a)]), normals
+    flat = np.column_stack([np.random.default_rng(0).uniform(-0.01, 0.01, (200, 2)), np.zeros(200)])
+    if shape == "plane":
+        return flat, np.tile([0.0, 0.0, 1.0], (200, 1))
+    out = (flat - MIDDLE) / np.linalg.norm(flat - MIDDLE, axis=1)[:, None]
+    return MIDDLE + 0.015 * out, out
+
+
+def found_directions(shape):
+    radius_m = 0.01 if shape == "rod" else 7e-3
+    return directions(surface_information(*touched(shape), np.zeros(3)), radius_m)
 
 
 def test_a_plane_slides_and_turns():
-    points = disc()
-    found = directions(surface_information(points, np.tile([0.0, 0.0, 1.0], (200, 1)), 0.0), 7e-3)
+    found = found_directions("plane")
     assert found.determined.tolist() == [True] * 3 + [False] * 3
     assert np.allclose(found.open[[2, 3, 4]], 0.0, atol=1e-9)  # neither lifts nor tilts
     assert np.all(np.diff(found.deviation_m[:3]) >= 0.0)
+    shifts, turns = open_axes(found.open)
+    assert np.allclose(np.abs(turns), [[0.0, 0.0, 1.0]], atol=1e-6)
+    assert shifts.shape == (2, 3) and np.allclose(shifts[:, 2], 0.0, atol=1e-6)
+    assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
 
 
 def test_a_ball_spins_about_its_own_centre():
-    flat = disc()
-    middle = np.array([0.0, 0.0, 0.015])
-    points = middle - 0.015 * (middle - flat) / np.linalg.norm(middle - flat, axis=1)[:, None]
-    normals = (points - middle) / 0.015
-    found = directions(surface_information(points, normals, np.zeros(3)), 7e-3)
+    found = found_directions("ball")
     assert found.determined.tolist() == [True] * 3 + [False] * 3
     for motion in found.open.T:  # the middle stays where it is
-        assert np.allclose(motion[:3] + np.cross(motion[3:], middle), 0.0, atol=1e-9)
+        assert np.allclose(motion[:3] + np.cross(motion[3:], MIDDLE), 0.0, atol=1e-9)
+    shifts, turns = open_axes(found.open)
+    assert shifts.shape == (0, 3) and turns.shape == (3, 3)
 
 
 def test_a_rod_slides_and_rolls():
-    a, x = np.random.default_rng(1).uniform([-0.8, -0.02], [0.8, 0.02], (300, 2)).T
-    normals = np.column_stack([np.zeros(300), np.sin(a), -np.cos(a)])
-    points = np.column_stack([x, 0.01 * np.sin(a), -0.01 * np.cos(a)])
-    found = directions(surface_information(points, normals, np.zeros(3)), 0.01)
+    found = found_directions("rod")
     assert found.determined.sum() == 4
     assert np.allclose(found.open[[1, 2, 4, 5]], 0.0, atol=1e-9)
+    for axes in open_axes(found.open):
+        assert np.allclose(np.abs(axes), [[1.0, 0.0, 0.0]], atol=1e-6)
 
 
 def test_jacobian_of_distances_is_their_derivative(frustum):
@@ -189,35 +203,13 @@ def test_jacobian_of_distances_is_their_derivative(frustum):
         assert np.median(np.abs(change - J[:, k])) < 2e-3 * max(1.0, np.abs(J[:, k]).max())
 
 
-def test_open_motions_of_a_plane_a_ball_and_a_rod():
-    flat = disc()
-    plane = directions(surface_information(flat, np.tile([0.0, 0.0, 1.0], (200, 1)), 0.0), 7e-3)
-    shifts, turns = open_axes(plane.open)
-    assert np.allclose(np.abs(turns), [[0.0, 0.0, 1.0]], atol=1e-6)
-    assert shifts.shape == (2, 3) and np.allclose(shifts[:, 2], 0.0, atol=1e-6)
-    assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
-    middle = np.array([0.0, 0.0, 0.015])
-    points = middle - 0.015 * (middle - flat) / np.linalg.norm(middle - flat, axis=1)[:, None]
-    information = surface_information(points, (points - middle) / 0.015, np.zeros(3))
-    shifts, turns = open_axes(directions(information, 7e-3).open)
-    assert shifts.shape == (0, 3) and turns.shape == (3, 3)
-    a, x = np.random.default_rng(1).uniform([-0.8, -0.02], [0.8, 0.02], (300, 2)).T
-    normals = np.column_stack([np.zeros(300), np.sin(a), -np.cos(a)])
-    points = np.column_stack([x, 0.01 * np.sin(a), -0.01 * np.cos(a)])
-    information = surface_information(points, normals, np.zeros(3))
-    shifts, turns = open_axes(directions(information, 0.01).open)
-    for found in (shifts, turns):
-        assert np.allclose(np.abs(found), [[1.0, 0.0, 0.0]], atol=1e-6)
-    none, nothing = open_axes(np.zeros((6, 0)))
-    assert len(none) == len(nothing) == 0
-
-
 def test_shifts_whose_turns_are_rounding_errors_are_no_turns():
     motions = np.eye(6)[:, :2].copy()
     motions[3:] = 1e-9 * np.random.default_rng(0).standard_normal((3, 2))
     shifts, turns = open_axes(motions)
     assert len(turns) == 0
     assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
+    assert [len(axes) for axes in open_axes(np.zeros((6, 0)))] == [0, 0]
 
 
 def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_is():

@@ -12,7 +12,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose.rigid_motion import motion_between, moved
-from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -51,7 +50,7 @@ def pipeline(sensor):
     return Pipeline.of(sensor)
 
 
-def close(pose: Pose, truth: np.ndarray) -> bool:
+def close(pose, truth):
     off = motion_between(truth, pose.T_B_O, truth[:3, 3])
     return np.linalg.norm(off[:3]) < 3e-3 and np.linalg.norm(off[3:]) < np.radians(5.0)
 

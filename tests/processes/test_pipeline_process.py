@@ -1,12 +1,8 @@
 """A pipeline in another process: the same answers, and nothing lost with the process."""
 
-from __future__ import annotations
-
 import os
 import signal
-from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,22 +18,22 @@ OPTIONS = FrameOptions(cloud_points=500)
 
 
 @pytest.fixture(scope="module")
-def sensor_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sensor_file(tmp_path_factory):
     return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
 
 
 @pytest.fixture(scope="module")
-def frames(sensor_file: Path) -> list[Frame]:
+def frames(sensor_file):
     source = small_source(sensor_file)
     return [source[k] for k in range(len(source))]
 
 
 @pytest.fixture
-def pipeline(sensor_file: Path) -> Pipeline:
+def pipeline(sensor_file):
     return Pipeline.of(load_sensor(sensor_file))
 
 
-def started(process: PipelineProcess, frame: Frame) -> int:
+def started(process, frame):
     """Have a frame solved again and again until it is in the other process."""
     while process.pid is None:
         process.process(frame, OF_DEPTH, OPTIONS)
@@ -46,14 +42,14 @@ def started(process: PipelineProcess, frame: Frame) -> int:
 
 
 @pytest.fixture
-def process(pipeline: Pipeline, frames: list[Frame]) -> Iterator[PipelineProcess]:
+def process(pipeline, frames):
     """One that has solved the first frame."""
     with closing(PipelineProcess(pipeline, patience_s=1.0)) as process:
         started(process, frames[0])
         yield process
 
 
-def gone(pid: int) -> bool:
+def gone(pid):
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -61,9 +57,7 @@ def gone(pid: int) -> bool:
     return False
 
 
-def test_frames_have_the_answers_they_have_here(
-    process: PipelineProcess, sensor_file: Path, frames: list[Frame]
-) -> None:
+def test_frames_have_the_answers_they_have_here(process, sensor_file, frames):
     here = Pipeline.of(load_sensor(sensor_file))
     here.process(frames[0], OF_DEPTH, OPTIONS)
     for frame in frames[1:]:
@@ -83,9 +77,7 @@ def test_frames_have_the_answers_they_have_here(
     assert {each.estimate.status for each in (a, b)} == {"no_contact"}
 
 
-def test_they_are_solved_there_and_counted_here(
-    process: PipelineProcess, pipeline: Pipeline, frames: list[Frame]
-) -> None:
+def test_they_are_solved_there_and_counted_here(process, pipeline, frames):
     before = pipeline.counts["estimate"]
     pipeline.restart()
     cold = pipeline.estimate_aside(frames[2])
@@ -99,9 +91,7 @@ def test_they_are_solved_there_and_counted_here(
     ("how", "words"),
     [(signal.SIGKILL, "the process ended with code -9"), (signal.SIGSTOP, "no answer for 1 s")],
 )
-def test_a_process_that_dies_or_hangs_costs_no_frame(
-    process: PipelineProcess, frames: list[Frame], how: signal.Signals, words: str
-) -> None:
+def test_a_process_that_dies_or_hangs_costs_no_frame(process, frames, how, words):
     pid = process.pid
     assert pid is not None
     os.kill(pid, how)
@@ -112,9 +102,7 @@ def test_a_process_that_dies_or_hangs_costs_no_frame(
     assert process.pid is None and gone(pid)
 
 
-def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(
-    process: PipelineProcess, frames: list[Frame]
-) -> None:
+def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(process, frames):
     wrong = Frame(7, 0.0, np.ones((3, 4), np.float32))
     with pytest.raises(InputError, match="frame 7: image is 4×3 pixels"):
         process.process(wrong, OF_DEPTH)
@@ -122,16 +110,14 @@ def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(
     assert process.pid is not None and process.lost == ""
 
 
-def test_what_depth_alone_does_not_tell_is_made_here(
-    process: PipelineProcess, frames: list[Frame]
-) -> None:
+def test_what_depth_alone_does_not_tell_is_made_here(process, frames):
     assert process.pid is not None
     os.kill(process.pid, signal.SIGKILL)
     assert process.process(frames[1], frozenset({"estimate", "pose"})).estimate is not None
     assert process.lost == ""  # nobody has noticed
 
 
-def test_closing_ends_it_also_while_it_is_built(pipeline: Pipeline, frames: list[Frame]) -> None:
+def test_closing_ends_it_also_while_it_is_built(pipeline, frames):
     first = PipelineProcess(pipeline)
     pid = started(first, frames[0])
     first.close()

@@ -8,6 +8,7 @@ import numpy as np
 
 from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.result import Traction
 from bubbleviz.sensor import Sensor
 from bubbleviz.shear.traction_estimator import TractionOptions
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -56,6 +57,12 @@ class Eyes:
         self.flows.append(seen)
         index = len(self.flows) - 1
         return Frame(index, index / 30.0, seen.depth_m)
+
+    def traction(self, frame: Frame) -> Traction:
+        """Traction of a frame."""
+        found = self.pipeline.process(frame, frozenset({"traction"})).traction
+        assert found is not None
+        return found
 
     def rest(self) -> Frame:
         """The next frame, of the membrane at rest."""

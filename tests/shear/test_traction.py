@@ -29,9 +29,7 @@ def test_of_an_object_that_is_dragged_and_twisted(
     name: str, depth: float, drag: float, twist: float
 ) -> None:
     truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
-    result = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"}))
-    traction = result.traction
-    assert traction is not None
+    traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason
     force, true = traction.force_n, truth.force_n
     size = np.linalg.norm(true)
@@ -54,9 +52,7 @@ def test_a_long_drag_is_followed() -> None:
     path, eyes = press("puck", 0.004)[0], Eyes(1000)
     drags = [Motion(np.array([1.0, 0.4, 0.0]) * k * 5e-4) for k in range(9)]
     for truth in path.along(drags):
-        result = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"}))
-        traction = result.traction
-        assert traction is not None
+        traction = eyes.traction(eyes.see(truth))
         assert traction.status == "ok", traction.reason
         error = np.linalg.norm(traction.force_n - truth.force_n)
         assert error < 0.03 * np.linalg.norm(truth.force_n)
@@ -65,8 +61,7 @@ def test_a_long_drag_is_followed() -> None:
 def test_a_press_without_friction_has_no_shear() -> None:
     """The shear that is found is the flow's noise, and known to be."""
     truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
-    traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
-    assert traction is not None
+    traction = eyes.traction(eyes.see(truth))
     shear = traction.tangential_force_n.sum(axis=0)
     assert np.linalg.norm(shear) < 0.01 * np.linalg.norm(truth.force_n)
 
@@ -86,13 +81,10 @@ def test_depth_is_solved_as_without_it() -> None:
 
 def test_a_second_frame_goes_on_from_the_first_or_from_rest() -> None:
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
-    frame, wanted = eyes.see(truth), frozenset({"traction"})
-    first, second = (eyes.pipeline.process(frame, wanted).traction for _ in range(2))
+    frame = eyes.see(truth)
+    first, second = (eyes.traction(frame) for _ in range(2))
     eyes.pipeline.restart()
-    again = eyes.pipeline.process(frame, wanted).traction
-    assert first is not None
-    assert second is not None
-    assert again is not None
+    again = eyes.traction(frame)
     np.testing.assert_array_equal(again.nodal_force_n, first.nodal_force_n)
     np.testing.assert_allclose(second.force_n, first.force_n, rtol=0.01, atol=0.01)
 
@@ -126,8 +118,7 @@ def test_where_the_contact_has_no_texture_depth_is_left_alone() -> None:
 
 def test_nothing_touches() -> None:
     eyes = Eyes()
-    traction = eyes.pipeline.process(eyes.rest(), frozenset({"traction"})).traction
-    assert traction is not None
+    traction = eyes.traction(eyes.rest())
     assert traction.status == "no_contact"
     assert not traction.nodal_force_n.any()
     assert not traction.torque_nm.any()
@@ -136,8 +127,7 @@ def test_nothing_touches() -> None:
 @pytest.mark.parametrize("friction", [0.2, 0.6])
 def test_coulombs_bound_holds_where_it_is_asked_for(friction: float) -> None:
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes(friction=friction)
-    traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
-    assert traction is not None
+    traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason
     along = np.linalg.norm(traction.tangential_force_n, axis=1)
     across = np.linalg.norm(traction.normal_force_n, axis=1)
@@ -151,8 +141,7 @@ def test_a_bound_lets_go_of_what_does_not_touch() -> None:
     eyes = Eyes(friction=0.6)
     for drag in (0.0, 0.0005):
         truth = stuck("puck", 0.004, drag, 0.0)
-        traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
-        assert traction is not None
+        traction = eyes.traction(eyes.see(truth))
         assert traction.status == "ok", traction.reason
         pressure = traction.contact_pressure_pa
         assert pressure[pressure > 0.0].min() > 1e-4 * pressure.max()
@@ -170,17 +159,14 @@ def test_a_programme_that_was_not_solved_is_no_traction(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(traction_problem, "within_cone", unsolved)
     eyes = Eyes(friction=0.6)
-    frame = eyes.see(stuck("puck", 0.004, 0.0, 0.0))
-    traction = eyes.pipeline.process(frame, frozenset({"traction"})).traction
-    assert traction is not None
+    traction = eyes.traction(eyes.see(stuck("puck", 0.004, 0.0, 0.0)))
     assert traction.status == "not_converged"
 
 
 def test_torque_and_its_sigma_about_any_point() -> None:
     """Moved by a lever, as forces and their covariance are."""
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
-    traction = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"})).traction
-    assert traction is not None
+    traction = eyes.traction(eyes.see(truth))
     lever = np.array([0.0, 0.0, 0.1])
     moved = traction.torque_about(traction.center_m - lever)
     np.testing.assert_allclose(moved, traction.torque_nm + np.cross(lever, traction.force_n))

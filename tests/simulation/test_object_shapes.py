@@ -1,14 +1,14 @@
-"""The shipped objects: what the generator makes, closed, outward, of the size they claim."""
+"""The shipped objects: closed, outward, of the size they claim."""
 
 import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.ply_writer import write_ply
 from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.rigid_object import load_object, object_mesh
-from bubbleviz.simulation.object_shapes import GENERATORS, ply_bytes
 
-NAMES = [generator.__name__ for generator in GENERATORS]
+NAMES = sorted(path.stem for path in presets_folder("objects").iterdir())
 
 
 def volume(obj):
@@ -16,23 +16,9 @@ def volume(obj):
     return np.einsum("ij,ij->", np.cross(a, b), c) / 6.0
 
 
-def test_no_file_without_generator():
-    shipped = {p.name for p in presets_folder("objects").iterdir()}
-    assert shipped == {f"{name}.ply" for name in NAMES}
-
-
-@pytest.mark.parametrize("generator", GENERATORS, ids=NAMES)
-def test_shipped_file_is_what_the_generator_makes(generator):
-    made = generator()
-    assert (presets_folder("objects") / f"{made.name}.ply").read_bytes() == ply_bytes(made)
-    read = load_object(made.name)
-    np.testing.assert_array_equal(read.vertices, made.vertices)
-    np.testing.assert_array_equal(read.triangles, made.triangles)
-
-
-@pytest.mark.parametrize("generator", GENERATORS, ids=NAMES)
-def test_object_is_watertight_and_touches_its_origin_from_above(generator):
-    obj = generator()
+@pytest.mark.parametrize("name", NAMES)
+def test_object_is_watertight_and_touches_its_origin_from_above(name):
+    obj = load_object(name)
     start, end = obj.triangles.ravel(), np.roll(obj.triangles, -1, axis=1).ravel()
     forward = set(zip(start.tolist(), end.tolist(), strict=True))
     assert len(forward) == len(start)
@@ -59,13 +45,10 @@ def test_volume_is_that_of_the_ideal_shape(name, exact, tolerance):
 
 
 def test_units(tmp_path):
-    made = GENERATORS[0]()
-    metres = tmp_path / "f.ply"
-    metres.write_bytes(ply_bytes(made))
-    large = made.vertices * 1e3
-    scaled = type(made)(made.name, large, made.triangles)
-    (tmp_path / "f_mm.ply").write_bytes(ply_bytes(scaled))
-    (tmp_path / "g.ply").write_bytes(ply_bytes(scaled))
+    made, metres = load_object("frustum"), tmp_path / "f.ply"
+    write_ply(metres, made.vertices, {}, made.triangles)
+    for name in ("f_mm.ply", "g.ply"):
+        write_ply(tmp_path / name, 1e3 * made.vertices, {}, made.triangles)
     np.testing.assert_allclose(object_mesh(tmp_path / "f_mm.ply")[0], made.vertices, atol=1e-8)
     np.testing.assert_allclose(object_mesh(tmp_path / "g.ply", "mm")[0], made.vertices, atol=1e-8)
     with pytest.raises(InputError, match=r"g\.ply.*millimetres"):

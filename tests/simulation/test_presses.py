@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.edge import EDGE_OBJECTS
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.refine import refine
 from bubbleviz.sensor import load_sensor
@@ -10,7 +11,6 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.inflated_rubber import InflatedRubber
 from bubbleviz.simulation.presses import (
-    EDGE_OBJECTS,
     GRID_OBJECTS,
     HELD_OUT_OBJECTS,
     Press,
@@ -18,7 +18,7 @@ from bubbleviz.simulation.presses import (
     presses,
 )
 from bubbleviz.simulation.truth_bank import LinearPresses, TruthBank
-from tests.oracles.round_sheet import round_sheet
+from tests.oracles.round_sheet import resting, round_sheet, rubber_on
 
 ONE = DepthNoise(relative=0.01)
 DEPTH_M = 0.012
@@ -65,6 +65,7 @@ VOLUMES_MM3 = {
 @pytest.mark.parametrize("name", ["cross", *EDGE_OBJECTS])
 def test_objects_of_the_study_are_watertight_with_their_volume(name):
     obj = made(name)
+    name = obj.name
     a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
     edges = np.sort(obj.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
@@ -111,11 +112,11 @@ def test_a_kept_truth_is_the_truth(sensor, tmp_path, bank):
 def test_another_mesh_of_an_inflated_sheet_is_on_its_surface(sheet):
     """And a finer one of the same facets is in equilibrium, as stiff as the sheet."""
     rest = sheet.rest
-    other = sheet.resting(300)
+    other = resting(sheet, 300)
     assert len(other.nodes) < 0.2 * len(rest.nodes)
     away = TriangleScene(rest.nodes, rest.triangles).closest(other.nodes).point - other.nodes
     assert np.linalg.norm(away[~other.rim], axis=1).max() < 1e-6
-    fine = sheet.rubber(refine(rest, rest.nodes[rest.triangles].mean(axis=1)[:, 0] > 0.03))
+    fine = rubber_on(sheet, refine(rest, rest.nodes[rest.triangles].mean(axis=1)[:, 0] > 0.03))
     moved = TriangleScene(rest.nodes, rest.triangles).closest(fine.mesh.nodes).point
     assert np.linalg.norm(moved - fine.mesh.nodes, axis=1).max() < 5e-5
     load = sheet.gauge_pressure_pa * fine.mesh.areas.mean()

@@ -1,9 +1,6 @@
 """The speckle moves with the material, so that optical flow of its images finds what moved."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,14 +23,14 @@ WIDTH, HEIGHT, REST = 320, 240, 8
 
 
 @pytest.fixture(scope="module")
-def view() -> MembraneView:
+def view():
     """The dome of the preset, seen by a camera with 320×240 pixels."""
     sensor: Sensor = load_sensor("pico_flexx_75mm")
     camera = Intrinsics(WIDTH, HEIGHT, 270.0, 270.0, 159.5, 119.5)
     return MembraneView(DepthCamera(camera, sensor.camera.T_B_C), build_mesh(sensor))
 
 
-def dragged(view: MembraneView, far_m: float) -> np.ndarray:
+def dragged(view, far_m):
     """Displacement (n, 3) of a drag in x, a turn about z and a dent, around the apex."""
     x, y, _ = view.mesh.nodes.T
     near = np.exp(-(x**2 + (y - 0.005) ** 2) / (2.0 * 0.02**2))
@@ -41,7 +38,7 @@ def dragged(view: MembraneView, far_m: float) -> np.ndarray:
     return np.stack([far_m * near - turn * y * near, turn * x * near, -far_m * near], axis=1)
 
 
-def true_motion(view: MembraneView, moved_m: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+def true_motion(view, moved_m, pixel):
     """Motion (k, 2) in the image of the material that pixels see at rest, pixels."""
     hits = view.hits(np.zeros_like(moved_m), pixel)
     assert len(hits.ray) == len(pixel)
@@ -58,7 +55,7 @@ def true_motion(view: MembraneView, moved_m: np.ndarray, pixel: np.ndarray) -> n
 
 
 @pytest.mark.parametrize("far_m", [1e-3, 2.5e-3])
-def test_flow_finds_the_motion_of_the_material(view: MembraneView, far_m: float) -> None:
+def test_flow_finds_the_motion_of_the_material(view, far_m):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     from bubbleviz.colour.optical_flow import OpticalFlow
 
@@ -76,7 +73,7 @@ def test_flow_finds_the_motion_of_the_material(view: MembraneView, far_m: float)
     assert np.sqrt(np.mean((errors / field.sigma_px[:, None]) ** 2)) < 1.5
 
 
-def test_light_and_noise_are_as_asked(view: MembraneView) -> None:
+def test_light_and_noise_are_as_asked(view):
     at_rest = np.zeros_like(view.mesh.nodes)
     middle = np.s_[110:130, 150:170]
     plain = PrintedMembrane(Speckle(noise=0.0, shaded=False), view).image(at_rest, 0)
@@ -93,7 +90,7 @@ def test_light_and_noise_are_as_asked(view: MembraneView) -> None:
     assert not np.array_equal(again.image(at_rest, 1), noisy)
 
 
-def test_a_simulated_recording_has_the_images(tmp_path: Path) -> None:
+def test_a_simulated_recording_has_the_images(tmp_path):
     sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
     poses = np.array([parse_pose(f"0.005 0 {z} 0 0 0 1") for z in (0.060, 0.044)])
     source = SyntheticSource(sensor, load_object("cylinder"), poses, texture=Speckle())
@@ -108,10 +105,10 @@ def test_a_simulated_recording_has_the_images(tmp_path: Path) -> None:
             assert not written.camera.remark
         before = replace(recording[1], colour_delay_s=-1.0 / 30.0).colour
         assert before is not None
-        np.testing.assert_array_equal(before.grey(), source[0].colour.grey())  # type: ignore[union-attr]
+        np.testing.assert_array_equal(before.grey(), source[0].colour.grey())
 
 
-def test_what_cannot_be_printed_is_refused() -> None:
+def test_what_cannot_be_printed_is_refused():
     with pytest.raises(InputError, match="give metres"):
         Speckle(blot_m=3.0)
     with pytest.raises(InputError, match="grey levels"):

@@ -5,40 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation.refined_press import EDGE_RADIUS_M, refined_press
+from tests.membrane.domes import CAP, GAUGE, TENSION, A, H, force, gas_of, pose
 from tests.oracles.rubber_oracle import AxialRubber
 
-A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
-CAP = spherical_cap(A, H)
-TENSION = GAUGE * (A**2 + H**2) / (4 * H)
 ROD = 0.012  # radius of the preset cylinder
 
 
-def rubber_on(prestretch):
-    def rubber(mesh):
-        nodes = np.where(mesh.rim[:, None], mesh.nodes, CAP.project(mesh.nodes))
-        return RubberMembrane.uniform(replace(mesh, nodes=nodes), GAUGE, TENSION, prestretch)
-
-    return rubber
-
-
-def gas_on(mesh):
-    return Gas(AIR + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)
-
-
-def at(depth):
-    T = np.eye(4)
-    T[2, 3] = H - depth
-    return T
-
-
-def force(contact):
-    return -contact.nodal_force_n.sum(axis=0)[2]
+def rubber(mesh):
+    nodes = np.where(mesh.rim[:, None], mesh.nodes, CAP.project(mesh.nodes))
+    return RubberMembrane.uniform(replace(mesh, nodes=nodes), GAUGE, TENSION, 1.2)
 
 
 @pytest.mark.long
@@ -47,18 +27,13 @@ def test_sharp_end_of_a_rod_on_the_axis():
     dome = AxialRubber.dome(A, H, 1.2, GAUGE)
     wide, narrow = (dome.press(0.005, face_radius_m=ROD - cut) for cut in (0.0, EDGE_RADIUS_M))
     assert wide.contact_radius_m == pytest.approx(ROD, rel=1e-6)
-    mesh, obj, rubber, pose = (
-        mesh_cap(CAP, 1000),
-        load_object("cylinder"),
-        rubber_on(1.2),
-        at(0.005),
-    )
-    fine = refined_press(rubber, gas_on, mesh, obj, pose).contact
+    mesh, obj, there = mesh_cap(CAP, 1000), load_object("cylinder"), pose(z=H - 0.005)
+    fine = refined_press(rubber, gas_of, mesh, obj, there).contact
     assert fine.converged
     assert fine.force_balance_n < 1e-6 * np.linalg.norm(fine.gas_force_n)
     assert narrow.force_n < force(fine) < wide.force_n
     gas = (press.gas_pressure_change_pa for press in (narrow, wide))
     assert next(gas) < fine.gas_pressure_change_pa < next(gas)
-    even = RubberForward(rubber(mesh), gas_on(mesh)).press(obj, pose)
+    even = RubberForward(rubber(mesh), gas_of(mesh)).press(obj, there)
     assert even.converged
     assert force(even) < narrow.force_n

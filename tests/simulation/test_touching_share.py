@@ -1,41 +1,29 @@
 """How much of a node's cell touches, against presses whose contact radius is known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.cap_mesh import mesh_cap
 from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.patch.patch_finder import area_above
 from bubbleviz.patch.touching_share import touching_share
 from bubbleviz.rigid_object import load_object
+from tests.membrane.domes import CAP, GAUGE, A, H, dome, pose
 from tests.oracles.rubber_oracle import AxialRubber
 
-A, H, GAUGE, DEPTH, BALL = 0.045, 0.020, 2500.0, 0.006, 0.015
-CAP = spherical_cap(A, H)
+DEPTH, BALL = 0.006, 0.015
 
 
-def exact_area() -> float:
+def exact_area():
     """Of the contact on the surface at rest, m², by the equations of the meridian."""
     press = AxialRubber.dome(A, H, 1.2, GAUGE).press(DEPTH, BALL)
-    s = np.interp(press.contact_radius_m, press.meridian.r_m, press.meridian.s_m)
-    R = (A**2 + H**2) / (2.0 * H)
-    return float(2.0 * np.pi * R**2 * (1.0 - np.cos(s / R)))
+    return press.contact_area_m2((A**2 + H**2) / (2.0 * H))
 
 
-def pressed(nodes: int) -> tuple[MembraneMesh, np.ndarray]:
+def pressed(nodes):
     """Mesh and contact pressure of the ball."""
-    mesh = mesh_cap(CAP, nodes)
-    membrane = RubberMembrane.uniform(mesh, GAUGE, GAUGE * (A**2 + H**2) / (4.0 * H), 1.2)
-    air = 101_325.0
-    gas = Gas(air + GAUGE, 3e-4 + mesh.cap_volume(), mesh.areas, -GAUGE, air)
-    pose = np.eye(4)
-    pose[2, 3] = H - DEPTH
-    contact = RubberForward(membrane, gas).press(load_object("sphere"), pose)
-    return mesh, contact.contact_pressure_pa
+    model = RubberForward(*dome(nodes))
+    contact = model.press(load_object("sphere"), pose(z=H - DEPTH))
+    return model.mesh, contact.contact_pressure_pa
 
 
 def test_the_contact_of_a_ball_is_as_large_as_by_its_equations():

@@ -1,10 +1,7 @@
 """TRUTH.npz read back: the recording knows what its simulation knew, or says why not."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +20,7 @@ FRAMES = 3
 
 
 @pytest.fixture(scope="module")
-def source() -> SyntheticSource:
+def source():
     sensor = Sensor(
         name="dome",
         membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=200),
@@ -38,13 +35,13 @@ def source() -> SyntheticSource:
 
 
 @pytest.fixture(scope="module")
-def folder(source: SyntheticSource, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(source, tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulated")
     write_simulation(source, folder / "sim.mcap", folder / "truth.npz")
     return folder
 
 
-def test_the_truth_of_every_frame_is_read_back(folder: Path, source: SyntheticSource) -> None:
+def test_the_truth_of_every_frame_is_read_back(folder, source):
     known = KnownRecording(Recording(folder / "sim.mcap"), folder / "truth.npz")
     assert isinstance(known, KnowsTruth) and len(known) == FRAMES
     for index in range(FRAMES):
@@ -58,9 +55,7 @@ def test_the_truth_of_every_frame_is_read_back(folder: Path, source: SyntheticSo
     known.close()
 
 
-def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(folder, tmp_path):
     for name in ("sim.mcap", "truth.npz"):
         shutil.copy(folder / name, tmp_path)
     with Recording(tmp_path / "sim.mcap") as recording:
@@ -79,11 +74,11 @@ def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(
         assert "sim.npz: is the truth of another recording" in recording.remark
 
 
-def test_what_is_no_truth_of_this_recording_is_one_sentence(folder: Path, tmp_path: Path) -> None:
+def test_what_is_no_truth_of_this_recording_is_one_sentence(folder, tmp_path):
     arrays = dict(np.load(folder / "truth.npz"))
     bad = tmp_path / "bad.npz"
 
-    def problem() -> str:
+    def problem():
         with Recording(folder / "sim.mcap") as recording, pytest.raises(InputError) as caught:
             KnownRecording(recording, bad)
         assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)

@@ -20,7 +20,6 @@ from bubbleviz.simulation.sensor_variants import strided
 from bubbleviz.simulation.truth_bank import LinearPresses, TruthBank
 from bubbleviz.study.accuracy import (
     LINEAR,
-    PRODUCTS,
     RUBBER,
     Grid,
     Row,
@@ -205,7 +204,3 @@ def test_curves_tell_median_worst_and_what_has_no_answer():
     assert (curve["count"], curve["failed"]) == (4, 1)
     assert (curve["force_error_relative"], curve["worst"]) == (0.02, 0.09)
     assert "rubber by object" in report_of(replace(GRID, setups=(RUBBER,)), rows).to_text()
-
-
-def test_products_are_the_whole_way_to_the_patch():
-    assert {"estimate", "patch", "pixel_mask"} == PRODUCTS

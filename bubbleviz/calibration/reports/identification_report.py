@@ -17,12 +17,10 @@ from bubbleviz.calibration.reports.verdict import (
     judge,
     rubber_advice,
     validation_advice,
-    wrench_advice,
 )
 from bubbleviz.calibration.rubber.press_fit import PressFit
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.calibration.sensor_writer import Origin
-from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.files.output_files import whole_file
 
@@ -30,7 +28,6 @@ from bubbleviz.files.output_files import whole_file
 def summary(
     found: Identification,
     origin: Origin,
-    by_wrench: WrenchTension | None = None,
     validation: Validation | None = None,
 ) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON.
@@ -39,20 +36,16 @@ def summary(
     ----------
     found : Identification
     origin : Origin
-    by_wrench : WrenchTension, optional
-        The second estimate of γ0, where there is one.
     validation : Validation, optional
         By a known object at a known pose, where there is one.
     """
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, fits = found.statistics, found.fits
-    chamber = found.chamber
     return {
         "verdict": asdict(verdict)
         | {
             "advice": [
                 *verdict.advice,
-                *wrench_advice(by_wrench, tension.tension.value),
                 *validation_advice(validation),
                 *rubber_advice(found.rubber),
             ]
@@ -66,11 +59,9 @@ def summary(
         "tension_by_surface_n_per_m": tension.by_surface,
         "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
         "tension_per_pascal_m": tension.per_pascal,
-        "tension_by_wrench": _wrench(by_wrench),
         "validation": _validation(validation),
         "rectification": _rectification(found),
         "rubber": _rubber(found.rubber),
-        "force_sensitivity": found.sensitivity and asdict(found.sensitivity),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
@@ -90,13 +81,6 @@ def summary(
         "pixels": {"used": int(found.pixels.mask.sum()), "removed": found.pixels.removed}
         | {"correlated": statistics.correlated_pixels, "quantum_m": statistics.quantum_m}
         | {"noise_median_m": float(np.median(found.pixels.noise_m[found.pixels.mask]))},
-        "chamber": None
-        if chamber is None
-        else {
-            "gas_volume_m3": chamber.gas_volume_m3,
-            "spread_m3": chamber.spread_m3,
-            "chamber_volume_m3": chamber.chamber_volume_m3(found.mesh.cap_volume()),
-        },
     }
 
 
@@ -203,19 +187,4 @@ def _validation(validation: Validation | None) -> dict[str, Any] | None:
         "patch_overlap": overlap if np.isfinite(overlap) else None,
         "predicted_force_n": validation.predicted_force_n.tolist(),
         "measured_force_n": validation.measured_force_n.tolist(),
-    }
-
-
-def _wrench(by_wrench: WrenchTension | None) -> dict[str, Any] | None:
-    """Numbers for JSON, SI units; None where there is no estimate."""
-    if by_wrench is None:
-        return None
-    return {
-        "tension_n_per_m": by_wrench.tension_n_per_m,
-        "at_limit": by_wrench.at_limit,
-        "fitted_rms_n": by_wrench.fitted_rms_n,
-        "tested_rms_n": by_wrench.tested_rms_n,
-        "given_rms_n": by_wrench.given_rms_n,
-        "measured_mean_n": float(by_wrench.measured_n.mean()),
-        "predicted_mean_n": float(by_wrench.predicted_n.mean()),
     }

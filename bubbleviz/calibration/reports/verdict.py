@@ -9,7 +9,6 @@ from typing import Literal
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
 from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.calibration.tension.wrench_tension import WrenchTension
 from bubbleviz.calibration.validation import Validation
 
 Grade = Literal["good", "usable", "doubtful"]
@@ -150,8 +149,6 @@ def _notes(found: Identification) -> list[str]:
             "The interval does not hold the zero of the pressure sensor: 1 % of the gauge pressure"
             f" is 1 % of γ0, {tension.per_pascal * tension.gauge_pressure_pa / 100:.2f} N/m."
         )
-    if found.chamber is None:
-        notes.append("The chamber's volume is as given: press the sensor in a later recording.")
     return notes
 
 
@@ -203,23 +200,3 @@ def validation_advice(validation: Validation | None) -> list[str]:
     if share > 0.5:
         return [f"{text}: check the pose, the object, the gauge pressure and γ0."]
     return [f"{text}."]
-
-
-def wrench_advice(by_wrench: WrenchTension | None, tension_n_per_m: float) -> list[str]:
-    """One sentence, or none."""
-    if by_wrench is None:
-        return []
-    error, size = by_wrench.given_rms_n, float(by_wrench.measured_n.mean())
-    text = (
-        f"On the half of the press not used for it, γ0 = {tension_n_per_m:.1f} N/m predicts the"
-        f" measured force of {size:.2f} N with an error of {error:.2f} N rms"
-    )
-    if by_wrench.at_limit:
-        return [
-            f"{text}; no γ0 explains that force ({by_wrench.tested_rms_n:.2f} N at best): check"
-            " the scale and bias of the force sensor, and the gauge pressure."
-        ]
-    return [
-        f"{text}; γ0 by force is {by_wrench.tension_n_per_m:.1f} N/m, with"
-        f" {by_wrench.tested_rms_n:.2f} N rms."
-    ]

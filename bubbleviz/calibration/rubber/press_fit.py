@@ -17,11 +17,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtri, stdtrit
 
 from bubbleviz.calibration.rest.contact_free import SIGNIFICANT
-from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_weights
 from bubbleviz.calibration.rubber.rubber_fit import (
-    BLOCK_INFLATIONS,
     LARGEST_Q,
     LEAST_RISE,
     SMALLEST_Q,
@@ -31,6 +30,7 @@ from bubbleviz.calibration.rubber.rubber_fit import (
 from bubbleviz.calibration.tension.bootstrap import (
     DRAWS,
     draw_errors,
+    frames_block,
     score_table,
     tile_numbers,
     tile_side,
@@ -165,7 +165,6 @@ class HeldPress:
         gauge_pressure_pa: float,
         gauge_sigma_pa: float | None = None,
         stress_sigma: float = 0.0,
-        seed: int = 0,
     ) -> PressFit:
         """Fit λ⁻⁶ and, where it is not known, the gauge pressure.
 
@@ -177,7 +176,6 @@ class HeldPress:
             Its standard deviation where it is known.
         stress_sigma : float
             Relative standard deviation of the stress that shape and gauge pressure give.
-        seed : int
 
         Raises
         ------
@@ -203,8 +201,8 @@ class HeldPress:
         thirds = self._by_third(linear, influence)
         ways = self._systematic(linear, influence, state.q, stress_sigma)
         ways = np.concatenate([ways, self._by_sector(linear, state, free)])
-        rng = np.random.default_rng([seed, 2])
-        errors = self._noise(linear, influence, seed)
+        rng = np.random.default_rng([0, 2])
+        errors = self._noise(linear, influence)
         errors += rng.standard_normal((DRAWS, len(ways))) @ ways
         if gauge_sigma_pa is not None:
             errors[:, 1] = gauge_sigma_pa / state.gauge_pa * rng.standard_normal(DRAWS)
@@ -348,11 +346,11 @@ class HeldPress:
         influence[free] = np.linalg.solve(self._normal(linear, linear.weight, free), weighted)
         return influence[-2:].T
 
-    def _noise(self, linear: _Linear, influence: np.ndarray, seed: int) -> np.ndarray:
+    def _noise(self, linear: _Linear, influence: np.ndarray) -> np.ndarray:
         """Errors (R, 2) by noise of all frames and by what the model leaves, by tiles."""
         none = np.zeros(len(linear.seen))
-        held = self._drawn(self._held, self._held_m, linear.seen, influence, linear.missed_m, seed)
-        return held + self._drawn(self._rest, self._rest_m, linear.seen, -influence, none, seed + 1)
+        held = self._drawn(self._held, self._held_m, linear.seen, influence, linear.missed_m, 0)
+        return held + self._drawn(self._rest, self._rest_m, linear.seen, -influence, none, 1)
 
     def _drawn(
         self,
@@ -368,9 +366,7 @@ class HeldPress:
         tile = tile_numbers(self._observer.block_number[seen], self._observer.columns, side)
         mean, limit = np.nanmean(frames_m, axis=0), np.full(len(seen), np.inf)
         table = score_table(frames_m, mean, limit, influence, missed_m, tile, parameters=2)
-        inflation = mean_inflation(samples.statistics.temporal_correlation)
-        block = max(1, round(BLOCK_INFLATIONS * inflation))
-        return draw_errors(table, block, seed).total
+        return draw_errors(table, frames_block(samples.statistics), seed).total
 
     def _systematic(
         self, linear: _Linear, influence: np.ndarray, q: float, stress_sigma: float

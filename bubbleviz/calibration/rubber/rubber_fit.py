@@ -16,15 +16,14 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.calibration.tension.bootstrap import (
     DRAWS,
     draw_errors,
-    score_table,
-    tile_numbers,
-    tile_side,
+    frames_block,
+    samples_scores,
 )
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.raycast import RayCaster
@@ -48,8 +47,6 @@ STEP_OF_Q = 1e-3
 """Relative step of q for the derivative of the forces."""
 _LOOK_M = 1e-5
 """Largest motion of a node for the derivative of ranges, m."""
-BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
-_CLIP = 3.0  # as the mean of a pixel is clipped
 _RINGS = 4
 """Of equal numbers of pixels between rim and top: each large against what errors of the model are
 alike over, and the others still tell q from G."""
@@ -176,11 +173,11 @@ class RubberFit:
     change_rms_m: float
     rises_pa: tuple[float, ...]
 
-    def under(self, gauge_pa: float, sigma_pa: float, seed: int = 0) -> Self:
+    def under(self, gauge_pa: float, sigma_pa: float) -> Self:
         """The same where the gauge pressure is known otherwise; q follows as their errors do."""
         relative = self.gauge_errors_pa / self.gauge_pressure_pa
         slope = float(np.cov(self.q_errors, relative)[0, 1] / np.var(relative))  # dq/d(ln G)
-        drawn = sigma_pa / gauge_pa * np.random.default_rng([seed, 3]).standard_normal(DRAWS)
+        drawn = sigma_pa / gauge_pa * np.random.default_rng([0, 3]).standard_normal(DRAWS)
         return replace(
             self,
             q=self.q + slope * float(np.log(gauge_pa / self.gauge_pressure_pa)),
@@ -198,7 +195,6 @@ def fit_rubber(
     gauge_pressure_pa: float,
     gauge_sigma_pa: float | None = None,
     stress_sigma: float = 0.0,
-    seed: int = 0,
 ) -> RubberFit:
     """Fit λ⁻⁶ and, where it is not known, the gauge pressure to inflation levels.
 
@@ -222,7 +218,6 @@ def fit_rubber(
         Its standard deviation where it is known.
     stress_sigma : float
         Relative standard deviation of the stress that shape and gauge pressure give.
-    seed : int
 
     Raises
     ------
@@ -243,8 +238,8 @@ def fit_rubber(
     free = (True, gauge_sigma_pa is None)
     state = fit.solve(gauge_pressure_pa, free)
     influence, to_rise = fit.influence(state, free)
-    errors = fit.bootstrap(state, influence, seed)
-    rng = np.random.default_rng([seed, 1])
+    errors = fit.bootstrap(state, influence)
+    rng = np.random.default_rng([0, 1])
     shaken = rng.standard_normal((DRAWS, len(pressures))) * [sigma for _, sigma in pressures]
     errors += (shaken[:, 1:] - shaken[:, :1]) @ to_rise
     facets = (mesh.edge_length * 0.5 * mean_curvature(mesh)) ** 2
@@ -438,33 +433,20 @@ class _Fit:
         modelled = np.nan_to_num(self.change_m - state.missed_m)
         return -np.einsum("lk,lkp->p", modelled, influence)
 
-    def bootstrap(self, state: _State, influence: np.ndarray, seed: int) -> np.ndarray:
+    def bootstrap(self, state: _State, influence: np.ndarray) -> np.ndarray:
         """Errors of (q, ln G), (R, 2), from noise and from what the model does not explain."""
         total = np.zeros((DRAWS, 2))
         for k, level in enumerate(self._levels):
-            total += self._drawn(level, influence[k], np.nan_to_num(state.missed_m[k]), [seed, k])
+            total += self._drawn(level, influence[k], np.nan_to_num(state.missed_m[k]), [0, k])
         none = np.zeros(len(self._pixels))
-        return total + self._drawn(self._base, -influence.sum(axis=0), none, [seed, -1 & 0xFFFF])
+        return total + self._drawn(self._base, -influence.sum(axis=0), none, [0, -1 & 0xFFFF])
 
     def _drawn(
         self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray, seed: list[int]
     ) -> np.ndarray:
-        statistics, pixels = samples.statistics, self._pixels
-        to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
-        mean = statistics.range_m.ravel()[pixels] / to_depth
-        noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m) / to_depth
-        side = tile_side(len(pixels), statistics.correlation_length_px)
-        table = score_table(
-            samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
-            np.nan_to_num(mean),
-            np.nan_to_num(_CLIP * noise),
-            influence * to_depth[:, None],
-            missed_m / to_depth,
-            tile_numbers(pixels, samples.camera.intrinsics.width, side),
-            parameters=2,
-        )
-        block = max(1, round(BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
-        return draw_errors(table, block, int(np.random.default_rng(seed).integers(2**31))).total
+        table = samples_scores(samples, self._pixels, influence, missed_m, parameters=2)
+        drawn = int(np.random.default_rng(seed).integers(2**31))
+        return draw_errors(table, frames_block(samples.statistics), drawn).total
 
 
 def _loss(missed_m: np.ndarray, sigma: float) -> float:

@@ -106,14 +106,11 @@ class SurfaceFit:
         Root mean square orthogonal distance of the points the fit kept, m.
     sigma_m : float
         The same from the median absolute distance of all points, m.
-    inliers : float
-        Share of the points the fit kept (weight above 0).
     """
 
     ellipsoid: Ellipsoid
     rms_m: float
     sigma_m: float
-    inliers: float
 
 
 def fit_sphere(points: np.ndarray) -> SurfaceFit:
@@ -166,7 +163,6 @@ def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
         ellipsoid=surface,
         rms_m=float(np.sqrt(np.mean(now[kept] ** 2))) if kept.any() else 0.0,
         sigma_m=sigma,
-        inliers=float(kept.mean()),
     )
 
 

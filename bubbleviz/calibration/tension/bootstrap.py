@@ -20,11 +20,16 @@ import numpy as np
 from scipy import sparse
 from scipy.special import ndtri, stdtrit
 
+from bubbleviz.calibration.rest.depth_statistics import DepthStatistics
+from bubbleviz.calibration.rest.noise_correlation import mean_inflation
+from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.progress import Progress, quiet
 
 DRAWS = 4_000  # the 2.5 % quantile then rests on 100 of them
 _MIN_TILES = 30  # of the image at least: fewer say little about their spread
 _LEAST_BLOCKS = 5  # of frames in the recording, however long the correlation
+_BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
+_CLIP = 3.0  # as the mean of a pixel is clipped
 
 
 @dataclass(frozen=True)
@@ -120,6 +125,49 @@ def score_table(
         moving[k] = (sums @ error).reshape(numbers, tiles).T
         progress("bootstrap", (k + 1) / len(depth_m))
     return ScoreTable(static, moving, parameters)
+
+
+def samples_scores(
+    samples: Samples,
+    pixels: np.ndarray,
+    influence: np.ndarray,
+    residual_m: np.ndarray,
+    parameters: int,
+    progress: Progress = quiet,
+) -> ScoreTable:
+    """Score table of samples.
+
+    Parameters
+    ----------
+    samples : Samples
+    pixels : (P,) int array
+        Flat indices of those that took part.
+    influence : (P, Q) array
+        Change of each number per change of each pixel's mean range, unit/m.
+    residual_m : (P,) array
+        Mean range minus that of the fitted surface, m.
+    parameters : int
+        Numbers fitted to the tiles.
+    """
+    statistics = samples.statistics
+    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
+    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
+    side = tile_side(len(pixels), statistics.correlation_length_px)
+    return score_table(
+        samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
+        np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth),
+        np.nan_to_num(_CLIP * noise / to_depth),
+        influence * to_depth[:, None],
+        residual_m / to_depth,
+        tile_numbers(pixels, samples.camera.intrinsics.width, side),
+        parameters,
+        progress,
+    )
+
+
+def frames_block(statistics: DepthStatistics) -> int:
+    """Frames to a block of `draw_errors`, by how long the noise of a pixel is correlated."""
+    return max(1, round(_BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
 
 
 def _tile_sums(influence: np.ndarray, tile: np.ndarray, tiles: int) -> sparse.csr_array:

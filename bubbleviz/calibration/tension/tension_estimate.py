@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from bubbleviz.calibration.rest.noise_correlation import error_of_mean, mean_inflation
+from bubbleviz.calibration.rest.noise_correlation import error_of_mean
 from bubbleviz.calibration.rest.rest_frames import Samples
 from bubbleviz.calibration.robust_statistics import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.calibration.surface.cap_fit import (
@@ -25,11 +25,9 @@ from bubbleviz.calibration.surface.reference_surface import (
 )
 from bubbleviz.calibration.tension.bootstrap import (
     DRAWS,
-    ScoreTable,
     draw_errors,
-    score_table,
-    tile_numbers,
-    tile_side,
+    frames_block,
+    samples_scores,
 )
 from bubbleviz.calibration.tension.oval_sheet import sheet_excess
 from bubbleviz.calibration.tension.young_laplace import (
@@ -43,8 +41,6 @@ from bubbleviz.membrane.symmetric_lu import symmetric_lu
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.wording import decimals_of, rounded
 
-_CLIP = 3.0  # as the mean of a pixel is clipped
-_BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
 _FINE_NODES = 2_000  # of a mesh to integrate an analytic surface on
 
 
@@ -151,7 +147,6 @@ def estimate_tension(
     samples: Samples,
     surfaces: Surfaces,
     gauge_pressure_pa: float,
-    seed: int = 0,
     progress: Progress = quiet,
 ) -> TensionEstimate:
     """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
@@ -165,11 +160,10 @@ def estimate_tension(
         samples, surfaces, gauge_pressure_pa
     )
     by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
-    table = _scores(samples, pixels, influence, residual, parameters, progress)
-    inflation = mean_inflation(samples.statistics.temporal_correlation)
-    block = max(1, round(_BLOCK_INFLATIONS * inflation))
-    draws = draw_errors(table, block, seed)
-    rng = np.random.default_rng([seed, 1])
+    table = samples_scores(samples, pixels, influence, residual, parameters, progress)
+    block = frames_block(samples.statistics)
+    draws = draw_errors(table, block)
+    rng = np.random.default_rng([0, 1])
     facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
     other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     moved = by_surface["free-form"] - by_surface[other]
@@ -201,31 +195,6 @@ def estimate_tension(
         gauge_pressure_pa=gauge_pressure_pa,
         tiles=table.static.shape[0],
         block=block,
-    )
-
-
-def _scores(
-    samples: Samples,
-    pixels: np.ndarray,
-    influence: np.ndarray,
-    residual: np.ndarray,
-    parameters: int,
-    progress: Progress,
-) -> ScoreTable:
-    """Score table of the z-depth that the frames hold."""
-    statistics, frames = samples.statistics, len(samples.depth_m)
-    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
-    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
-    side = tile_side(len(pixels), statistics.correlation_length_px)
-    return score_table(
-        samples.depth_m.reshape(frames, -1)[:, pixels],
-        statistics.range_m.ravel()[pixels] / to_depth,
-        _CLIP * noise / to_depth,
-        influence * to_depth[:, None],
-        residual / to_depth,
-        tile_numbers(pixels, samples.camera.intrinsics.width, side),
-        parameters,
-        progress,
     )
 
 

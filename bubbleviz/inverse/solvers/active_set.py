@@ -10,18 +10,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import (
-    DENSE_LIMIT,
-    Equilibrium,
-    FrameProblem,
-    Pressure,
-    natural_residual,
-)
-from bubbleviz.inverse.solvers.landmark_hessian import LandmarkHessian
-from bubbleviz.inverse.solvers.pivoting import Quadratic, nonnegative_qp
+from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, natural_residual
+from bubbleviz.inverse.solvers.pivoting import nonnegative_qp, times
 from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
 
-KKT_TOLERANCE = 1e-3  # of a problem whose numbers are of order one, see `Scales`
+_KKT_TOLERANCE = 1e-3  # of a problem whose numbers are of order one, see `Scales`
 
 _SUPPORT_CHANGE = 0.05
 """Relative change of p_c that no longer moves the support by more than its edge nodes."""
@@ -35,6 +28,9 @@ _BETTER_SEEN = 0.95
 _SELECTIONS = 8
 """Corrections that selecting a support is worth; the next frame goes on from there."""
 
+_CORRECTIONS = 30
+"""Most of the debiased solution; chosen."""
+
 
 class ActiveSetSolver:
     """Warm-started active set with a model Hessian.
@@ -46,10 +42,6 @@ class ActiveSetSolver:
         Q of a frame with every pixel valid in the reference configuration.
     lambda_ : float
         Weight of the H1 term.
-    tolerance : float
-        Relative KKT residual of the debiased problem.
-    corrections : int
-        Most corrections of the debiased solution.
     """
 
     def __init__(
@@ -57,14 +49,10 @@ class ActiveSetSolver:
         equilibrium: Equilibrium,
         reference_Q: sparse.csr_array,
         lambda_: float,
-        tolerance: float = KKT_TOLERANCE,
-        corrections: int = 30,
     ) -> None:
         self._equilibrium = equilibrium
         self._diagonal = reference_Q.diagonal()
-        self._tolerance, self._corrections = tolerance, corrections
-        kind = ReducedHessian if len(equilibrium.A) <= DENSE_LIMIT else LandmarkHessian
-        self._hessian = kind(equilibrium, reference_Q, lambda_)
+        self._hessian = ReducedHessian(equilibrium, reference_Q, lambda_)
         self._neighbours = abs(equilibrium.L).tocsr()
         self._scaled_for, self._scale = reference_Q, 1.0
 
@@ -88,7 +76,7 @@ class ActiveSetSolver:
             change = (pressure - before)[work]
             if np.max(np.abs(change), initial=0.0) <= _SUPPORT_CHANGE * np.max(pressure):
                 break
-        gradient[work] += H @ change
+        gradient[work] += times(H, change)
         return Pressure(pressure, pivots, True, gradient - problem.tau)
 
     def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
@@ -99,12 +87,12 @@ class ActiveSetSolver:
         if gradient is None:
             gradient = self._equilibrium.gradient(problem, pressure, work)
         pivots = 0
-        for _ in range(self._corrections):
+        for _ in range(_CORRECTIONS):
             pressure, count = _correct(H, pressure, gradient, work)
             pivots += count
             gradient = self._equilibrium.gradient(problem, pressure, work)
             residual = natural_residual(self._equilibrium.A, problem, pressure, gradient)
-            if residual <= self._tolerance:
+            if residual <= _KKT_TOLERANCE:
                 return Pressure(pressure, pivots, True, gradient)
         return Pressure(pressure, pivots, False, gradient)
 
@@ -116,7 +104,7 @@ class ActiveSetSolver:
         bound = min(0.0, np.partition(slope, most)[most]) if most < len(slope) else 0.0
         return slope < bound
 
-    def _model(self, problem: FrameProblem, work: np.ndarray) -> Quadratic:
+    def _model(self, problem: FrameProblem, work: np.ndarray) -> np.ndarray:
         """Model Hessian of the nodes `work`, scaled to the weight of this frame's pixels.
 
         To that of the better-seen nodes: a model too stiff is slow, one too soft overshoots.
@@ -135,13 +123,13 @@ class ActiveSetSolver:
 
 
 def _correct(
-    H: Quadratic, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
+    H: np.ndarray, pressure: np.ndarray, gradient: np.ndarray, work: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Minimise over the nodes `work` with the gradient at `pressure` and the model Hessian H."""
     here, slope = pressure[work], gradient[work]
     # From nothing, start where the pull is strongest: a guess of all it reaches is far too large.
     start = here > 0.0 if here.any() else slope < 0.5 * np.min(slope, initial=0.0)
-    x, pivots, _ = nonnegative_qp(H, slope - H @ here, start)
+    x, pivots, _ = nonnegative_qp(H, slope - times(H, here), start)
     corrected = np.zeros_like(pressure)
     corrected[work] = x
     return corrected, pivots

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -11,13 +10,15 @@ from scipy import sparse
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
-from bubbleviz.inverse.solvers.active_set import KKT_TOLERANCE, ActiveSetSolver
-from bubbleviz.inverse.solvers.clarabel_solver import ClarabelSolver
-from bubbleviz.inverse.solvers.osqp_solver import ColdOsqp, OsqpSolver
-from bubbleviz.inverse.solvers.two_stage import TwoStage
+from bubbleviz.inverse.solvers.active_set import ActiveSetSolver
+from bubbleviz.inverse.solvers.paper_solver import PaperSolver
 
+RUBBER = "rubber"
+"""The exact membrane, which `RubberEstimator` solves; the others are solvers of the linear one."""
 LINEAR = "linear"
 """Best point on the curve of error against run time at every size of mesh, see `study accuracy`."""
+PAPER = "paper"
+"""Eq. 23 by OSQP, as in the paper."""
 
 
 class InverseSolver(Protocol):
@@ -30,59 +31,29 @@ class InverseSolver(Protocol):
         """Solve on the problem's support without the L1 term, from a selection."""
 
 
-Make = Callable[[Equilibrium, sparse.csr_array, float, float | None], InverseSolver]
-"""Makes a solver: equilibrium, Q of every pixel valid, λ, tolerance (None: the solver's own)."""
-
-
-def _active_set(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
-) -> InverseSolver:
-    return ActiveSetSolver(equilibrium, reference_Q, lambda_, tolerance or KKT_TOLERANCE)
-
-
-def _osqp(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
-) -> InverseSolver:
-    return TwoStage(equilibrium, partial(OsqpSolver, tolerance=tolerance))
-
-
-def _osqp_cold(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
-) -> InverseSolver:
-    return TwoStage(equilibrium, partial(ColdOsqp, tolerance=tolerance))
-
-
-def _clarabel(
-    equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float, tolerance: float | None
-) -> InverseSolver:
-    return TwoStage(equilibrium, partial(ClarabelSolver, tolerance=tolerance))
-
+Make = Callable[[Equilibrium, sparse.csr_array, float], InverseSolver]
+"""Makes a solver: equilibrium, Q of every pixel valid, λ."""
 
 SOLVERS: dict[str, Make] = {
-    LINEAR: _active_set,
-    "osqp": _osqp,
-    "osqp-cold": _osqp_cold,
-    "clarabel": _clarabel,
+    LINEAR: ActiveSetSolver,
+    PAPER: lambda equilibrium, Q, lambda_: PaperSolver(equilibrium),
 }
-
-
-RUBBER = "rubber"
-"""The exact membrane, which `RubberEstimator` solves; the others are solvers of the linear one."""
 BASE_MESH = {f"{name}-base": name for name in (RUBBER, LINEAR)}
 """Names for the sensor's own mesh alone: no finer one at the contact."""
 ESTIMATORS = (RUBBER, *SOLVERS, *BASE_MESH)
 """Names for `EstimatorOptions.named` that take the sensor's mesh, or another size of it."""
-
 SOLVER_NAMES = (*ESTIMATORS, "fast")
 """Names for `EstimatorOptions.named`; `fast` is the linear model on a coarse mesh."""
+DROPPED = {
+    "osqp": "since 0.3 it is called paper, and starts every frame from nothing; use paper",
+    "osqp-cold": "since 0.3 it is called paper; use that",
+    "clarabel": "it is gone since 0.3; use linear, which solves the same problem",
+}
+"""What became of solvers of version 0.2."""
 
 
 def make_solver(
-    name: str,
-    equilibrium: Equilibrium,
-    reference_Q: sparse.csr_array,
-    lambda_: float,
-    tolerance: float | None = None,
+    name: str, equilibrium: Equilibrium, reference_Q: sparse.csr_array, lambda_: float
 ) -> InverseSolver:
     """Solver of the given name.
 
@@ -93,4 +64,4 @@ def make_solver(
     """
     if name not in SOLVERS:
         raise InputError(f"{name}: no such solver; choose one of {', '.join(SOLVER_NAMES)}")
-    return SOLVERS[name](equilibrium, reference_Q, lambda_, tolerance)
+    return SOLVERS[name](equilibrium, reference_Q, lambda_)

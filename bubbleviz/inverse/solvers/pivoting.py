@@ -2,46 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
-from numpy.linalg import LinAlgError
 from scipy.linalg.lapack import dposv
 
 _FULL_EXCHANGES = 3  # without progress before single ones; chosen
 
 
-class Quadratic(Protocol):
-    """A symmetric positive definite matrix (c, c)."""
-
-    def __matmul__(self, x: np.ndarray, /) -> np.ndarray:
-        """Product with a vector (c,)."""
-
-    def solve(self, inside: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the rows and columns `inside` (k,); LinAlgError where that cannot be done."""
-
-
-class DenseQuadratic:
-    """A symmetric matrix (c, c) that is all there.
-
-    Parameters
-    ----------
-    H : (c, c) array
-    """
-
-    def __init__(self, H: np.ndarray) -> None:
-        self._H = H
-
-    def __matmul__(self, x: np.ndarray) -> np.ndarray:
-        used = np.flatnonzero(x)
-        return x[used] @ self._H[used]  # rows of a symmetric matrix lie together in memory
-
-    def solve(self, inside: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the rows and columns `inside` by Cholesky: LAPACK itself, for small parts."""
-        _, x, failed = dposv(part(self._H, inside).T, rhs, overwrite_a=True)
-        if failed:
-            raise LinAlgError("not positive definite")
-        return np.asarray(x)
+def times(H: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """H x of a symmetric matrix (c, c) and a vector (c,) most of which is 0."""
+    used = np.flatnonzero(x)
+    return x[used] @ H[used]  # rows of a symmetric matrix lie together in memory
 
 
 def part(H: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -50,7 +20,7 @@ def part(H: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 
 
 def nonnegative_qp(
-    H: Quadratic, f: np.ndarray, start: np.ndarray, tolerance: float = 1e-9, limit: int = 100
+    H: np.ndarray, f: np.ndarray, start: np.ndarray, tolerance: float = 1e-9, limit: int = 100
 ) -> tuple[np.ndarray, int, bool]:
     """Minimise ½ xᵀHx + fᵀx over x ≥ 0 by exchanging all violated indices at a time.
 
@@ -60,7 +30,8 @@ def nonnegative_qp(
 
     Parameters
     ----------
-    H : Quadratic
+    H : (c, c) array
+        Symmetric and positive definite.
     f : (c,) array
     start : (c,) bool array
         Guess of the indices with x > 0; the solution of the last frame costs one or two pivots.
@@ -84,11 +55,12 @@ def nonnegative_qp(
         x = np.zeros_like(f)
         multiplier = f
         if inside.size:
-            try:
-                x[inside] = -H.solve(inside, f[inside])
-            except LinAlgError:  # not positive definite to working precision
+            # LAPACK itself: SciPy's checks take longer than a small part
+            _, solved, failed = dposv(part(H, inside).T, f[inside], overwrite_a=True)
+            if failed:  # not positive definite to working precision
                 return np.zeros_like(f), pivot, False
-            multiplier = H @ x + f
+            x[inside] = -np.asarray(solved)
+            multiplier = times(H, x) + f
         violated = np.where(positive, x < 0.0, multiplier < -slack)
         count = int(np.count_nonzero(violated))
         if count == 0:

@@ -9,64 +9,39 @@ import numpy as np
 from bubbleviz.membrane.rubber_model.object_surface import Planes
 from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser, Grip, NodeBlocks
 
-_ROUNDS = 12
-"""Changes of the active set in one step; the next step goes on from where it ended."""
+_ROUNDS = 12  # changes of the active set in one step; the next step goes on from where it ended
 _SHIFTS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 """Shares of the mean diagonal added to a tangent along which the energy would not fall."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of a quadratic programme.
+    """Solution of a quadratic programme."""
 
-    Attributes
-    ----------
-    motion : (f, 3) array
-        m.
-    load : (f,) array
-        Contact force along each plane's normal, N, not below 0.
-    held : (f,) bool array
-        Nodes on their planes.
-    pull : (f, 3) array
-        What must hold the nodes, N: 0 for those that are free.
-    """
-
-    motion: np.ndarray
-    load: np.ndarray
-    held: np.ndarray
-    pull: np.ndarray
+    motion: np.ndarray  # (f, 3), m
+    load: np.ndarray  # (f,), contact force along each plane's normal, N, not below 0
+    held: np.ndarray  # (f,) bool, nodes on their planes
+    pull: np.ndarray  # (f, 3), what must hold the nodes, N: 0 for those that are free
 
 
 class ContactStep:
-    """min ½ δᵀ (K + β g gᵀ) δ + rᵀ δ over the half-spaces n·δ ≥ −gap of the moving nodes.
-
-    Parameters
-    ----------
-    factoriser, blocks : Factoriser, NodeBlocks
-        Of K's pattern.
-    data : (nnz,) array
-        Of K, N/m: the tangent less the loads' turning with the object's surface, which lets
-        Newton's method converge quadratically on curved objects.
-    residual, gradient : (f, 3) array
-        r in N and g = ∂V/∂x in m².
-    beta : float
-        Stiffness of the gas −dp/dV, Pa/m³.
-    planes : Planes
-        Of the moving nodes.
-    grip : Grip, optional
-        Friction, none by default. The forces have no energy then, and the step goes to where they
-        are in balance.
-    """
+    """min ½ δᵀ (K + β g gᵀ) δ + rᵀ δ over the half-spaces n·δ ≥ −gap of the moving nodes."""
 
     def __init__(
         self,
+        # factoriser, blocks: of K's pattern
         factoriser: Factoriser,
         blocks: NodeBlocks,
+        # (nnz,), of K, N/m: the tangent less the loads' turning with the object's surface, which
+        # lets Newton's method converge quadratically on curved objects
         data: np.ndarray,
+        # residual, gradient: (f, 3), r in N and g = ∂V/∂x in m²
         residual: np.ndarray,
         gradient: np.ndarray,
-        beta: float,
-        planes: Planes,
+        beta: float,  # stiffness of the gas −dp/dV, Pa/m³
+        planes: Planes,  # of the moving nodes
+        # friction, none by default. The forces have no energy then, and the step goes to where they
+        # are in balance.
         grip: Grip | None = None,
     ) -> None:
         self._factoriser, self._blocks, self._data = factoriser, blocks, data
@@ -82,10 +57,8 @@ class ContactStep:
         stiffened until it does.
         """
         for shift in _SHIFTS:
-            data = self._data
-            if shift:
-                data = self._blocks.shifted(data, shift)
-            step = self.direct(data, held)
+            data = self._blocks.shifted(self._data, shift) if shift else self._data
+            step = self.direct(held, data)
             if self.slope(step) < 0.0 or not step.motion.any():
                 break
         return step
@@ -96,8 +69,9 @@ class ContactStep:
         energy = float(np.sum(self.residual * step.motion))
         return energy - 2.0 * float(step.load.max(initial=0.0)) * float(inside)
 
-    def direct(self, data: np.ndarray, held: np.ndarray) -> Step:
-        """Solve with a tangent of these data (nnz,) as it is, by a primal-dual active set."""
+    def direct(self, held: np.ndarray, data: np.ndarray | None = None) -> Step:
+        """Solve with the tangent, or that of other data (nnz,), by a primal-dual active set."""
+        data = self._data if data is None else data
         gap, normal = self._planes.gap, self._planes.normal
         near = np.isfinite(gap)
         held = held & near

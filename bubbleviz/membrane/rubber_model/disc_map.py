@@ -17,10 +17,7 @@ def disc_map(mesh: MembraneMesh) -> np.ndarray:
     The rim goes to the circle by its length, with azimuths kept in the mean, so that all meshes of
     a surface have nearly the same map.
 
-    Raises
-    ------
-    InputError
-        Triangles are turned over, which badly shaped ones cause.
+    Raises InputError: triangles are turned over, which badly shaped ones cause.
     """
     loop = _rim_loop(mesh)
     rim = mesh.nodes[loop]

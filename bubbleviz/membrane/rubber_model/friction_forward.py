@@ -11,72 +11,43 @@ from scipy.spatial.transform import Rotation, Slerp
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
+from bubbleviz.membrane.rubber_model.contact_step import Step
 from bubbleviz.membrane.rubber_model.friction_law import Friction
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas, RubberContact
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
 
-MOST_FRICTION = 5.0
-"""μ above which it is taken for a mistake: rubber on glass has 1 to 3."""
-_STEP = 0.25
-"""Motion of the object between two equilibria over the mesh's edges."""
-_SHORTEST = 1.0 / 64.0
-"""Share of that below which an equilibrium is given up."""
+MOST_FRICTION = 5.0  # μ above which it is taken for a mistake: rubber on glass has 1 to 3
+_STEP = 0.25  # motion of the object between two equilibria over the mesh's edges
+_SHORTEST = 1.0 / 64.0  # share of that below which an equilibrium is given up
 _STEPS, _PATIENCE = 40, 8
 """Steps of Newton's method, and how many may pass without halving what is missed."""
-_SHARES = (0.5, 0.25, 0.1)
-"""Of a step that are tried where whole ones do not come nearer."""
+_SHARES = (0.5, 0.25, 0.1)  # of a step that are tried where whole ones do not come nearer
 
 
 @dataclass(frozen=True)
 class FrictionContact(RubberContact):
-    """Equilibrium with friction; `stable` where no pivot of the tangent is negative.
+    """Equilibrium with friction; `stable` where no pivot of the tangent is negative."""
 
-    Attributes
-    ----------
-    slip_m : (n,) array
-        Way that each touching node slipped over the object since the contact before, m; 0 where
-        nothing touches.
-    stick_error_m : float
-        Largest distance of a sticking node from its anchor, m.
-    cone_violation : float
-        Largest |t| of a node over μ times its load, less 1; 0 where none is above.
-    dissipated_j : float
-        Work lost to slip since the contact before, J.
-    """
-
+    # (n,), way that each touching node slipped over the object since the contact before, m; 0 where
+    # nothing touches
     slip_m: np.ndarray
-    stick_error_m: float
+    stick_error_m: float  # largest distance of a sticking node from its anchor, m
+    # largest |t| of a node over μ times its load, less 1; 0 where none is above
     cone_violation: float
-    dissipated_j: float
+    dissipated_j: float  # work lost to slip since the contact before, J
 
 
 @dataclass(frozen=True)
 class _State:
-    """Where membrane and object are, and what is between them.
+    """Where membrane and object are, and what is between them."""
 
-    Attributes
-    ----------
-    x : (n, 3) array
-        Nodes, m.
-    load : (n,) array
-        Contact force along the object's normal, N.
-    pull : (n, 3) array
-        Of the nodes on the object across its normal, N.
-    anchors : (n, 3) array
-        Places on the object, in O, m; NaN for nodes that do not touch.
-    pose : (4, 4) array
-        T_B_O.
-    """
-
-    x: np.ndarray
-    load: np.ndarray
-    pull: np.ndarray
-    anchors: np.ndarray
-    pose: np.ndarray
+    x: np.ndarray  # (n, 3), nodes, m
+    load: np.ndarray  # (n,), contact force along the object's normal, N
+    pull: np.ndarray  # (n, 3), of the nodes on the object across its normal, N
+    anchors: np.ndarray  # (n, 3), places on the object, in O, m; NaN for nodes that do not touch
+    pose: np.ndarray  # (4, 4), T_B_O
 
     def away(self) -> np.ndarray:
         """From the anchors to the nodes, (n, 3), m."""
@@ -109,50 +80,32 @@ class FrictionForward:
     with its exact derivative, which is not symmetric where nodes slip, and an active set of the
     nodes that touch. A node sticks from the end of the step in which it was touched.
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-        P0 and V0 of the reference configuration.
-    friction : float
-        Coefficient μ, above 0.
-    rounding_m : float, optional
-        Radius that sharp edges of the objects are given, m.
-
-    Raises
-    ------
-    InputError
-        μ is out of range.
+    Raises InputError: μ is out of range.
     """
 
     def __init__(
-        self, membrane: RubberMembrane, gas: Gas, friction: float, rounding_m: float = 0.0
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,  # P0 and V0 of the reference configuration
+        friction: float,  # coefficient μ, above 0
+        rounding_m: float = 0.0,  # radius that sharp edges of the objects are given, m
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self.friction = checked_friction(friction)
         self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
-        rest = membrane.tangent(self.mesh.nodes, 0.0)
-        self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
-        self._weight = float(np.abs(rest.diagonal()).mean())
 
     def follow(
-        self, obj: RigidObject, poses: Iterable[np.ndarray], start: RubberContact | None = None
+        self,
+        obj: RigidObject,
+        # (4, 4), T_B_O. Where the first already touches, the object has come there along −z of B.
+        poses: Iterable[np.ndarray],
+        # a contact at the first pose, without friction so far, in which the nodes stick from then
+        # on
+        start: RubberContact | None = None,
     ) -> Iterator[FrictionContact]:
         """Equilibria with the object at poses, one after the other.
 
-        Parameters
-        ----------
-        obj : RigidObject
-        poses : (4, 4) arrays
-            T_B_O. Where the first already touches, the object has come there along −z of B.
-        start : RubberContact, optional
-            A contact at the first pose, without friction so far, in which the nodes stick from
-            then on.
-
-        Raises
-        ------
-        InputError
-            A pose is no rigid transform in metres.
+        Raises InputError: a pose is no rigid transform in metres.
         """
         surface, state = ObjectSurface(obj, self._rounding_m), None
         for each in poses:
@@ -172,9 +125,8 @@ class FrictionForward:
         nodes = self.mesh.nodes
         nowhere = np.full(nodes.shape, np.nan)
         if start is None:
-            lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
             lifted = pose.copy()
-            lifted[2, 3] += max(float(nodes[:, 2].max()) - lowest, 0.0)
+            lifted[2, 3] += self._pressed.clear_of(surface, pose)
             return _State(nodes, np.zeros(len(nodes)), np.zeros_like(nodes), nowhere, lifted)
         x = nodes + start.displacement_3d_m
         load = np.linalg.norm(start.nodal_force_n, axis=1)
@@ -216,9 +168,10 @@ class FrictionForward:
             missed = best.missed
             if missed.size < 1.0 or (missed.accepted and since > 1) or since > _PATIENCE:
                 break
-            newton, data = self._linearised(solved)
+            state = solved.state
+            newton = self._pressed.step(state.x, state.load, solved.planes, solved.law)
             try:
-                step = newton.direct(data, solved.state.load[self.membrane.moving] > 0.0)
+                step = newton.direct(state.load[self.membrane.moving] > 0.0)
             except RuntimeError:  # singular
                 break
             count += newton.factorisations
@@ -259,28 +212,14 @@ class FrictionForward:
 
     def _looked_at(self, surface: ObjectSurface, state: _State) -> _Solved:
         planes = self._pressed.planes(surface, state.pose, state.x)
-        law = Friction.at(state.away(), state.pull, state.load, planes, self.friction, self._weight)
+        law = Friction.at(
+            state.away(), state.pull, state.load, planes, self.friction, self._pressed.weight
+        )
         off = float(np.abs(law.pull - state.pull).max())
         missed = self._pressed.missed(state.x, state.load, planes, -law.pull, off)
         away = float(np.linalg.norm(law.grip.back, axis=1).max())
         missed = replace(missed, distance_m=max(missed.distance_m, away))
         return _Solved(state, planes, law, missed)
-
-    def _linearised(self, solved: _Solved) -> tuple[ContactStep, np.ndarray]:
-        state, law, membrane = solved.state, solved.law, self.membrane
-        moving, (pressure, stiffness) = membrane.moving, self._pressed.gas_at(state.x)
-        planes, load = solved.planes.of(moving), state.load[moving]
-        blocks = law.stiffness[moving] - load[:, None, None] * planes.turn
-        touching = np.flatnonzero(load > 0.0)
-        data = membrane.tangent(state.x, pressure).data
-        data = self._blocks.added(data, touching, blocks[touching])
-        residual = membrane.residual(state.x, pressure) + law.start
-        gradient = membrane.volume_gradient(state.x)[moving]
-        step = ContactStep(
-            self._factoriser, self._blocks, data, residual[moving], gradient, stiffness, planes,
-            law.grip.of(moving),
-        )  # fmt: skip
-        return step, data
 
     def _certified(self, solved: _Solved, slip: np.ndarray, dissipated_j: float) -> FrictionContact:
         state, law, planes = solved.state, solved.law, solved.planes

@@ -22,55 +22,27 @@ stiffer tangent is singular to rounding."""
 
 
 class Friction(NamedTuple):
-    """Nodes that stick and slip at some place, near an equilibrium or in it.
+    """Nodes that stick and slip at some place, near an equilibrium or in it."""
 
-    Attributes
-    ----------
-    pull : (k, 3) array
-        Of the nodes on the object across its normals by the law, N.
-    slip : (k, 3) array
-        s of nodes that slip, m.
-    grip : Grip
-        For a step from here.
-    stiffness : (k, 3, 3) array
-        Of the pull across the direction of slip, and as the normal turns, N/m.
-    start : (k, 3) array
-        The part of the pull that this stiffness has added so far, N.
-    """
-
-    pull: np.ndarray
-    slip: np.ndarray
-    grip: Grip
+    pull: np.ndarray  # (k, 3), of the nodes on the object across its normals by the law, N
+    slip: np.ndarray  # (k, 3), s of nodes that slip, m
+    grip: Grip  # for a step from here
+    # (k, 3, 3), of the pull across the direction of slip, and as the normal turns, N/m
     stiffness: np.ndarray
-    start: np.ndarray
+    start: np.ndarray  # (k, 3), the part of the pull that this stiffness has added so far, N
 
     @classmethod
     def at(
         cls,
+        # (k, 3), from the nodes' anchors to the nodes, m; NaN where they have none
         away: np.ndarray,
-        pull: np.ndarray,
-        load: np.ndarray,
-        planes: Planes,
-        coefficient: float,
-        weight: float,
+        pull: np.ndarray,  # (k, 3), q so far, N
+        load: np.ndarray,  # (k,), f_n, N
+        planes: Planes,  # the object's, at the nodes
+        coefficient: float,  # μ
+        weight: float,  # r, N/m
     ) -> Friction:
-        """The law.
-
-        Parameters
-        ----------
-        away : (k, 3) array
-            From the nodes' anchors to the nodes, m; NaN where they have none.
-        pull : (k, 3) array
-            q so far, N.
-        load : (k,) array
-            f_n, N.
-        planes : Planes
-            The object's, at the nodes.
-        coefficient : float
-            μ.
-        weight : float
-            r, N/m.
-        """
+        """The law."""
         anchored, normal = np.isfinite(away[:, 0]) & (load > 0.0), planes.normal
         plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
         s = np.einsum("kij,kj->ki", plane, np.where(anchored[:, None], away, 0.0))

@@ -8,27 +8,22 @@ from bubbleviz.errors import SolveError
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser
 
-_AIM = 1e-9
-"""Largest force left at a node over the largest load on one."""
+_AIM = 1e-9  # largest force left at a node over the largest load on one
 _STEPS = 40
-_FLATTEST = 1e-4
-"""Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
-_SMALLEST_STEP = 0.005
-"""Step over the pressure wanted below which an equilibrium is given up."""
+_FLATTEST = 1e-4  # share of the slope by which the energy must fall for a step to be taken (Armijo)
+_SMALLEST_STEP = 0.005  # step over the pressure wanted below which an equilibrium is given up
 
 
 class Inflation:
-    """Equilibria of a membrane that nothing touches.
+    """Equilibria of a membrane that nothing touches."""
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    rest_force_n : (n, 3) array, optional
-        Forces f on the nodes beside the gas's: those that hold the reference surface where not
-        given, 0 for a membrane whose mesh is not the equilibrium.
-    """
-
-    def __init__(self, membrane: RubberMembrane, rest_force_n: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        membrane: RubberMembrane,
+        # (n, 3), forces f on the nodes beside the gas's: those that hold the reference surface
+        # where not given, 0 for a membrane whose mesh is not the equilibrium
+        rest_force_n: np.ndarray | None = None,
+    ) -> None:
         self.membrane = membrane
         self._rest = membrane.rest_force if rest_force_n is None else rest_force_n
         self._factoriser = Factoriser(membrane.tangent(membrane.mesh.nodes, 0.0))
@@ -39,10 +34,7 @@ class Inflation:
         Newton's method down the energy from `near` or else from the reference surface, in steps of
         pressure that shrink where they fail.
 
-        Raises
-        ------
-        SolveError
-            No stable equilibrium: the pressure is beyond the membrane's limit.
+        Raises SolveError: no stable equilibrium: the pressure is beyond the membrane's limit.
         """
         found = None if near is None else self._solve(pressure_pa, near)
         if found is not None:

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.membrane.gap import is_watertight
-from bubbleviz.membrane.mesh import MembraneMesh, cross, triangles_across
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors, cross, triangles_across
 from bubbleviz.membrane.rubber_model.rounded_object import core_of
 from bubbleviz.rigid_object import RigidObject
 
@@ -22,27 +22,17 @@ MOST_TURN_RAD = 0.6
 """Turn of the object's normal along a triangle above which the triangle is too large to be taken as
 a chord of a smooth surface."""
 
-_ON_EDGE = 1e-5
-"""Barycentric coordinate below which the closest point is on the edge of a facet."""
-_LEAST_M = 1e-6
-"""Distance of a point from a sharp edge above which its direction is known, m."""
+_ON_EDGE = 1e-5  # barycentric coordinate below which the closest point is on the edge of a facet
+_LEAST_M = 1e-6  # distance of a point from a sharp edge above which its direction is known, m
 
 
 class Planes(NamedTuple):
-    """Half-spaces that points may not leave: n·(x + δ − x) ≥ −gap, one a point.
+    """Half-spaces that points may not leave: n·(x + δ − x) ≥ −gap, one a point."""
 
-    Attributes
-    ----------
-    gap : (k,) array
-        Signed distance, m, negative inside the object; inf where there is no condition.
-    normal : (k, 3) array
-        Unit, out of the object.
-    turn : (k, 3, 3) array
-        Its derivative by the point, symmetric, 1/m: the curvature of the surface.
-    """
-
+    # (k,), signed distance, m, negative inside the object; inf where there is no condition
     gap: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray  # (k, 3), unit, out of the object
+    # (k, 3, 3), its derivative by the point, symmetric, 1/m: the curvature of the surface
     turn: np.ndarray
 
     @classmethod
@@ -61,18 +51,16 @@ class ObjectSurface:
     Facets that meet at a blunt angle are parts of a smooth surface, whose normal is interpolated
     between their corners; others keep their edge, or are rounded. An object that is not watertight
     is a sheet, and presses from outside.
-
-    Parameters
-    ----------
-    obj : RigidObject
-    rounding_m : float, optional
-        Radius of sharp edges; see `rounded_object`.
     """
 
-    def __init__(self, obj: RigidObject, rounding_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        obj: RigidObject,
+        rounding_m: float = 0.0,  # radius of sharp edges; see `rounded_object`
+    ) -> None:
         self.object = obj
         triangles, corners = obj.triangles, obj.vertices[obj.triangles]
-        vectors = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        vectors = area_vectors(obj.vertices, triangles)
         self._solid = is_watertight(triangles)
         if self._solid and np.einsum("ij,ij->", vectors, corners[:, 0]) < 0.0:
             vectors = -vectors  # normals pointed inward: the signed volume was negative
@@ -90,18 +78,14 @@ class ObjectSurface:
         self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
 
     def planes(
-        self, points: np.ndarray, outward: np.ndarray, T_B_O: np.ndarray, reach_m: float
+        self,
+        # points, outward: (k, 3), in B: places on the membrane, m, and its unit normals there
+        points: np.ndarray,
+        outward: np.ndarray,
+        T_B_O: np.ndarray,  # (4, 4)
+        reach_m: float,  # points further from the object than this have no condition
     ) -> Planes:
-        """Conditions on points near the object.
-
-        Parameters
-        ----------
-        points, outward : (k, 3) array
-            In B: places on the membrane, m, and its unit normals there.
-        T_B_O : (4, 4) array
-        reach_m : float
-            Points further from the object than this have no condition.
-        """
+        """Conditions on points near the object."""
         R = T_B_O[:3, :3]
         x, out = (points - T_B_O[:3, 3]) @ R, outward @ R
         gap, normal, turn = Planes.nowhere(len(x))

@@ -37,38 +37,25 @@ _SYMMETRIC = np.array(
 
 @dataclass(frozen=True)
 class Prestress:
-    """Stress of a surface that holds a gauge pressure, a smooth field on its map to the disc.
+    """Stress of a surface that holds a gauge pressure, a smooth field on its map to the disc."""
 
-    Attributes
-    ----------
-    weights : (3, p) array
-        Of Zernike polynomials in S, N/m: half of its trace, of its difference, and its shear.
-    """
-
+    # (3, p), of Zernike polynomials in S, N/m: half of its trace, of its difference, and its shear
     weights: np.ndarray
 
     @classmethod
     def of(
-        cls, mesh: MembraneMesh, gauge_pressure_pa: float, degree: int = STRESS_DEGREE
+        cls,
+        mesh: MembraneMesh,  # the surface under the pressure
+        gauge_pressure_pa: float,
+        degree: int = STRESS_DEGREE,  # of the polynomials and of the virtual displacements
     ) -> Prestress:
         """Field that balances the pressure by least squares.
 
         Its virtual work with the load is none for all smooth displacements that spare the rim:
         facets pull at single nodes by some hundredths of the load, which cancels in those.
 
-        Parameters
-        ----------
-        mesh : MembraneMesh
-            The surface under the pressure.
-        gauge_pressure_pa : float
-        degree : int
-            Of the polynomials and of the virtual displacements.
-
-        Raises
-        ------
-        InputError
-            The surface is flat or hollow, so that no tension holds a pressure, or the mesh has
-            fewer nodes than the field has unknowns.
+        Raises InputError: the surface is flat or hollow, so that no tension holds a pressure, or
+        the mesh has fewer nodes than the field has unknowns.
         """
         curvature = mean_curvature(mesh)
         if not curvature > 0.0:
@@ -113,24 +100,17 @@ class Prestress:
 
 
 def prestressed(
+    # mesh, gauge_pressure_pa, rim_slack_m: as of `RubberMembrane`
     mesh: MembraneMesh,
     gauge_pressure_pa: float,
+    # μh. Where the stress is more than rubber of it can carry, as noise of a surface may ask of
+    # far-stretched rubber, it is larger.
     mu_h_n_per_m: float,
+    # found from the mesh where not given: one of a coarser mesh saves time
     field: Prestress | None = None,
     rim_slack_m: float | None = None,
 ) -> RubberMembrane:
-    """Rubber membrane whose stress at rest follows from its shape and pressure.
-
-    Parameters
-    ----------
-    mesh, gauge_pressure_pa, rim_slack_m
-        As of `RubberMembrane`.
-    mu_h_n_per_m : float
-        μh. Where the stress is more than rubber of it can carry, as noise of a surface may ask of
-        far-stretched rubber, it is larger.
-    field : Prestress, optional
-        Found from the mesh where not given: one of a coarser mesh saves time.
-    """
+    """Rubber membrane whose stress at rest follows from its shape and pressure."""
     field = field or Prestress.of(mesh, gauge_pressure_pa)
     tau = field.on(mesh)
     edges = _edges(mesh)
@@ -142,20 +122,15 @@ def prestressed(
     )
 
 
-def stress_free_metric(metric: np.ndarray, tau: np.ndarray, mu_h: np.ndarray) -> np.ndarray:
+def stress_free_metric(
+    metric: np.ndarray,  # (m, 2, 2), M of the stressed triangles, m²
+    tau: np.ndarray,  # (m, 2, 2), stress as of `Prestress.on`, N/m³
+    mu_h: np.ndarray,  # (m,), N/m
+) -> np.ndarray:
     """Inverse metric of the stress-free triangles, (m, 2, 2), 1/m²; see `RubberMembrane`.
 
     From τ = μh (M₀⁻¹/J − M⁻¹/J³) and det M₀ = det M / J²: (t₁/μh + s)(t₂/μh + s) = 1 for s = J⁻³
     and the principal tensions t₁, t₂.
-
-    Parameters
-    ----------
-    metric : (m, 2, 2) array
-        M of the stressed triangles, m².
-    tau : (m, 2, 2) array
-        Stress as of `Prestress.on`, N/m³.
-    mu_h : (m,) array
-        N/m.
     """
     share = metric @ tau / mu_h[:, None, None]
     trace, determinant = np.trace(share, axis1=1, axis2=2), np.linalg.det(share)

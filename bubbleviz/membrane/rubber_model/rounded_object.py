@@ -10,32 +10,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.membrane.mesh import cross
+from bubbleviz.membrane.mesh import area_vectors
 from bubbleviz.rigid_object import RigidObject
 
 _ALIKE = 0.01
 """Share of the largest eigenvalue below which normals at a vertex count as lying in a plane."""
-_TRIES = 4
-"""Times that a radius too large for an object's thinnest part or finest fillet is halved."""
+_TRIES = 4  # times that a radius too large for an object's thinnest part or finest fillet is halved
 
 
-def core_of(obj: RigidObject, radius_m: float) -> tuple[np.ndarray, float]:
+def core_of(
+    obj: RigidObject,  # watertight, counter-clockwise seen from outside
+    radius_m: float,
+) -> tuple[np.ndarray, float]:
     """Vertices (n, 3) of an object moved inward until its facets are a radius deeper, and that, m.
 
     Places at the radius from this core are on the object's faces, and on rounded edges between
     them. The radius is a fraction of the one given, or 0, where the core would turn inside out.
-
-    Parameters
-    ----------
-    obj : RigidObject
-        Watertight, counter-clockwise seen from outside.
-    radius_m : float
     """
     inward = _inward(obj)
-    vectors = _vectors(obj.vertices, obj.triangles)
+    vectors = area_vectors(obj.vertices, obj.triangles)
     for _ in range(_TRIES):
         core = obj.vertices + radius_m * inward
-        if (np.einsum("ij,ij->i", _vectors(core, obj.triangles), vectors) > 0.0).all():
+        if (np.einsum("ij,ij->i", area_vectors(core, obj.triangles), vectors) > 0.0).all():
             return core, radius_m
         radius_m *= 0.5
     return obj.vertices, 0.0
@@ -43,7 +39,7 @@ def core_of(obj: RigidObject, radius_m: float) -> tuple[np.ndarray, float]:
 
 def _inward(obj: RigidObject) -> np.ndarray:
     """Motion (n, 3) of the vertices, over the radius: all facets at a vertex go back by 1."""
-    vectors = _vectors(obj.vertices, obj.triangles)
+    vectors = area_vectors(obj.vertices, obj.triangles)
     normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     squares = np.zeros((len(obj.vertices), 3, 3))
     sums = np.zeros_like(obj.vertices)
@@ -53,8 +49,3 @@ def _inward(obj: RigidObject) -> np.ndarray:
     inverse = np.linalg.pinv(squares, rcond=_ALIKE, hermitian=True)
     moved: np.ndarray = -np.einsum("nij,nj->ni", inverse, sums)
     return moved
-
-
-def _vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return cross(b - a, c - a)

@@ -8,8 +8,11 @@ import numpy as np
 
 from bubbleviz.membrane.forward_model import Contact
 from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane.rubber_model.contact_step import ContactStep
+from bubbleviz.membrane.rubber_model.friction_law import Friction
 from bubbleviz.membrane.rubber_model.object_surface import MOST_TURN_RAD, ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 
 BALANCE_AIM, BALANCE_ACCEPTED = 1e-7, 1e-6
 """Largest force left at a node over the largest load on one: what is aimed at, and what will do
@@ -20,28 +23,18 @@ DISTANCE_AIM_M, DISTANCE_ACCEPTED_M = 1e-9, 1e-8
 
 @dataclass(frozen=True)
 class RubberContact(Contact):
-    """Equilibrium of the exact membrane with an object, and how well it holds.
+    """Equilibrium of the exact membrane with an object, and how well it holds."""
 
-    Attributes
-    ----------
-    energy_j : float
-        Stored in membrane and gas over the reference configuration: the work of the object, less
-        what friction has dissipated.
-    rim_force_n : (3,) array
-        Of the rim on the membrane, N.
-    gas_force_n : (3,) array
-        Of the gas on it: gauge pressure times the area vector of the rim's opening, N.
-    rest_force_n : (3,) array
-        Resultant of f_rest, which stands in for what the reference surface lacks of equilibrium, N.
-    stable : bool
-        The energy is at a minimum.
-    """
-
+    # stored in membrane and gas over the reference configuration: the work of the object, less what
+    # friction has dissipated
     energy_j: float
-    rim_force_n: np.ndarray
+    rim_force_n: np.ndarray  # (3,), of the rim on the membrane, N
+    # (3,), of the gas on it: gauge pressure times the area vector of the rim's opening, N
     gas_force_n: np.ndarray
+    # (3,), resultant of f_rest, which stands in for what the reference surface lacks of
+    # equilibrium, N
     rest_force_n: np.ndarray
-    stable: bool
+    stable: bool  # the energy is at a minimum
 
     @property
     def force_balance_n(self) -> float:
@@ -52,18 +45,10 @@ class RubberContact(Contact):
 
 @dataclass(frozen=True)
 class Missed:
-    """By how much a state misses equilibrium.
+    """By how much a state misses equilibrium."""
 
-    Attributes
-    ----------
-    balance : float
-        Largest force left at a node over the largest load on one.
-    distance_m : float
-        Largest distance of loaded nodes from the object, and of others inside it.
-    """
-
-    balance: float
-    distance_m: float
+    balance: float  # largest force left at a node over the largest load on one
+    distance_m: float  # largest distance of loaded nodes from the object, and of others inside it
 
     @property
     def size(self) -> float:
@@ -79,23 +64,54 @@ class Missed:
 class RubberAndGas:
     """A membrane and its gas.
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-        P0 and V0 of the reference configuration.
-
     Attributes
     ----------
     reach_m : float
         Nodes further from an object than this do not know of it.
     """
 
-    def __init__(self, membrane: RubberMembrane, gas: Gas) -> None:
+    def __init__(
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,  # P0 and V0 of the reference configuration
+    ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self.reach_m = 2.0 * self.mesh.edge_length
         self._rest_volume = membrane.volume(self.mesh.nodes)
         self._rest_energy = self.energy(self.mesh.nodes)
+        rest = membrane.tangent(self.mesh.nodes, 0.0)
+        self._factoriser, self._blocks = Factoriser(rest), NodeBlocks(rest)
+        self.weight = float(np.abs(rest.diagonal()).mean())  # stiffness of a node, N/m
+
+    def step(
+        self,
+        x: np.ndarray,  # (n, 3), nodes, m
+        load: np.ndarray,  # (n,), along the normals of the planes, N
+        planes: Planes,
+        law: Friction | None = None,  # there, at all nodes
+        *,
+        turning: bool = True,  # loads turn with the object's surface
+    ) -> ContactStep:
+        """Newton's step from a place."""
+        membrane, moving = self.membrane, self.membrane.moving
+        (pressure, beta), planes, load = self.gas_at(x), planes.of(moving), load[moving]
+        residual, grip = membrane.residual(x, pressure), None
+        data = membrane.tangent(x, pressure).data
+        touching = np.flatnonzero(load > 0.0)
+        if turning:
+            blocks = -load[touching, None, None] * planes.turn[touching]
+            if law is not None:
+                blocks += law.stiffness[moving[touching]]
+                residual, grip = residual + law.start, law.grip.of(moving)
+            data = self._blocks.added(data, touching, blocks)
+        gradient = membrane.volume_gradient(x)[moving]
+        own = self._factoriser, self._blocks, data
+        return ContactStep(*own, residual[moving], gradient, beta, planes, grip)
+
+    def clear_of(self, surface: ObjectSurface, pose: np.ndarray) -> float:
+        """Way along z by which an object is above the membrane at rest, at least 0, m."""
+        lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
+        return max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
 
     def planes(self, surface: ObjectSurface, pose: np.ndarray, x: np.ndarray) -> Planes:
         """Conditions that an object at a pose sets the nodes at x (n, 3)."""
@@ -125,25 +141,13 @@ class RubberAndGas:
 
     def missed(
         self,
-        x: np.ndarray,
-        load: np.ndarray,
+        x: np.ndarray,  # (n, 3)
+        load: np.ndarray,  # (n,), along the normals of the planes, N
         planes: Planes,
-        across: np.ndarray | None = None,
-        off_n: float = 0.0,
+        across: np.ndarray | None = None,  # (n, 3), the forces across the normals, N
+        off_n: float = 0.0,  # by how much their law is missed, N
     ) -> Missed:
-        """How far nodes at x (n, 3) are from equilibrium under contact forces.
-
-        Parameters
-        ----------
-        x : (n, 3) array
-        load : (n,) array
-            Along the normals of the planes, N.
-        planes : Planes
-        across : (n, 3) array, optional
-            The forces across the normals, N.
-        off_n : float
-            By how much their law is missed, N.
-        """
+        """How far nodes at x (n, 3) are from equilibrium under contact forces."""
         pressure, _ = self.gas_at(x)
         if not np.isfinite(pressure):
             return Missed(np.inf, np.inf)

@@ -10,11 +10,10 @@ import numpy as np
 from bubbleviz.membrane.forward_model import Contact, ForwardModel
 from bubbleviz.membrane.gap import checked_pose
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.contact_step import ContactStep, Step
+from bubbleviz.membrane.rubber_model.contact_step import Step
 from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface, Planes
 from bubbleviz.membrane.rubber_model.rubber_contact import Missed, RubberAndGas, RubberContact
 from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
 from bubbleviz.rigid_object import RigidObject
 
 _STEPS, _PATIENCE = 60, 10
@@ -24,29 +23,17 @@ _SHORTEST = 0.02
 _FINE_M = 1e-6
 """Motion below which steps are taken whole: facets of the object are rougher than that, and energy
 and penetration do not say how good so small a step is."""
-_SHORT = 0.05
-"""Motion over the reach of the object's surface that is short."""
-_FLATTEST = 1e-4
-"""Share of the slope by which the energy must fall for a step to be taken (Armijo)."""
+_SHORT = 0.05  # motion over the reach of the object's surface that is short
+_FLATTEST = 1e-4  # share of the slope by which the energy must fall for a step to be taken (Armijo)
 
 
 @dataclass(frozen=True)
 class _State:
-    """A place on the way to equilibrium.
+    """A place on the way to equilibrium."""
 
-    Attributes
-    ----------
-    x : (n, 3) array
-        Nodes, m.
-    load : (n,) array
-        Contact force along the object's normal, N.
-    planes : Planes
-        The object's, at x.
-    """
-
-    x: np.ndarray
-    load: np.ndarray
-    planes: Planes
+    x: np.ndarray  # (n, 3), nodes, m
+    load: np.ndarray  # (n,), contact force along the object's normal, N
+    planes: Planes  # the object's, at x
 
 
 @dataclass(frozen=True)
@@ -63,16 +50,10 @@ class _Solved:
 
 @dataclass(frozen=True)
 class PressStart:
-    """A place near an equilibrium.
+    """A place near an equilibrium."""
 
-    Attributes
-    ----------
-    displacement_3d_m : (n, 3) array
-    contact_pressure_pa : (n,) array
-    """
-
-    displacement_3d_m: np.ndarray
-    contact_pressure_pa: np.ndarray
+    displacement_3d_m: np.ndarray  # (n, 3)
+    contact_pressure_pa: np.ndarray  # (n,)
 
 
 class RubberForward:
@@ -84,49 +65,32 @@ class RubberForward:
     far away as flat triangles would cut into it. It starts from the linear model's
     equilibrium, and where that fails moves the object in from outside in steps. What it finds does
     not depend on the poses before.
-
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-        P0 and V0 of the reference configuration.
-    rounding_m : float, optional
-        Radius that sharp edges of the objects are given, m.
     """
 
-    def __init__(self, membrane: RubberMembrane, gas: Gas, rounding_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,  # P0 and V0 of the reference configuration
+        rounding_m: float = 0.0,  # radius that sharp edges of the objects are given, m
+    ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
-        self._pressed = RubberAndGas(membrane, gas)
-        self._rounding_m = rounding_m
-        pattern = membrane.tangent(self.mesh.nodes, 0.0)
-        self._factoriser, self._blocks = Factoriser(pattern), NodeBlocks(pattern)
+        self._pressed, self._rounding_m = RubberAndGas(membrane, gas), rounding_m
         self._linear = ForwardModel(self.mesh, membrane.mean_tension, gas)
         self._surface: ObjectSurface | None = None
 
     def press(
         self,
         obj: RigidObject,
-        T_B_O: np.ndarray,
-        near: PressStart | None = None,
+        T_B_O: np.ndarray,  # (4, 4)
+        near: PressStart | None = None,  # where to look first
         *,
+        # be content with what is found from there and from the linear model's equilibrium, even if
+        # it has not converged
         quick: bool = False,
     ) -> RubberContact:
         """Equilibrium with the object at the pose.
 
-        Parameters
-        ----------
-        obj : RigidObject
-        T_B_O : (4, 4) array
-        near : PressStart, optional
-            Where to look first.
-        quick : bool, optional
-            Be content with what is found from there and from the linear model's equilibrium, even
-            if it has not converged.
-
-        Raises
-        ------
-        InputError
-            The pose is no rigid transform in metres.
+        Raises InputError: the pose is no rigid transform in metres.
         """
         pose = checked_pose(T_B_O)
         surface = self._surface_of(obj)
@@ -153,8 +117,7 @@ class RubberForward:
 
     def _from_outside(self, surface: ObjectSurface, pose: np.ndarray) -> _Solved:
         """Equilibrium by moving the object in along −z, in steps that shrink where they fail."""
-        lowest = float((surface.object.vertices @ pose[2, :3]).min() + pose[2, 3])
-        way = max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
+        way = self._pressed.clear_of(surface, pose)
         x, load = self.mesh.nodes, np.zeros(len(self.mesh.nodes))
         step, count = self._pressed.reach_m, 0
         while True:
@@ -182,11 +145,11 @@ class RubberForward:
                 best, least = state, missed
             if least.size < 1.0 or (least.accepted and since > 1) or since > _PATIENCE:
                 break
-            newton = self._contact_step(state)
+            newton = self._pressed.step(state.x, state.load, state.planes)
             step = newton.solve(state.load[moving] > 0.0)
             count += newton.factorisations
             if np.abs(step.motion).max() > self._pressed.reach_m:  # far off, loads turn too far
-                newton = self._contact_step(state, turning=False)
+                newton = self._pressed.step(state.x, state.load, state.planes, turning=False)
                 step = newton.solve(state.load[moving] > 0.0)
                 count += newton.factorisations
             price = max(price, 2.0 * float(step.load.max(initial=0.0)))
@@ -195,30 +158,11 @@ class RubberForward:
             stable = newton.is_minimum()
         return _Solved(best, least, stable, count)
 
-    def _contact_step(self, state: _State, *, turning: bool = True) -> ContactStep:
-        membrane, moving = self.membrane, self.membrane.moving
-        pressure, stiffness = self._pressed.gas_at(state.x)
-        planes, load = state.planes.of(moving), state.load[moving]
-        touching = np.flatnonzero(load > 0.0)
-        data = membrane.tangent(state.x, pressure).data
-        if turning:
-            turn = -load[touching, None, None] * planes.turn[touching]
-            data = self._blocks.added(data, touching, turn)
-        return ContactStep(
-            self._factoriser,
-            self._blocks,
-            data,
-            membrane.residual(state.x, pressure)[moving],
-            membrane.volume_gradient(state.x)[moving],
-            stiffness,
-            planes,
-        )
-
     @cached_property
     def _rest_is_stable(self) -> bool:
         rest = self.mesh.nodes
-        nothing = _State(rest, np.zeros(len(rest)), Planes.nowhere(len(rest)))
-        return self._contact_step(nothing).is_minimum()
+        step = self._pressed.step(rest, np.zeros(len(rest)), Planes.nowhere(len(rest)))
+        return step.is_minimum()
 
     def _along(
         self,

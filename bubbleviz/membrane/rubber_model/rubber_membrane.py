@@ -32,21 +32,11 @@ _TURNS = ((1, 1.0), (2, -1.0), (4, 1.0))
 
 
 class _Facets(NamedTuple):
-    """Current triangles, components first, so that a whole mesh is one array operation.
+    """Current triangles, components first, so that a whole mesh is one array operation."""
 
-    Attributes
-    ----------
-    edges : (3, 3, m) array
-        Opposite each corner, by component and corner, m.
-    vector : (3, m) array
-        Unit normal times twice the area, m².
-    height : (m,) array
-        A sixth of the sum of the corners' z, m; V = Σ vector_z × height.
-    """
-
-    edges: np.ndarray
-    vector: np.ndarray
-    height: np.ndarray
+    edges: np.ndarray  # (3, 3, m), opposite each corner, by component and corner, m
+    vector: np.ndarray  # (3, m), unit normal times twice the area, m²
+    height: np.ndarray  # (m,), a sixth of the sum of the corners' z, m; V = Σ vector_z × height
 
     @classmethod
     def of(cls, corners: np.ndarray) -> _Facets:
@@ -70,22 +60,14 @@ class _Facets(NamedTuple):
 
 
 class _Pattern(NamedTuple):
-    """Where the entries of the triangles go in a symmetric sparse matrix; fixed by the mesh.
+    """Where the entries of the triangles go in a symmetric sparse matrix; fixed by the mesh."""
 
-    Attributes
-    ----------
-    indices, indptr : int arrays
-        Of the columns.
-    slots : (6 · 9 · m,) int array
-        Place in the data of every entry of the blocks (pair of corners, 3, 3, m).
-    mirror : int array
-        Place of the transposed entry.
-    """
-
+    # indices, indptr: int arrays, of the columns
     indices: np.ndarray
     indptr: np.ndarray
+    # (6 · 9 · m,) int, place in the data of every entry of the blocks (pair of corners, 3, 3, m)
     slots: np.ndarray
-    mirror: np.ndarray
+    mirror: np.ndarray  # int, place of the transposed entry
 
     @classmethod
     def of(cls, corners: np.ndarray, moving: np.ndarray, nodes: int) -> _Pattern:
@@ -119,33 +101,20 @@ class RubberMembrane:
     Positions x are (n, 3) arrays in m in the bubble frame. Vectors and matrices over the moving
     nodes have three rows a node, in the order of `moving`.
 
-    Parameters
-    ----------
-    mesh : MembraneMesh
-        Reference surface, under `gauge_pressure_pa`.
-    gauge_pressure_pa : float
-        Pressure G that the reference surface holds, Pa.
-    stress_free : (m, 2, 2) array
-        Inverse metric of the stress-free triangles, 1/m²: with the stress-free edges
-        D₀ = [X₁ − X₀, X₂ − X₀] (2×2) it is (D₀ᵀ D₀)⁻¹.
-    mu_h_n_per_m : float or (m,) array
-        Shear modulus times stress-free thickness, N/m.
-    rim_slack_m : float, optional
-        The rim is held by springs that give this much under the pull of the mean tension; clamped
-        where it is None.
-
-    Raises
-    ------
-    InputError
-        A stress-free triangle has no area, or a number is negative or not finite.
+    Raises InputError: a stress-free triangle has no area, or a number is negative or not finite.
     """
 
     def __init__(
         self,
-        mesh: MembraneMesh,
-        gauge_pressure_pa: float,
+        mesh: MembraneMesh,  # reference surface, under `gauge_pressure_pa`
+        gauge_pressure_pa: float,  # pressure G that the reference surface holds, Pa
+        # (m, 2, 2), inverse metric of the stress-free triangles, 1/m²: with the stress-free edges
+        # D₀ = [X₁ − X₀, X₂ − X₀] (2×2) it is (D₀ᵀ D₀)⁻¹
         stress_free: np.ndarray,
+        # float or (m,) array, shear modulus times stress-free thickness, N/m
         mu_h_n_per_m: float | np.ndarray,
+        # the rim is held by springs that give this much under the pull of the mean tension; clamped
+        # where it is None
         rim_slack_m: float | None = None,
     ) -> None:
         self.mesh, self.gauge_pressure_pa = mesh, gauge_pressure_pa
@@ -170,43 +139,30 @@ class RubberMembrane:
     @classmethod
     def uniform(
         cls,
+        # mesh, gauge_pressure_pa, rim_slack_m: as of the class
         mesh: MembraneMesh,
         gauge_pressure_pa: float,
-        tension_n_per_m: float,
+        tension_n_per_m: float,  # γ0 = μh (1 − λ⁻⁶), N/m
+        # λ: stress-free triangles are the reference ones shrunk by it. None: constant tension,
+        # which is far-stretched rubber.
         prestretch: float | None = None,
         rim_slack_m: float | None = None,
     ) -> RubberMembrane:
         """Membrane of the same tension γ0 everywhere.
 
-        Parameters
-        ----------
-        mesh, gauge_pressure_pa, rim_slack_m
-            As of the class.
-        tension_n_per_m : float
-            γ0 = μh (1 − λ⁻⁶), N/m.
-        prestretch : float, optional
-            λ: stress-free triangles are the reference ones shrunk by it. None: constant tension,
-            which is far-stretched rubber.
-
-        Raises
-        ------
-        InputError
-            λ is not above 1, or γ0 not above 0.
+        Raises InputError: λ is not above 1, or γ0 not above 0.
         """
         prestretch = FAR_STRETCHED if prestretch is None else prestretch
         mu_h = shear_stiffness(tension_n_per_m, prestretch)
         stress_free = prestretch**2 * inverse_metric(mesh)
         return cls(mesh, gauge_pressure_pa, stress_free, mu_h, rim_slack_m)
 
-    def on(self, mesh: MembraneMesh, parent: np.ndarray) -> RubberMembrane:
-        """The same rubber on triangles that are parts of its own, held where their mesh ends.
-
-        Parameters
-        ----------
-        mesh : MembraneMesh
-        parent : (k,) int array
-            Triangle that each of the mesh's lies in.
-        """
+    def on(
+        self,
+        mesh: MembraneMesh,
+        parent: np.ndarray,  # (k,) int, triangle that each of the mesh's lies in
+    ) -> RubberMembrane:
+        """The same rubber on triangles that are parts of its own, held where their mesh ends."""
         own, finer = _edges(self.mesh)[parent], _edges(mesh)
         metric = own @ own.swapaxes(1, 2)
         back = np.linalg.inv(np.linalg.solve(metric, own @ finer.swapaxes(1, 2)))
@@ -239,16 +195,14 @@ class RubberMembrane:
         x0 = self.mesh.nodes
         return self.force(x0) - self.gauge_pressure_pa * self.volume_gradient(x0)
 
-    def residual(self, x: np.ndarray, pressure_pa: float | np.ndarray) -> np.ndarray:
-        """∂W/∂x − p ∂V/∂x − f_rest, (n, 3), N: the force that something else must exert.
-
-        Parameters
-        ----------
-        x : (n, 3) array
-        pressure_pa : float or (n,) array
-            Pressure p from inside at the nodes over that outside, Pa; that of the gas less that
-            of a contact.
-        """
+    def residual(
+        self,
+        x: np.ndarray,  # (n, 3)
+        # float or (n,) array, pressure p from inside at the nodes over that outside, Pa; that of
+        # the gas less that of a contact
+        pressure_pa: float | np.ndarray,
+    ) -> np.ndarray:
+        """∂W/∂x − p ∂V/∂x − f_rest, (n, 3), N: the force that something else must exert."""
         facets = self._facets(x)
         parts = self._by_area(facets)
         parts -= np.broadcast_to(pressure_pa, len(x))[self._corners] * facets.volume_gradient()
@@ -280,21 +234,17 @@ class RubberMembrane:
     # -- tangent --------------------------------------------------------------------------------
 
     def tangent(
-        self, x: np.ndarray, pressure_pa: float | np.ndarray, added: np.ndarray | None = None
+        self,
+        x: np.ndarray,  # (n, 3)
+        pressure_pa: float | np.ndarray,  # float or (n,) array, as of `residual`
+        # (6, 3, 3, m), stiffness of something else between the corners (0, 0), (0, 1), (0, 2), (1,
+        # 1), (1, 2) and (2, 2) of the triangles, by components, N/m
+        added: np.ndarray | None = None,
     ) -> sparse.csc_array:
         """Exact derivative of `residual` over the moving nodes, (3f, 3f), N/m.
 
         Symmetric where the pressure is the same everywhere. The gas law is not in it: it adds
         β g gᵀ with g = ∂V/∂x and β = −dp/dV. The matrices of all calls share their indices.
-
-        Parameters
-        ----------
-        x : (n, 3) array
-        pressure_pa : float or (n,) array
-            As of `residual`.
-        added : (6, 3, 3, m) array, optional
-            Stiffness of something else between the corners (0, 0), (0, 1), (0, 2), (1, 1), (1, 2)
-            and (2, 2) of the triangles, by components, N/m.
         """
         pattern, blocks = self._pattern, self._area_blocks(x)
         if added is not None:
@@ -412,10 +362,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
     """μh = γ0 / (1 − λ⁻⁶) of rubber stretched by λ both ways under a tension γ0, N/m.
 
-    Raises
-    ------
-    InputError
-        λ is not above 1, or γ0 not above 0.
+    Raises InputError: λ is not above 1, or γ0 not above 0.
     """
     if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
         raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")

@@ -40,10 +40,7 @@ class Factoriser:
     def factor(self, data: np.ndarray) -> Factor:
         """Factorise the matrix of the pattern with these data (nnz,).
 
-        Raises
-        ------
-        RuntimeError
-            The matrix is singular.
+        Raises RuntimeError: the matrix is singular.
         """
         shape = (len(self._order), len(self._order))
         matrix = sparse.csc_array((data[self._places], self._indices, self._indptr), shape=shape)
@@ -65,11 +62,7 @@ class Factor:
         return out
 
     def solve_with(
-        self,
-        right: np.ndarray,
-        vector: np.ndarray,
-        weight: float,
-        across: np.ndarray | None = None,
+        self, right: np.ndarray, vector: np.ndarray, weight: float, across: np.ndarray | None = None
     ) -> np.ndarray:
         """(K + w v aᵀ)⁻¹ b by Sherman and Morrison.
 
@@ -87,20 +80,12 @@ class Factor:
 
 
 class Grip(NamedTuple):
-    """What friction does to nodes on their planes.
+    """What friction does to nodes on their planes."""
 
-    Attributes
-    ----------
-    stuck : (k,) bool array
-        Nodes that do not move across their normals but for `back`.
-    back : (k, 3) array
-        Motion of the stuck ones to where they stick, m.
-    drag : (k, 3) array
-        Of nodes that slip: μ times the direction. Their force across the normal is −drag × load.
-    """
-
-    stuck: np.ndarray
-    back: np.ndarray
+    stuck: np.ndarray  # (k,) bool, nodes that do not move across their normals but for `back`
+    back: np.ndarray  # (k, 3), motion of the stuck ones to where they stick, m
+    # (k, 3), of nodes that slip: μ times the direction. Their force across the normal is −drag ×
+    # load.
     drag: np.ndarray
 
     def of(self, nodes: np.ndarray) -> Grip:
@@ -149,25 +134,15 @@ class NodeBlocks:
 
     def held(
         self,
-        data: np.ndarray,
-        nodes: np.ndarray,
-        normals: np.ndarray,
-        grip: Grip | None = None,
+        data: np.ndarray,  # (nnz,), of K
+        nodes: np.ndarray,  # (k,) int
+        normals: np.ndarray,  # (k, 3), unit; s is of the size of K's diagonal
+        grip: Grip | None = None,  # of these nodes, without drag where they are stuck
     ) -> np.ndarray:
         """Data of Q K P + s (I − P): K where some nodes only move across their normals.
 
         P takes from a node's motion the part along its normal, or all of it where it is stuck, and
         Q the same from its force, to which it adds as much of the drag.
-
-        Parameters
-        ----------
-        data : (nnz,) array
-            Of K.
-        nodes : (k,) int array
-        normals : (k, 3) array
-            Unit; s is of the size of K's diagonal.
-        grip : Grip, optional
-            Of these nodes, without drag where they are stuck.
         """
         planes = np.broadcast_to(np.eye(3), (len(self._diagonal), 3, 3)).copy()
         lines = normals[:, :, None] * normals[:, None, :]

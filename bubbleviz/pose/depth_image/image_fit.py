@@ -10,68 +10,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bubbleviz.camera.block_squares import MAD
 from bubbleviz.camera.observer import RangeObserver
 from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.membrane.mesh import cross
+from bubbleviz.membrane.mesh import area_vectors
 from bubbleviz.pose.contact_points import ContactPoints
 from bubbleviz.pose.depth_image.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.observability import Directions
 from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.rigid_motion import about, motion_between, way_at
 
-_MAD = 0.6745
-"""Median of |z| of a standard normal z."""
-
 
 @dataclass(frozen=True)
 class ImageStep:
-    """A step of the pose.
+    """A step of the pose."""
 
-    Attributes
-    ----------
-    motion : (6,) array
-        In B about the patch's centre.
-    information : (6, 6) array
-        Of the image about it.
-    way_m : float
-        Of the patch's edge.
-    """
-
-    motion: np.ndarray
-    information: np.ndarray
-    way_m: float
+    motion: np.ndarray  # (6,), in B about the patch's centre
+    information: np.ndarray  # (6, 6), of the image about it
+    way_m: float  # of the patch's edge
 
 
 @dataclass(frozen=True)
 class PredictedImage:
-    """The depth image that the object would make, linear around a pose.
+    """The depth image that the object would make, linear around a pose."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    center : (3,) array
-    pixel : (b,) int array
-        Which of the observer's pixels are looked at.
-    every : int
-        How many of those that could be each stands for.
-    expected_m : (b,) array
-        Residuals of these pixels, as the observer has them, at the pose.
-    jacobian : (b, 6) array
-        Their derivatives by small motions in B about the centre.
-    held : (b,) bool array
-        Pixels that see membrane lying on a face.
-    rounding : (b,) array
-        Derivatives of their residuals by the radius of the object's edges.
-    """
-
-    T_B_O: np.ndarray
-    center: np.ndarray
-    pixel: np.ndarray
-    every: int
-    expected_m: np.ndarray
-    jacobian: np.ndarray
-    held: np.ndarray
-    rounding: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    center: np.ndarray  # (3,)
+    pixel: np.ndarray  # (b,) int, which of the observer's pixels are looked at
+    every: int  # how many of those that could be each stands for
+    expected_m: np.ndarray  # (b,), residuals of these pixels, as the observer has them, at the pose
+    jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
+    held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
+    rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
 
     def residual_m(self, change_m: np.ndarray, T_B_O: np.ndarray) -> np.ndarray:
         """Measured minus modelled (b,) at a pose close by; NaN where there is no return."""
@@ -81,18 +51,13 @@ class PredictedImage:
 
 
 class ImageFit:
-    """Fits the pose of one object to depth images.
-
-    Parameters
-    ----------
-    observer : RangeObserver
-    pressed : PressedMembrane
-        Of that object, on the observer's mesh.
-    options : ImageOptions
-    """
+    """Fits the pose of one object to depth images."""
 
     def __init__(
-        self, observer: RangeObserver, pressed: PressedMembrane, options: ImageOptions
+        self,
+        observer: RangeObserver,
+        pressed: PressedMembrane,  # of that object, on the observer's mesh
+        options: ImageOptions,
     ) -> None:
         self._observer, self._pressed, self._options = observer, pressed, options
         camera = observer.camera
@@ -112,15 +77,16 @@ class ImageFit:
 
     def step(
         self,
-        change_m: np.ndarray,
+        change_m: np.ndarray,  # (k,), `RangeObserver.pixel_residuals` of the depth image
         contact: ContactPoints,
-        T_B_O: np.ndarray,
-        directions: Directions,
-        known: np.ndarray,
-        pull: np.ndarray,
+        T_B_O: np.ndarray,  # (4, 4)
+        directions: Directions,  # which of them the contact determines
+        known: np.ndarray,  # (6, 6), information there is already
+        pull: np.ndarray,  # (6,), gradient of what is known at `T_B_O`
         *,
+        # way of the patch's edge over which the last linear model may be used again
         valid_m: float,
-        gas_pressure_pa: float | None = None,
+        gas_pressure_pa: float | None = None,  # measured, absolute
     ) -> ImageStep | None:
         """One Gauss–Newton step; None where the model finds no equilibrium.
 
@@ -128,23 +94,6 @@ class ImageFit:
         gas as well: it may be off as a motion in the directions that the contact determines would
         move it, so that these are known from the faces, and the other directions from what is
         around.
-
-        Parameters
-        ----------
-        change_m : (k,) array
-            `RangeObserver.pixel_residuals` of the depth image.
-        contact : ContactPoints
-        T_B_O : (4, 4) array
-        directions : Directions
-            Which of them the contact determines.
-        known : (6, 6) array
-            Information there is already.
-        pull : (6,) array
-            Gradient of what is known at `T_B_O`.
-        valid_m : float
-            Way of the patch's edge over which the last linear model may be used again.
-        gas_pressure_pa : float, optional
-            Measured, absolute.
         """
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
@@ -174,7 +123,7 @@ class ImageFit:
         """1/σ² of pixels by their residuals (b,), less where they are outliers."""
         if not len(residual_m):
             return residual_m
-        spread = float(np.median(np.abs(residual_m))) / _MAD
+        spread = float(np.median(np.abs(residual_m))) / MAD
         sigma = max(spread, self._options.least_sigma_m)
         outlying = (residual_m / (self._options.outlying * sigma)) ** 2
         weights: np.ndarray = 1.0 / (sigma * (1.0 + outlying)) ** 2
@@ -210,8 +159,7 @@ class ImageFit:
         hits = caster.cast(press.nodes, mesh.normals)
         pixel, rays = pixel[hits.ray], rays[hits.ray]
         corners = mesh.triangles[hits.triangle]
-        a, b, c = (press.nodes[mesh.triangles[:, k]] for k in range(3))
-        facet = cross(b - a, c - a)[hits.triangle]
+        facet = area_vectors(press.nodes, mesh.triangles)[hits.triangle]
         facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]])
         moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])

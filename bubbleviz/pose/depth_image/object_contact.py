@@ -16,8 +16,7 @@ from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.pose_options import PressOptions
 
 _TRIES = 30
-_MOST = 200_000
-"""Random points for each one that is kept, and in all."""
+_MOST = 200_000  # random points for each one that is kept, and in all
 _KEENEST = 0.1
 """1 + cosine between the normals of an edge of 26°. Keener ones are rounded as if they were that:
 the tip of a rounded blade would be far back."""
@@ -56,42 +55,20 @@ def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Touching:
-    """Points of the object that are inside the membrane.
+    """Points of the object that are inside the membrane."""
 
-    Attributes
-    ----------
-    points : (c, 3) array
-        In B.
-    triangle : (c,) int array
-        Of the membrane, the one below each.
-    corners : (c, 3) int array
-        Its nodes.
-    weights : (c, 3) array
-        Barycentric coordinates there.
-    gradients : (c, 3, 3) array
-        Of these in B, by corner, 1/m.
-    normals : (c, 3) array
-        Direction in which the object pushes the membrane, out of the object.
-    force_n : (c,) array
-        With which it pushes.
-    stiffness_n_per_m : (c,) array
-        Of the point.
-    edge : (c,) bool array
-        On an edge of the object.
-    rounding : (c, 3) array
-        Motion of points on edges by the radius of these; 0 on faces. The middle of a rounding lies
-        inside both faces by its radius, and the point on it that pushes as far from there.
-    """
-
-    points: np.ndarray
-    triangle: np.ndarray
-    corners: np.ndarray
-    weights: np.ndarray
-    gradients: np.ndarray
+    points: np.ndarray  # (c, 3), in B
+    triangle: np.ndarray  # (c,) int, of the membrane, the one below each
+    corners: np.ndarray  # (c, 3) int, its nodes
+    weights: np.ndarray  # (c, 3), barycentric coordinates there
+    gradients: np.ndarray  # (c, 3, 3), of these in B, by corner, 1/m
+    # (c, 3), direction in which the object pushes the membrane, out of the object
     normals: np.ndarray
-    force_n: np.ndarray
-    stiffness_n_per_m: np.ndarray
-    edge: np.ndarray
+    force_n: np.ndarray  # (c,), with which it pushes
+    stiffness_n_per_m: np.ndarray  # (c,), of the point
+    edge: np.ndarray  # (c,) bool, on an edge of the object
+    # (c, 3), motion of points on edges by the radius of these; 0 on faces. The middle of a rounding
+    # lies inside both faces by its radius, and the point on it that pushes as far from there.
     rounding: np.ndarray
 
     def on_nodes(self, forces: np.ndarray, count: int) -> np.ndarray:
@@ -125,22 +102,13 @@ class Touching:
 
 
 class ObjectContact:
-    """Finds where one object touches a membrane whose nodes move.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    spacing_m : float
-        Distance of the points on the object.
-    pressure_pa, tension_n_per_m : float
-        Under which a face and an edge sink in by the softness.
-    options : PressOptions
-    """
+    """Finds where one object touches a membrane whose nodes move."""
 
     def __init__(
         self,
         model: ObjectModel,
-        spacing_m: float,
+        spacing_m: float,  # distance of the points on the object
+        # pressure_pa, tension_n_per_m: under which a face and an edge sink in by the softness
         pressure_pa: float,
         tension_n_per_m: float,
         options: PressOptions,

@@ -27,35 +27,17 @@ from bubbleviz.pose.rigid_motion import motion_between
 
 @dataclass(frozen=True)
 class Press:
-    """An object pressed into the membrane.
+    """An object pressed into the membrane."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    center : (3,) array
-        That motions are about.
-    window : Window
-        Part of the membrane that all else is about.
-    nodes : (k, 3) array
-        Of it.
-    slopes : (6, k, 3) array
-        Their derivatives by small motions of the object in B about the centre.
-    rounding : (k, 3) array
-        Their derivative by the radius of the object's edges.
-    push_n : (k, 3) array
-        Force of the object on each node.
-    held : (m,) bool array
-        Triangles that lie on a face of the object.
-    """
-
-    T_B_O: np.ndarray
-    center: np.ndarray
-    window: Window
-    nodes: np.ndarray
+    T_B_O: np.ndarray  # (4, 4)
+    center: np.ndarray  # (3,), that motions are about
+    window: Window  # part of the membrane that all else is about
+    nodes: np.ndarray  # (k, 3), of it
+    # (6, k, 3), their derivatives by small motions of the object in B about the centre
     slopes: np.ndarray
-    rounding: np.ndarray
-    push_n: np.ndarray
-    held: np.ndarray
+    rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
+    push_n: np.ndarray  # (k, 3), force of the object on each node
+    held: np.ndarray  # (m,) bool, triangles that lie on a face of the object
 
     @property
     def force_n(self) -> np.ndarray:
@@ -65,15 +47,7 @@ class Press:
 
 
 class PressedMembrane:
-    """Presses one object into a membrane, pose after pose.
-
-    Parameters
-    ----------
-    membrane : RubberMembrane
-    gas : Gas
-    model : ObjectModel
-    options : PressOptions
-    """
+    """Presses one object into a membrane, pose after pose."""
 
     def __init__(
         self, membrane: RubberMembrane, gas: Gas, model: ObjectModel, options: PressOptions
@@ -96,18 +70,12 @@ class PressedMembrane:
         self._object.forget()
 
     def press(
-        self, T_B_O: np.ndarray, contact: ContactPoints, gas_pressure_pa: float | None = None
+        self,
+        T_B_O: np.ndarray,  # (4, 4)
+        contact: ContactPoints,  # where to look for contact, and the membrane to begin with
+        gas_pressure_pa: float | None = None,  # absolute; by the gas law where it is not measured
     ) -> Press | None:
-        """Press the object at a pose (4, 4); None where no equilibrium is found.
-
-        Parameters
-        ----------
-        T_B_O : (4, 4) array
-        contact : ContactPoints
-            Where to look for contact, and the membrane to begin with.
-        gas_pressure_pa : float, optional
-            Absolute; by the gas law where it is not measured.
-        """
+        """Press the object at a pose (4, 4); None where no equilibrium is found."""
         window = self._around(contact)
         if self._last is not None:
             start = _followed(self._last, T_B_O, self._options.longest_step_m)

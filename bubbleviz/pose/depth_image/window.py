@@ -21,22 +21,12 @@ from bubbleviz.membrane.rubber_model.sparse_factor import Factor, Factoriser
 
 
 class Tangent(NamedTuple):
-    """The factorised tangent at some nodes.
-
-    Attributes
-    ----------
-    factor : Factor
-    gas : (3f,) array
-        Change of the volume by motions of the moving nodes, m².
-    stiffness : float
-        Fall of the gas pressure with it, Pa/m³; 0 where the pressure is measured.
-    moving : (f,) int array
-    """
+    """The factorised tangent at some nodes."""
 
     factor: Factor
-    gas: np.ndarray
-    stiffness: float
-    moving: np.ndarray
+    gas: np.ndarray  # (3f,), change of the volume by motions of the moving nodes, m²
+    stiffness: float  # fall of the gas pressure with it, Pa/m³; 0 where the pressure is measured
+    moving: np.ndarray  # (f,) int
 
     def moved(self, forces: np.ndarray) -> np.ndarray:
         """Motions (j, k, 3) of the nodes under forces (j, k, 3) on them."""
@@ -50,16 +40,6 @@ class Tangent(NamedTuple):
 class Window:
     """Equilibrium of a membrane around one place.
 
-    Parameters
-    ----------
-    membrane : RubberMembrane
-        The whole, its rim clamped.
-    gas : Gas
-    center : (3,) array
-        On the reference surface.
-    reach_m : float
-        Triangles with a node closer than this are inside.
-
     Attributes
     ----------
     center, reach_m
@@ -71,7 +51,11 @@ class Window:
     """
 
     def __init__(
-        self, membrane: RubberMembrane, gas: Gas, center: np.ndarray, reach_m: float
+        self,
+        membrane: RubberMembrane,  # the whole, its rim clamped
+        gas: Gas,
+        center: np.ndarray,  # (3,), on the reference surface
+        reach_m: float,  # triangles with a node closer than this are inside
     ) -> None:
         self.center, self.reach_m = center, reach_m
         whole = membrane.mesh
@@ -132,19 +116,15 @@ class Window:
         return float(np.linalg.norm(center - self.center)) + reach_m <= self.reach_m
 
     def linearised(
-        self, x: np.ndarray, forces: np.ndarray, added: np.ndarray, gas_pressure_pa: float | None
+        self,
+        # x, forces: (k, 3), nodes, m, and forces on them, N
+        x: np.ndarray,
+        forces: np.ndarray,
+        # (6, 3, 3, m), stiffness of what exerts them, as of `RubberMembrane.tangent`
+        added: np.ndarray,
+        gas_pressure_pa: float | None,  # absolute; by the gas law where it is not measured
     ) -> tuple[Tangent, np.ndarray]:
-        """Tangent at nodes x (k, 3), and the forces (k, 3) that are missing for equilibrium.
-
-        Parameters
-        ----------
-        x, forces : (k, 3) array
-            Nodes, m, and forces on them, N.
-        added : (6, 3, 3, m) array
-            Stiffness of what exerts them, as of `RubberMembrane.tangent`.
-        gas_pressure_pa : float or None
-            Absolute; by the gas law where it is not measured.
-        """
+        """Tangent at nodes x (k, 3), and the forces (k, 3) that are missing for equilibrium."""
         inner = self._inner
         border = (x - self.mesh.nodes)[self._moving].ravel()[self._border]
         change, weight = self._gas_at(x, border, gas_pressure_pa)

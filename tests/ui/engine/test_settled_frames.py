@@ -142,7 +142,7 @@ def test_what_is_asked_for_meanwhile_is_not_lost(qtbot: QtBot, sensor: Sensor) -
     client = SensorClient(SessionState(), solver)
     solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, plain))
     client.ask_settled()
-    client.ask_frame(3, Demand(plain.products, frozenset({"kappa_curve"})))
+    client.ask_frame(3, plain.looking(frozenset({"kappa_curve"})))
     settling, frame = solver.requests
     solver.answer(frame)
     solver.answer(settling)
@@ -160,9 +160,9 @@ def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(
 ) -> None:
     """Looks are left out of most frames while playing, but not because of one that never came."""
     solver, state = Waiting(), SessionState()
-    demand = Demand(frozenset({"estimate", "patch"}), frozenset({"kappa_curve"}))
+    demand = Demand(frozenset({"estimate", "patch", "kappa_curve"}))
     client = SensorClient(state, solver)
-    solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, Demand(demand.products)))
+    solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, demand.looking()))
     state.open(client.facts, 3, playing=True, history=client.history)
     client.ask_newest(demand)
     client.ask_frame(3, demand)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -13,9 +14,8 @@ from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider, QWidget
 from window_driver import Driver, idle
 
+from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -68,7 +68,7 @@ CHANGES = {
     "pose_stage": 1,
     "flow_preset": "fine",
     "friction": 0.8,
-    "compared": (Setting(nodes=300), Setting(solver="osqp")),
+    "compared": (Setting(nodes=300), Setting(solver="paper")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,
     "record_folder": "/somewhere",
@@ -270,7 +270,7 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.window.use_scene(load_scene("calibrate"))
     driver.settle()
     for name in ("cylinder", "frustum"):
-        (tmp_path / f"{name}.ply").write_bytes(ply_bytes(load_object(name)))
+        shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
         driver.window.open_file(tmp_path / f"{name}.ply")
         driver.wait(lambda name=name: driver.window.pose.session.obj is not None
                     and driver.window.pose.session.obj.name == name)  # fmt: skip

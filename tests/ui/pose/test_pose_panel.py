@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,11 @@ from PySide6.QtWidgets import QApplication, QWidget
 from scipy.spatial.transform import Rotation
 from window_driver import Driver, axes_corner, idle, in_view, texts
 
+from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.frames.frame import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import NOTHING
@@ -385,7 +386,7 @@ def test_a_fit_leaves_out_the_parts_that_are_too_small(bench: Bench) -> None:
 
 def test_a_dropped_file_is_the_object(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "mine.ply"
-    path.write_bytes(ply_bytes(load_object("cylinder")))
+    shutil.copy(presets_folder("objects") / "cylinder.ply", path)
     drop(bench.panel, path)
     bench.driver.wait(lambda: bench.panel.session.obj is not None)
     assert bench.panel.session.obj.name == "mine"

@@ -20,10 +20,9 @@ from window_driver import Driver
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
+from bubbleviz.files.preset_files import presets_folder
 from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
-from bubbleviz.simulation.object_shapes import ply_bytes
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (
@@ -49,7 +48,7 @@ def files(tmp_path: Path, sensor: Sensor) -> Path:
         for frame in map(source.__getitem__, range(len(source))):
             writer.write(frame)
     (folder / "dome.toml").write_text(sensor_to_toml(sensor))
-    (folder / "stamp.ply").write_bytes(ply_bytes(load_object("cylinder")))
+    shutil.copy(presets_folder("objects") / "cylinder.ply", folder / "stamp.ply")
     return folder
 
 

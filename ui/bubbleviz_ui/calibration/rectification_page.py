@@ -97,14 +97,6 @@ class RectificationPage(Page):
     def _show_rubber(self, answer: Answer) -> None:
         """λ and gauge pressure as levels, press and open chamber tell, or why they do not."""
         found, pressure = answer.draft.found, self.units.gas_pressure
-        force = found.sensitivity if found is not None else None
-        if force is not None:
-            newtons, per = self.units.force, self.units.pressure
-            per_gauge = newtons.of(force.per_gauge_n_per_pa / per.per_si)
-            per_stretch = newtons.of(0.1 * force.per_prestretch_n)
-            sensitivity = f"{per_gauge:+.3g} {newtons.symbol} per {per.symbol}"
-            self.numbers.set("force per gauge pressure", sensitivity)
-            self.numbers.set("force per λ", f"{per_stretch:+.3g} {newtons.symbol} per 0.1")
         rubber = found.rubber if found is not None else None
         if rubber is None:
             self.numbers.set("λ", "not determined: add levels, or press and hold")

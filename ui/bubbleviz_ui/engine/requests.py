@@ -11,7 +11,6 @@ import numpy as np
 
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.diagnostics.side_by_side import Measured
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.gaps import Gap
@@ -183,12 +182,11 @@ class Opened:
     frame: int
     result: Result
     numbers: Numbers
-    inspection: Inspection
 
 
 @dataclass(frozen=True)
 class Solved:
-    """A frame's products, its numbers, what was looked at closer, and when that was done.
+    """A frame's products, its numbers, and when that was done.
 
     `outages` are those of a live source so far; `remark` is what the user has to be told of how it
     was solved.
@@ -197,7 +195,6 @@ class Solved:
     request: FrameRequest | NewestRequest
     result: Result
     numbers: Numbers
-    inspection: Inspection
     done_s: float = float("nan")
     outages: tuple[Gap, ...] = ()
     remark: str = ""
@@ -241,7 +238,6 @@ class Thresholded:
     request: PatchRequest
     result: Result
     numbers: Numbers
-    inspection: Inspection
 
 
 @dataclass(frozen=True)

@@ -118,8 +118,9 @@ class SensorClient(QObject):
     def ask_settled(self) -> None:
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
-            products, options = self._shown_as.products - OF_OBJECT, self._options
-            demand = replace(self._due(self.demand), products=products, options=options)
+            due = self._due(self.demand)
+            products = self._shown_as.products - OF_OBJECT | due.looks
+            demand = replace(due, products=products, options=self._options)
             self.worker.ask(SettleRequest(self.session, demand, self.result.frame.index))
 
     def ask_frame(self, index: int, demand: Demand) -> None:
@@ -139,7 +140,8 @@ class SensorClient(QObject):
         if self._awaiting:
             return
         self._awaiting, self.demand = True, demand
-        wanted = replace(self._due(demand), products=demand.products | self.extra)
+        wanted = self._due(demand)
+        wanted = replace(wanted, products=wanted.products | self.extra)
         from_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
         self.worker.ask(NewestRequest(self.session, wanted, from_s, demand.of_colour))
 
@@ -148,7 +150,8 @@ class SensorClient(QObject):
         result, asked = self.result, self.demand
         if result is None or result.estimate is None or "patch" not in asked.products:
             return
-        demand = replace(asked, looks=asked.looks & {"components"}, options=self._options)
+        demand = asked.looking(asked.looks & {"components"})
+        demand = replace(demand, options=self._options)
         self.worker.ask(PatchRequest(self.session, demand, result))
 
     @property
@@ -166,7 +169,7 @@ class SensorClient(QObject):
         if self._state.playing and not self._state.frozen:
             demand = demand.thinned(self._state.thinned)
             if now - self._looked_s < LOOK_EVERY_S:
-                return replace(demand, looks=frozenset())
+                return demand.looking()
         self._looked_s = now
         return demand
 
@@ -197,8 +200,8 @@ class SensorClient(QObject):
         self.opened, self.facts, self.demand = answer, answer.facts, answer.request.demand
         self.history = History(answer.facts.frames)
         self._awaiting = False
-        self.result, self.inspection = answer.result, answer.inspection
-        self._shown_as = answer.request.demand
+        self.result, self.inspection = answer.result, _inspection(answer.result)
+        self._shown_as = answer.request.demand.looking()
         self._looked_at = answer.result.frame
         same_patch = self.demand.rule == self._state.choices.rule
         self.history.take(answer.frame, answer.numbers, patch=same_patch)
@@ -223,24 +226,21 @@ class SensorClient(QObject):
             self._take_settled(answer)
         elif not (newest and self._state.frozen):
             self.result, self._settled = answer.result, None
-            self._shown_as = request.demand
+            self._shown_as = request.demand.looking()
             if request.demand.looks or not self.demand.looks:  # else it was left out
-                self.inspection, self._looked_at = answer.inspection, frame
+                self.inspection, self._looked_at = _inspection(answer.result), frame
 
     def _take_settled(self, answer: Solved) -> None:
         shown, new = self.result, answer.result
         if shown is None or shown.frame.index != new.frame.index:
             return  # another frame is looked at by now
         asked = answer.request.demand
-        if not (
-            self._shown_as.products <= asked.products | OF_OBJECT
-            and self.demand.looks <= asked.looks
-        ):
+        if not self._shown_as.products | self.demand.looks <= asked.products | OF_OBJECT:
             return  # more is looked at by now
         pose, by_object = shown.pose, shown.object_patch
         self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
         self._shown_as = replace(self._shown_as, options=asked.options)
-        self.inspection = answer.inspection
+        self.inspection = _inspection(new)
         self._settled = self._looked_at = shown.frame
 
     def _take_patch(self, answer: Thresholded) -> None:
@@ -250,7 +250,7 @@ class SensorClient(QObject):
         same_patch = demand.rule == self._state.choices.rule
         self.history.take(result.frame.index, answer.numbers, patch=same_patch)
         if "components" in demand.looks:
-            parts = answer.inspection.components
+            parts = _inspection(answer.result).components
             self.inspection = replace(self.inspection, components=parts)
         self.result = replace(result, patch=answer.result.patch)
 
@@ -262,3 +262,7 @@ class SensorClient(QObject):
             times[-1] = time_s
             self.facts = replace(self.facts, times_s=times, outages=outages)
             self.history.grow(count)
+
+
+def _inspection(result: Result) -> Inspection:
+    return result.inspection or Inspection()

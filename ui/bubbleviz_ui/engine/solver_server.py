@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 
 from bubbleviz.calibration.pressure_zero import PressureZero, zero_of, zeroed
 from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of, patch_numbers
-from bubbleviz.diagnostics.inspector import Inspection, Inspector
+from bubbleviz.diagnostics.inspector import Inspection
 from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.sensor_matching import gas_warning
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import LOOKS, Pipeline, Product
 from bubbleviz.processes.pipeline_process import PipelineProcess
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
@@ -69,7 +69,6 @@ class Session:
     number: int
     source: FrameSource
     pipeline: Pipeline
-    inspector: Inspector
     side_by_side: SideBySide
     shear: ShearReference
     kept: KeptEstimates = field(default_factory=KeptEstimates)
@@ -169,11 +168,11 @@ class Server:
         result = _process(*of, frame, request.demand, beside=beside, settled=settled)
         if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
             session.source.tell(result, session.pipeline.mesh)
-        inspection = _look(session, result, request.demand)
+        result = _look(session, result, request.demand)
         numbers, done_s = _kept_numbers(session, result), time.perf_counter()
         outages = session.source.outages if isinstance(session.source, LiveFrames) else ()
         remark = "" if beside is None or beside.lost == known else _lost(session, beside)
-        return Solved(request, result, numbers, inspection, done_s, outages, remark)
+        return Solved(request, result, numbers, done_s, outages, remark)
 
     def _follow(self, session: Session, request: FollowRequest) -> Followed:
         obj = None
@@ -190,10 +189,9 @@ class Server:
         demand = request.demand
         masked = "pixel_mask" in demand.products
         patch = session.pipeline.patch(estimate, demand.options, pixel_mask=masked)
-        result = replace(request.result, patch=patch)
-        inspection = _look(session, result, demand)
+        result = _look(session, replace(request.result, patch=patch), demand)
         numbers = numbers_of(result, session.pipeline.model.gas)
-        return Thresholded(request, result, numbers, inspection)
+        return Thresholded(request, result, numbers)
 
     def _analyse(self, session: Session, request: AnalyseRequest) -> Analysed:
         """As many frames as there is time for, and one at least."""
@@ -250,10 +248,9 @@ class Server:
             return None
         self.close()
         settings = SideBySide(sensor, pipeline.camera.intrinsics)
-        inspector = Inspector(pipeline)
         beside = _beside(source, pipeline)
         session = Session(
-            request.session, source, pipeline, inspector, settings, shear, beside=beside, zero=zero
+            request.session, source, pipeline, settings, shear, beside=beside, zero=zero
         )
         self.session = session
         grows = isinstance(source, LiveFrames)
@@ -274,9 +271,9 @@ class Server:
             gas_zero="" if zero is None else zero.words,
         )  # fmt: skip
         numbers = _kept_numbers(session, result)
-        inspection = _look(session, result, request.demand)
+        result = _look(session, result, request.demand)
         camera, mesh = pipeline.camera, pipeline.mesh
-        return Opened(request, facts, sensor, camera, mesh, index, result, numbers, inspection)
+        return Opened(request, facts, sensor, camera, mesh, index, result, numbers)
 
 
 def _numbers(session: Session, request: AnalyseRequest, index: int) -> Numbers | None:
@@ -305,16 +302,17 @@ def _kept_numbers(session: Session, result: Result) -> Numbers:
     return numbers
 
 
-def _look(session: Session, result: Result, demand: Demand) -> Inspection:
-    """A closer look at a result, beside the truth where the source knows it."""
+def _look(session: Session, result: Result, demand: Demand) -> Result:
+    """The result looked at closer, beside the truth where the source knows it."""
     truth = None
     if isinstance(session.source, NothingOpen):
-        return Inspection()
+        return result
     if "kappa_curve" in demand.looks:
         truth = truth_of(session.source, result.frame.index)
     mask = truth.patch_mask if truth is not None else None
-    found = session.inspector.look(result, demand.looks, demand.options.kappa, mask)
-    return replace(found, reference=session.shear.words)
+    result = session.pipeline.look(result, demand.products, demand.options, mask)
+    seen = replace(result.inspection or Inspection(), reference=session.shear.words)
+    return replace(result, inspection=seen)
 
 
 def _process(
@@ -332,7 +330,7 @@ def _process(
         return Result(frame)
     if isinstance(source, LiveFrames):
         frame = zeroed(frame, source.zero, pipeline)
-    products = shear.products(source, pipeline, frame.index, demand)
+    products = shear.products(source, pipeline, frame.index, demand) - LOOKS.keys()
     if settled:
         pipeline.settle(frame)
     result = (beside or pipeline).process(frame, products, demand.options)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from statistics import median
 
-from bubbleviz.pipeline import Product, stages
+from bubbleviz.pipeline import LOOKS, Product, stages
 from bubbleviz.result import Result
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import plotted, products
@@ -105,7 +105,7 @@ def who_asks(choices: Choices, *, analysing: bool = False) -> dict[str, list[str
     asked: dict[str, list[str]] = {}
 
     def note(name: str, needed: Iterable[Product]) -> None:
-        for stage in stages(frozenset(needed)):
+        for stage in stages(frozenset(needed)) - LOOKS.keys():
             asked.setdefault(stage, []).append(name)
 
     for name in sorted(choices.layers):

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from bubbleviz.diagnostics.inspector import NEEDS
-from bubbleviz.pipeline import OF_COLOUR, OF_OBJECT, FrameOptions
+from bubbleviz.pipeline import LOOKS, OF_COLOUR, OF_OBJECT, FrameOptions
 from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, Products
 
 if TYPE_CHECKING:
     from bubbleviz.colour.optical_flow import FlowPreset
-    from bubbleviz.diagnostics.inspector import Look
     from bubbleviz_ui.model.choices import Choices, Rule
 
 POSE_CONSUMERS = frozenset({"object", "fit", "pose", "object_patch"})
@@ -56,8 +54,6 @@ class Demand:
     Attributes
     ----------
     products : frozenset of Product
-    looks : frozenset of Look
-        Closer looks at the frame.
     options : FrameOptions
         What makes its patch and its cloud.
     shear : ShearOptions
@@ -65,7 +61,6 @@ class Demand:
     """
 
     products: Products
-    looks: frozenset[Look] = frozenset()
     options: FrameOptions = field(default_factory=FrameOptions)
     shear: ShearOptions = field(default_factory=ShearOptions)
 
@@ -74,7 +69,7 @@ class Demand:
         """What the visible things need."""
         options = FrameOptions(*choices.rule, choices.cloud_points)
         shear = ShearOptions(choices.flow_preset, choices.friction)
-        return cls(products(choices), looks(choices), options, shear)
+        return cls(products(choices), options, shear)
 
     @property
     def rule(self) -> Rule:
@@ -82,9 +77,18 @@ class Demand:
         return self.options.kappa, self.options.least_area_m2
 
     @property
+    def looks(self) -> Products:
+        """Closer looks at the frame that is shown."""
+        return self.products & LOOKS.keys()
+
+    def looking(self, looks: Products = NOTHING) -> Demand:
+        """The same with other closer looks, or none."""
+        return replace(self, products=self.products - LOOKS.keys() | looks)
+
+    @property
     def of_colour(self) -> bool:
         """Whether colour images are needed for it."""
-        return bool(self.products & OF_COLOUR) or "colour" in self.looks
+        return bool(self.products & OF_COLOUR)
 
     def thinned(self, times: int) -> Demand:
         """The same with fewer points of the cloud, unless all of them are asked for."""
@@ -96,7 +100,7 @@ class Demand:
     def covers(self, other: Demand) -> bool:
         """Whether all that another asks for is asked for here."""
         same = other.shear == self.shear or not other.products & {"flow", "traction", "slip"}
-        return same and other.products <= self.products and other.looks <= self.looks
+        return same and other.products <= self.products
 
 
 def products(choices: Choices) -> Products:
@@ -113,9 +117,8 @@ def products(choices: Choices) -> Products:
         needed |= PATCH | {"pixel_mask"}
     if choices.pose_track and (choices.layers | choices.panels) & POSE_CONSUMERS:
         needed |= PATCH | of_object(choices)
-    for look in looks(choices):
-        needed |= NEEDS[look]
-    return needed
+    looks = _looks(choices)
+    return needed.union(looks, *(LOOKS[look] for look in looks))
 
 
 def of_object(choices: Choices) -> Products:
@@ -128,13 +131,12 @@ def plotted(choices: Choices) -> Products:
     return NOTHING.union(*(PLOTS[name] for name in choices.plots))
 
 
-def looks(choices: Choices) -> frozenset[Look]:
-    """Closer looks at the frame that is shown."""
-    wanted: set[Look] = set()
+def _looks(choices: Choices) -> Products:
+    wanted = NOTHING
     if "plots" in choices.panels and "kappa" in choices.plots:
-        wanted.add("kappa_curve")
+        wanted |= {"kappa_curve"}
     if "threshold" in choices.panels:
         wanted |= {"kappa_curve", "components"}
     if "images" in choices.panels:
-        wanted |= {look for look in NEEDS if look in choices.images}
-    return frozenset(wanted)
+        wanted |= {look for look in LOOKS if look.removesuffix("_image") in choices.images}
+    return wanted

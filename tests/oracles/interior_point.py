@@ -1,32 +1,31 @@
-"""Eq. 23 by an interior-point method: slow, and accurate enough to certify the others."""
+"""Eq. 23 by an interior-point method: slow, and accurate enough to certify other solvers."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import clarabel
 import numpy as np
 from scipy import sparse
 
 from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
 
+_ZERO = 1e-6  # of the largest pressure: an interior point is nowhere exactly zero
 
-class ClarabelSolver:
-    """Interior-point reference solver.
 
-    Parameters
-    ----------
-    equilibrium : Equilibrium
-    tolerance : float, optional
-        Relative and absolute gap and infeasibility; None for Clarabel's own.
-    """
+class InteriorPoint:
+    """A solver to register in `SOLVERS`; every call starts cold."""
 
-    def __init__(self, equilibrium: Equilibrium, tolerance: float | None = None) -> None:
-        self._equilibrium, self._tolerance = equilibrium, tolerance
+    def __init__(self, equilibrium: Equilibrium) -> None:
+        self._equilibrium = equilibrium
 
-    def __call__(self, problem: FrameProblem) -> Pressure:
-        """Solve one problem; every call starts cold."""
-        import clarabel  # only where it is the chosen solver
+    def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
+        return self._solved(problem)
 
+    def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
+        return self._solved(problem)
+
+    def _solved(self, problem: FrameProblem) -> Pressure:
         eq, n = self._equilibrium, len(problem.g)
         allowed = np.flatnonzero(problem.allowed)
         k = len(allowed)
@@ -45,18 +44,16 @@ class ClarabelSolver:
         b[n] = problem.measured_gas or 0.0
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        if self._tolerance is not None:
-            settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._tolerance
-        cones = [clarabel.ZeroConeT(n + 1), clarabel.NonnegativeConeT(k)]
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
         result = clarabel.DefaultSolver(
             sparse.csc_matrix(sparse.triu(P)),
             q,
             sparse.csc_matrix(sparse.block_array(rows)),
             b,
-            cones,
+            [clarabel.ZeroConeT(n + 1), clarabel.NonnegativeConeT(k)],
             settings,
         ).solve()
         pressure = np.zeros(n)
-        pressure[allowed] = np.maximum(np.asarray(result.x)[n : n + k], 0.0)
-        solved = result.status == clarabel.SolverStatus.Solved
-        return Pressure(pressure, result.iterations, solved)
+        pressure[allowed] = np.asarray(result.x)[n : n + k]
+        pressure[pressure < _ZERO * pressure.max()] = 0.0
+        return Pressure(pressure, result.iterations, result.status == clarabel.SolverStatus.Solved)
